@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
+import math
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Self, TypeVar
@@ -12,6 +13,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
     EmergencyStopError,
@@ -20,18 +22,18 @@ from acsar_gym.errors import (
     WheelError,
     escape_unprintable,
 )
-from acsar_gym.journal import Journal
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.links.recorded import record_link
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.recording import Recorder
+from acsar_gym.recording.encoder import Fault, Scanned, Tick
 from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
-from acsar_gym.sensors.lidar import sensor_factories
+from acsar_gym.sensors.lidar import newest_scan, sensor_factories
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
@@ -86,13 +88,14 @@ class Robot:
         self.wire = Wire(link, self.config)
         self.active = False
         self.safety = Safety(self.config)
-        self._journal = Journal(recorder, link, self.config, self.wire, self.safety, self.sensors)
+        self._recorder = recorder
+        self._scan_stamp: float | None = None
         self._listener: StopListener | None = None
         self._held = False
         self._stopwatch: EpisodeStopwatch | None = None
         self._watch: WheelWatch | None = None
         self._period = self.config.period
-        self._clocked, self._recorded = self.sensors.clocked, recorder is not None
+        self._clocked = self.sensors.clocked
 
     def activate(self) -> None:
         """Reset, if the robot isn't active. Errors as for `reset`."""
@@ -116,8 +119,9 @@ class Robot:
         """
         if self.link.truth is None and self._listener is None:
             check_released()
-            told = getattr(self.link, "device", ""), self.config.name, self._journal.recording
-            self._listener = StopListener(*told)
+            file = "" if self._recorder is None else self._recorder.file
+            device = getattr(self.link, "device", "")
+            self._listener = StopListener(device, self.config.name, file)
             self._listener.warn()
             if self.config.firmware.command_timeout is None:
                 warnings.warn(NO_TIMEOUT, SafetyWarning, 3)
@@ -145,7 +149,8 @@ class Robot:
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         self.sensors.reset(scene, rng)
-        self._journal.began()
+        self._scan_stamp = None
+        self._record_scan()
 
     @_deactivating
     def read(self) -> NDArray[np.float64]:
@@ -189,7 +194,10 @@ class Robot:
         self._exchange(self.safety.bounded(speeds, pose, age))
         if self._clocked:
             self.sensors.poll()
-        self._journal.turned(self.odometry, speeds)
+        if self._recorder is not None:
+            radii, separation = self.config.wheel_radii, self.config.effective_separation
+            a, b, c, d = map(float, speeds)
+            self._record_tick(*kinematics.compute_twist(a, b, c, d, *radii, separation))
 
     @_deactivating
     def drive(self, linear: float, angular: float) -> None:
@@ -206,8 +214,8 @@ class Robot:
         self._exchange(self.safety.allowed(linear, angular, pose, age))
         if self._clocked:
             self.sensors.poll()
-        if self._recorded:
-            self._journal.ticked(self.odometry, linear, angular)
+        if self._recorder is not None:
+            self._record_tick(linear, angular)
 
     @_deactivating
     def listen(self) -> None:
@@ -217,7 +225,7 @@ class Robot:
         """
         self._heed()
         self._exchange(None)
-        self._journal.listened(self.odometry)
+        self._record_tick(math.nan, math.nan)
 
     @property
     def decoder(self) -> Decoder:
@@ -321,7 +329,8 @@ class Robot:
                 self._listener.close()
                 self._listener = None
             self.sensors.close()
-            self._journal.close()
+            if self._recorder is not None:
+                self._recorder.close()
 
     def deactivate(self, error: BaseException | None = None) -> None:
         """Command zero and close the link; idempotent. Sensors stay open.
@@ -337,7 +346,8 @@ class Robot:
         finally:
             self.active = False
             self.link.close()
-        self._journal.ended(error)
+        if self._recorder is not None and isinstance(error, Exception):
+            self._recorder.add(Fault(self.link.now(), str(error)))
 
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
@@ -362,6 +372,36 @@ class Robot:
                 raise WheelError(found, error.fix, error.wheel) from None
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
+
+    def _record_tick(self, linear: float, angular: float) -> None:
+        """Record a tick in which a twist was asked for [m/s, rad/s]; NaN where none was."""
+        if self._recorder is None:
+            return
+        wire = self.wire
+        tick = Tick(
+            self._recorder.number - 1,
+            wire.stamp,
+            self.odometry.pose,
+            self.odometry.twist,
+            wire.speeds,
+            self.odometry.wheel_positions,
+            (float(linear), float(angular)),
+            self.safety.sent,
+            self.safety.reason,
+            self.link.lateness,
+            wire.age,
+            sum(wire.decoder.refused.values()),
+        )
+        self._recorder.add(tick)
+        self._record_scan()
+
+    def _record_scan(self) -> None:
+        """Record the newest scan, if it is recorded for the first time."""
+        if self._recorder is not None:
+            scan = newest_scan(self.sensors)
+            if scan is not None and scan.stamp != self._scan_stamp:
+                self._scan_stamp = scan.stamp
+                self._recorder.add(Scanned(self._recorder.number - 1, scan.stamp, scan.ranges))
 
     def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.envs.recording import EnvRecord
 from acsar_gym.errors import (
     AcsarError,
     BoardGarbledError,
@@ -34,13 +33,15 @@ from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.physics import body
 from acsar_gym.physics.body import GroundTruth, Image
 from acsar_gym.physics.randomization import Randomizer
+from acsar_gym.recording import Recorder
+from acsar_gym.recording.encoder import Stepped
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges, newest_scan, sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
-from acsar_gym.tasks.episode import RunningEpisode, Spawn
+from acsar_gym.tasks.episode import Assignment, RunningEpisode, Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
@@ -145,9 +146,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._randomizer = Randomizer(asked.randomization, config, step, simulated=simulated)
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
-        self._record = EnvRecord(asked.record)
+        self._recorder = Recorder.of(asked.record)
         factories = sensor_factories(sensors, asked.lidar)
-        self.robot = Robot(self._faulty or link, config, factories, self._record.recorder)
+        self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
         self._screen = Screen(config, None if own_window else self.render_mode, asked.view)
 
@@ -177,7 +178,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episode = episode = RunningEpisode(self.task, assignment)
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
         scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
-        self._record.begin(self.spec, self.task, seed, assignment)
+        self._describe_episode(seed, assignment)
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
@@ -185,7 +186,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             state = self._state(episode, (0.0, 0.0))
             episode.begin(state)
             observation, info = self._describe_step(episode, state)
-            self._record.first(self.robot, observation)
+            self._record_step(0, observation)
             return observation, info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
@@ -218,9 +219,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             (observation, info), self._last_step = self._last_step, None
             code = next(code for kind, code in FAULT_CODES if isinstance(error, kind))
             why = {"is_success": 0.0, "fault": float(code), "fault_reason": str(error)}
-            cut = observation, 0.0, False, True
-            self._record.stepped(self.robot, episode.steps + 1, action, cut)
-            return *cut, info | self._randomizer.info() | why
+            ends = False, True, False
+            self._record_step(episode.steps + 1, observation, action, 0.0, ends)
+            return observation, 0.0, False, True, info | self._randomizer.info() | why
         episode.steps += 1
         with self._stopping():
             state = self._state(episode, (linear, angular))
@@ -229,8 +230,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         over = outcome is not Outcome.GOING
         if over:
             self._halt()
-        told = observation, reward, over, False
-        self._record.stepped(self.robot, episode.steps, action, told, info["is_success"])
+        ends = over, False, info["is_success"] == 1.0
+        self._record_step(episode.steps, observation, action, reward, ends)
         return observation, reward, over, False, info
 
     def _check_action(self, action: Any) -> tuple[float, float]:
@@ -266,6 +267,34 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self.robot.stop()
         except LinkError as error:
             self.robot.deactivate(error)
+
+    def _describe_episode(self, seed: int | None, assignment: Assignment) -> None:
+        """Tell the recorder, if there is one, about the env, and the episode that begins."""
+        if self._recorder is None:
+            return
+        spec, about = self.spec, {}
+        if spec is not None:
+            own = {k: v for k, v in spec.kwargs.items() if k not in ("link", "record")}
+            about = {"id": spec.id, "kwargs": own}
+        world = None if assignment.world is None else assignment.number
+        info = {"seed": seed, "goal": list(assignment.goal), "start": list(assignment.start)}
+        names = list(self.task.observation)
+        more = {"env": about, "task": task_name(self.task), "observation": names}
+        self._recorder.describe(info | {"world": world}, **more)
+
+    def _record_step(
+        self,
+        step: int,
+        observation: Observation,
+        action: NDArray[np.float32] | None = None,
+        reward: float = math.nan,
+        ends: tuple[bool, bool, bool] = (False, False, False),
+    ) -> None:
+        """Record a step, or step 0, the reset; `ends`: terminated, truncated, success."""
+        if self._recorder is not None:
+            now, seen = self.robot.link.now(), observation.copy()
+            taken = None if action is None else np.array(action, np.float32)
+            self._recorder.add(Stepped(step, now, seen, taken, reward, *ends))
 
     def _state(self, episode: RunningEpisode, action: tuple[float, float]) -> State:
         """The State that the task is given."""

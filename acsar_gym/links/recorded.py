@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import shutdown
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
-from acsar_gym.recording import recorder as recordings
 from acsar_gym.recording.encoder import Exchange, Written
-from acsar_gym.recording.recorder import Recorder
+from acsar_gym.recording.recorder import Recorder, close_recorders
 from acsar_gym.worlds import Scene
 
 
@@ -34,7 +32,7 @@ class RecordedLink(ForwardingLink):
         self._config = config
         self._sent: Arrivals = []
         self._now = 0.0
-        shutdown.call_at_end(recordings.close_recorders)
+        shutdown.call_at_end(close_recorders)
 
     def open(self) -> None:
         """Open the link, then the recorder: a link that doesn't open costs no older recording.
@@ -43,7 +41,12 @@ class RecordedLink(ForwardingLink):
             ConfigError: the recording can't be written, or would replace what it must not.
             LinkError: as for the link.
         """
-        self._recorder.check(_source(self.link))
+        replayed, inner = None, self.link
+        while replayed is None and inner is not None:
+            path = getattr(inner, "replays", None)
+            replayed = path if isinstance(path, Path) else None
+            inner = getattr(inner, "link", None)  # type: ignore[assignment]
+        self._recorder.check(replayed)
         self.link.open()
         try:
             self._recorder.open(self._config)
@@ -55,7 +58,7 @@ class RecordedLink(ForwardingLink):
     def reset(self, scene: Scene) -> None:
         """Begin an episode."""
         self._recorder.open(self._config)
-        self._finish()
+        self._record_writes()
         self.link.reset(scene)
         self._now = self.link.now()
         self._recorder.begin(self._now, simulated=self.link.lateness is None)
@@ -76,7 +79,7 @@ class RecordedLink(ForwardingLink):
         pieces = tuple(arrivals_of(link))
         if b"".join([piece for _, piece in pieces]) != got:
             pieces = ((stamp, got),)
-        self._recorder.exchanged(
+        self._recorder.add_exchange(
             Exchange(self._recorder.number, stamp, sent, pieces, link.lateness, link.truth)
         )
         return got
@@ -103,22 +106,13 @@ class RecordedLink(ForwardingLink):
         try:
             self.link.close()
         finally:
-            self._finish()
+            self._record_writes()
 
-    def _finish(self) -> None:
+    def _record_writes(self) -> None:
         """Record what was sent since the last period of the episode."""
         sent, self._sent = tuple(self._sent), []
         if sent and self._recorder.has_begun:
             self._recorder.add(Written(sent))
-
-
-def _source(link: Any) -> Path | None:
-    """The file that a link replays, if it does, or one inside it."""
-    while link is not None:
-        if isinstance(path := getattr(link, "replays", None), Path):
-            return path
-        link = getattr(link, "link", None)
-    return None
 
 
 def unwrap_link(link: Link) -> Link:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -18,20 +18,34 @@ from acsar_gym.physics.body import GroundTruth
 from acsar_gym.protocol import Speeds
 from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
-    NANOSECONDS,
-    Packer,
+    BASE_FOOTPRINT,
+    WORLD_FRAME,
     Topic,
+    array_packer,
     make_message,
     make_ros_header,
+    make_time,
     pack_message,
+    pose_fields,
     stamp_fields,
-    static_transforms,
-    time_reference,
-    to_plain_json,
+    twist_fields,
 )
 from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
+Pair = tuple[float, float]
+Pieces = tuple[tuple[float, bytes], ...]
+"""Bytes with the times at which they were sent or arrived [s]."""
+
+EPISODE_GAP = 1_000_000
+"""Time between two episodes whose clocks both begin at zero [ns]."""
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between two messages of /diagnostics [s]."""
+LATE_TICK = 0.001
+"""A tick that ends more than this after its deadline is late [s]."""
+DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
+NORMAL_REASONS = ("NONE", "LIMITS")
+"""Reasons of the safety layer that are part of normal driving."""
 INTERVAL_DEVIATIONS = 2.0 * 1.959964
 """Width of a 95 % interval of a normal distribution, in standard deviations."""
 TURNING_FIELDS = ("wheel_separation_multiplier", "body.turn_factor")
@@ -42,80 +56,6 @@ UNKNOWN_VARIANCE = 0.01
 """Variance that the robot's own driver publishes [m^2], [rad^2]."""
 X, Y, YAW = 0, 7, 35
 """Places of the variances in a row-major 6 x 6 matrix."""
-
-
-class OdometryCovariance:
-    """Covariances of /odom during an episode.
-
-    Args:
-        config: of the robot; `measured` has the intervals.
-    """
-
-    def __init__(self, config: RobotConfig) -> None:
-        self._turn = relative_deviation(config, TURNING_FIELDS)
-        self._roll = relative_deviation(config, ROLLING_FIELDS)
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin an episode: the pose is known."""
-        self._rolled = self._turned = self._across = 0.0
-        self._last: float | None = None
-
-    def of(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
-        """Continue with the next ticks.
-
-        Args:
-            stamps: (n,) [s].
-            twists: (n, 2): linear [m/s], angular [rad/s].
-
-        Returns:
-            Covariances of pose and twist, (n, 36) each.
-        """
-        first = stamps[0] if self._last is None else self._last
-        dt = np.diff(stamps, prepend=first)
-        self._last = float(stamps[-1])
-        way, turn = np.abs(twists[:, 0]) * dt, np.abs(twists[:, 1]) * dt
-        rolled, turned = self._rolled + np.cumsum(way), self._turned + np.cumsum(turn)
-        across = self._across + np.cumsum((self._turn or 0.0) * turned * way)
-        self._rolled, self._turned = float(rolled[-1]), float(turned[-1])
-        self._across = float(across[-1])
-        pose = np.tile(POSE_COVARIANCE, (len(stamps), 1))
-        along = (
-            UNKNOWN_VARIANCE if self._roll is None else LEAST_VARIANCE + (self._roll * rolled) ** 2
-        )
-        pose[:, X] = pose[:, Y] = along + across**2
-        if self._turn is not None:
-            pose[:, YAW] = LEAST_VARIANCE + (self._turn * turned) ** 2
-        return pose, self._twist(twists)
-
-    def _twist(self, twists: Floats) -> Floats:
-        """Covariances of the twist."""
-        found = np.tile(TWIST_COVARIANCE, (len(twists), 1))
-        if self._roll is not None:
-            found[:, X] = LEAST_VARIANCE + (self._roll * twists[:, 0]) ** 2
-        if self._turn is not None:
-            found[:, YAW] = LEAST_VARIANCE + (self._turn * twists[:, 1]) ** 2
-        return found
-
-
-def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | None:
-    """Return the relative standard deviation of a product of fields; None if none was measured."""
-    measured: Any = getattr(config, "measured", {})
-    found = [measured[name] for name in names if name in measured]
-    if not found:
-        return None
-    return math.sqrt(sum(_relative(one.low, one.high) ** 2 for one in found) / len(found))
-
-
-def _relative(low: float, high: float) -> float:
-    """The standard deviation of a 95 % interval, relative to its middle."""
-    middle = abs(low + high) / 2.0
-    return abs(high - low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
-
-
-Pair = tuple[float, float]
-Pieces = tuple[tuple[float, bytes], ...]
-"""Bytes with the times at which they were sent or arrived [s]."""
 
 
 class Began(NamedTuple):
@@ -199,19 +139,94 @@ class Clock(NamedTuple):
 
 
 Event = Began | Exchange | Written | Tick | Scanned | Stepped | Fault | Clock
+"""What the control loop hands over; making one takes less than a microsecond."""
 
 
-DIAGNOSTICS_PERIOD = 1.0
-"""Time between two messages [s]."""
-LATE_TICK = 0.001
-"""A tick that ends more than this after its deadline is late [s]."""
-OK, WARN, ERROR = 0, 1, 2
-NORMAL_REASONS = ("NONE", "LIMITS")
-"""Reasons of the safety layer that are part of normal driving."""
+class Message(NamedTuple):
+    """One message of a topic."""
+
+    topic: Topic
+    time: int
+    """Nanoseconds on the file's time line: the wall clock at the first reset, and from there on the
+    link's clock."""
+    data: bytes
+
+
+State = tuple[str, int, str, Mapping[str, Any]]
+"""Name, level, text and values of a part of /diagnostics."""
+
+
+class OdometryCovariance:
+    """Covariances of /odom during an episode, from the intervals of what was measured.
+
+    An error of the turning factor (multiplier, or the body's turn_factor) is a share of every turn,
+    and an error of the wheels' radii a share of every distance. Both last, so the standard
+    deviations grow in proportion to the path: sigma_theta = s_turn * integral |omega| dt,
+    sigma_along = s_roll * integral |v| dt, and across the path sigma_across = integral sigma_theta
+    |v| dt. x and y each get the sum of both variances, as the direction of the path changes. What
+    wasn't measured keeps the constant variance that the robot's own driver publishes.
+
+    Args:
+        config: of the robot; `measured` has the intervals.
+    """
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._turn = relative_deviation(config, TURNING_FIELDS)
+        self._roll = relative_deviation(config, ROLLING_FIELDS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode: the pose is known."""
+        self._rolled = self._turned = self._across = 0.0
+        self._last: float | None = None
+
+    def update(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
+        """Continue with the next ticks.
+
+        Args:
+            stamps: (n,) [s].
+            twists: (n, 2): linear [m/s], angular [rad/s].
+
+        Returns:
+            Covariances of pose and twist, (n, 36) each.
+        """
+        dt = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
+        self._last = float(stamps[-1])
+        way, turn = np.abs(twists[:, 0]) * dt, np.abs(twists[:, 1]) * dt
+        rolled, turned = self._rolled + np.cumsum(way), self._turned + np.cumsum(turn)
+        across = self._across + np.cumsum((self._turn or 0.0) * turned * way)
+        self._rolled, self._turned = float(rolled[-1]), float(turned[-1])
+        self._across = float(across[-1])
+        pose = np.tile(POSE_COVARIANCE, (len(stamps), 1))
+        twist = np.tile(TWIST_COVARIANCE, (len(stamps), 1))
+        pose[:, X] = UNKNOWN_VARIANCE
+        if self._roll is not None:
+            pose[:, X] = LEAST_VARIANCE + (self._roll * rolled) ** 2
+            twist[:, X] = LEAST_VARIANCE + (self._roll * twists[:, 0]) ** 2
+        pose[:, X] += across**2
+        pose[:, Y] = pose[:, X]
+        if self._turn is not None:
+            pose[:, YAW] = LEAST_VARIANCE + (self._turn * turned) ** 2
+            twist[:, YAW] = LEAST_VARIANCE + (self._turn * twists[:, 1]) ** 2
+        return pose, twist
+
+
+def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | None:
+    """Return the relative standard deviation of a product of fields; None if none was measured."""
+    measured: Any = getattr(config, "measured", {})
+    found = [measured[name] for name in names if name in measured]
+    if not found:
+        return None
+    middles = [abs(one.low + one.high) / 2.0 for one in found]
+    shares = [
+        abs(one.high - one.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
+        for one, middle in zip(found, middles, strict=True)
+    ]
+    return math.sqrt(sum(share**2 for share in shares) / len(shares))
 
 
 class Diagnostics:
-    """Sums up the ticks of a second.
+    """What /diagnostics tells once a second: lateness, safety, refused input, drops; and faults.
 
     Attributes: `dropped`, what the recorder has dropped so far.
 
@@ -225,28 +240,18 @@ class Diagnostics:
         self.reset(0.0)
 
     def reset(self, stamp: float) -> None:
-        """Begin an episode at this time of the link's clock [s]."""
+        """Begin a second at this time of the link's clock [s]."""
         self._due = stamp + DIAGNOSTICS_PERIOD
         self._late: list[float] = []
         self._reasons: Counter[str] = Counter()
 
-    def ticked(
-        self, ticks: Sequence[Tick], time: Callable[[float], int]
-    ) -> Iterator[tuple[float, bytes]]:
-        """Add ticks; yields stamp [s] and message wherever a second is over."""
-        for tick in ticks:
-            self._late.append(math.nan if tick.lateness is None else tick.lateness)
-            self._reasons[_name(tick.reason)] += 1
-            if tick.stamp >= self._due - 1e-9:
-                yield tick.stamp, self._message(time(tick.stamp), self._told(tick))
-                self.reset(tick.stamp)
-
-    def fault(self, text: str, time: int) -> bytes:
-        """Pack an error that stopped the robot."""
-        return self._message(time, [self._status("fault", ERROR, text, {})])
-
-    def _told(self, newest: Tick) -> list[Any]:
-        """The states of loop, safety, wire and recorder."""
+    def add(self, tick: Tick, time: int) -> bytes | None:
+        """Add a tick that ended at this time of the file [ns]; the message if a second is over."""
+        reason = str(getattr(tick.reason, "name", tick.reason))
+        self._late.append(math.nan if tick.lateness is None else tick.lateness)
+        self._reasons[reason] += 1
+        if tick.stamp < self._due - 1e-9:
+            return None
         late = np.array(self._late)
         timed = late[~np.isnan(late)]
         over = int((timed > LATE_TICK).sum())
@@ -255,59 +260,36 @@ class Diagnostics:
             p50, p99 = np.percentile(timed, (50, 99)) * 1e3
             loop |= {"p50_ms": round(p50, 3), "p99_ms": round(p99, 3)}
             loop["worst_ms"] = round(float(timed.max()) * 1e3, 3)
-        stops = [name for name in self._reasons if name not in NORMAL_REASONS]
-        reason = _name(newest.reason)
-        wire = {"feedback_age_ms": round(newest.feedback_age * 1e3, 3), "refused": newest.refused}
+        stops = any(name not in NORMAL_REASONS for name in self._reasons)
+        wire = {"feedback_age_ms": round(tick.feedback_age * 1e3, 3), "refused": tick.refused}
         lost = {"dropped": self.dropped}
-        return [
-            self._status("control loop", WARN if over else OK, f"{over} late ticks", loop),
-            self._status("safety", WARN if stops else OK, reason, dict(self._reasons)),
-            self._status("wire", OK, f"{newest.refused} parts refused", wire),
-            self._status("recorder", WARN if self.dropped else OK, f"{self.dropped} dropped", lost),
+        states: list[State] = [
+            ("control loop", int(over > 0), f"{over} late ticks", loop),
+            ("safety", int(stops), reason, dict(self._reasons)),
+            ("wire", DIAGNOSTIC_OK, f"{tick.refused} parts refused", wire),
+            ("recorder", int(self.dropped > 0), f"{self.dropped} dropped", lost),
         ]
+        self.reset(tick.stamp)
+        return self.pack(time, states)
 
-    def _status(self, name: str, level: int, text: str, values: Mapping[str, Any]) -> Any:
-        """A diagnostic_msgs/DiagnosticStatus."""
-        pairs = [
-            make_message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
-            for key, value in values.items()
-        ]
-        return make_message(
-            "diagnostic_msgs/msg/DiagnosticStatus",
-            level=level,
-            name=f"acsar: {name}",
-            message=text,
-            hardware_id=self._hardware,
-            values=pairs,
-        )
-
-    def _message(self, time: int, states: list[Any]) -> bytes:
-        """Pack diagnostic_msgs/DiagnosticArray."""
-        return pack_message(
+    def pack(self, time: int, states: Sequence[State]) -> bytes:
+        """Pack diagnostic_msgs/DiagnosticArray of these states."""
+        status = [
             make_message(
-                "diagnostic_msgs/msg/DiagnosticArray", header=make_ros_header(time), status=states
+                "diagnostic_msgs/msg/DiagnosticStatus",
+                level=level,
+                name=f"acsar: {name}",
+                message=text,
+                hardware_id=self._hardware,
+                values=[
+                    make_message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
+                    for key, value in values.items()
+                ],
             )
-        )
-
-
-def _name(reason: int) -> str:
-    """The name of a reason; numbers without one stay numbers."""
-    return str(getattr(reason, "name", reason))
-
-
-EPISODE_GAP = 1_000_000
-"""Time between two episodes whose clocks both begin at zero [ns]."""
-NO_TRUTH = (math.nan,) * 6
-
-
-class Message(NamedTuple):
-    """One message of a topic."""
-
-    topic: Topic
-    time: int
-    """Nanoseconds on the file's time line: the wall clock at the first reset, and from there on the
-    link's clock."""
-    data: bytes
+            for name, level, text, values in states
+        ]
+        kind = messages.DIAGNOSTICS.kind
+        return pack_message(kind, header=make_ros_header(time), status=status)
 
 
 class Encoder:
@@ -319,46 +301,51 @@ class Encoder:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._formats = messages.MessageFormats.of(config)
         self._covariance = OdometryCovariance(config)
         self._diagnostics = Diagnostics(config)
-        self._static = static_transforms(config)
         self._offset = 0
-        self._newest = -1
-        self._episode = -1
+        self._newest = self._episode = self._rays = -1
+        odom, twist = config.odom_frame, messages.Packer(*messages.TWIST)
+        self._packers = {
+            messages.ODOM: messages.odometry_packer(odom, BASE_FOOTPRINT),
+            messages.TRUTH: messages.odometry_packer(WORLD_FRAME, BASE_FOOTPRINT),
+            messages.TF: messages.transform_packer(odom, BASE_FOOTPRINT),
+            messages.JOINT_STATES: messages.joint_packer(),
+            messages.CMD_VEL: twist,
+            messages.CMD_VEL_SENT: twist,
+        }
         self._makers: dict[Any, Callable[[Any], Iterator[Message]]] = {
-            Began: self._began,
-            Exchange: self._exchanges,
-            Written: self._written,
-            Tick: self._ticks,
-            Scanned: self._scans,
-            Stepped: self._steps,
-            Fault: self._faults,
-            Clock: self._clocks,
+            Began: self._encode_reset,
+            Exchange: self._encode_exchanges,
+            Written: self._encode_writes,
+            Tick: self._encode_ticks,
+            Scanned: self._encode_scans,
+            Stepped: self._encode_steps,
+            Fault: self._encode_faults,
+            Clock: self._encode_clocks,
         }
 
     def encode(self, events: Sequence[Event], dropped: int) -> Iterator[Message]:
-        """Make the messages of some events, in the order in which they happened.
+        """Make the messages of some events: episode by episode, and kind by kind.
 
         Args:
             events: what was handed over since the last call.
             dropped: events that were dropped so far.
         """
         self._diagnostics.dropped = dropped
-        for episode in _split_episodes(events):
-            by_kind: dict[Any, list[Any]] = {}
-            for event in episode:
-                by_kind.setdefault(type(event), []).append(event)
-            for kind, make in self._makers.items():
-                if kind in by_kind:
-                    for message in make(by_kind[kind]):
-                        self._newest = max(self._newest, message.time)
-                        yield message
+        for begins, group in groupby(events, lambda event: type(event) is Began):
+            found = list(group)
+            for episode in [[event] for event in found] if begins else [found]:
+                for kind, make in self._makers.items():
+                    if same := [event for event in episode if type(event) is kind]:
+                        for message in make(same):
+                            self._newest = max(self._newest, message.time)
+                            yield message
 
-    def _began(self, events: Sequence[Began]) -> Iterator[Message]:
+    def _encode_reset(self, events: Sequence[Began]) -> Iterator[Message]:
         """Begin an episode; its clock may have started again at zero."""
         (event,) = events
-        start = round(event.stamp * NANOSECONDS)
+        start = round(event.stamp * 1e9)
         if self._newest < 0:
             self._offset = event.wall - start
         elif start + self._offset <= self._newest:
@@ -367,155 +354,145 @@ class Encoder:
         self._covariance.reset()
         self._diagnostics.reset(event.stamp)
         time = start + self._offset
-        told = {"episode": self._episode, "start": event.stamp, "offset": self._offset}
-        text = json.dumps(told | {"wall": event.wall, "info": to_plain_json(dict(event.info))})
-        yield Message(messages.EPISODE, time, messages.pack_text(text))
-        yield Message(messages.TF_STATIC, time, self._static(time))
-        yield self._reference(Clock(event.stamp, event.wall))
+        opening = {"episode": self._episode, "start": event.stamp, "offset": self._offset}
+        opening |= {"wall": event.wall, "info": messages.to_plain_json(dict(event.info))}
+        yield Message(messages.EPISODE, time, messages.pack_text(json.dumps(opening)))
+        yield Message(messages.TF_STATIC, time, self._pack_static_frames(time))
+        yield from self._encode_clocks([Clock(event.stamp, event.wall)])
 
-    def _exchanges(self, events: Sequence[Exchange]) -> Iterator[Message]:
-        """The raw wire, the truth, and the row that says which bytes belong together."""
-        for event in events:
-            yield from self._pieces(messages.WIRE_SENT, event.sent)
-            yield from self._pieces(messages.WIRE_RECEIVED, event.received)
-        rows = np.array([_exchange_row(event) for event in events])
-        yield from self._table(messages.EXCHANGES, self._formats.exchanges, rows[:, 1], rows)
-        known = rows[~np.isnan(rows[:, 5])]
-        if len(known):
-            when = self._times(known[:, 1])
-            fields = stamp_fields(when) | messages.pose_fields(known[:, 5:8])
-            fields |= messages.twist_fields(known[:, 8:10])
-            yield from _pack_messages(messages.TRUTH, self._formats.truth, when, fields)
-
-    def _written(self, events: Sequence[Written]) -> Iterator[Message]:
-        """Bytes that were sent at the end."""
-        for event in events:
-            yield from self._pieces(messages.WIRE_SENT, event.sent)
-
-    def _pieces(self, topic: Topic, pieces: Pieces) -> Iterator[Message]:
-        """Bytes of the wire."""
-        for stamp, data in pieces:
-            yield Message(topic, self._time(stamp), messages.pack_octets(data))
-
-    def _ticks(self, events: Sequence[Tick]) -> Iterator[Message]:
-        """Odometry, joints, commands, and the row with all of it."""
-        rows = np.array([_tick_row(event) for event in events])
-        stamps, own = rows[:, 1], self._formats
-        when = self._times(stamps)
-        stamped, pose = stamp_fields(when), messages.pose_fields(rows[:, 2:5])
-        pose_cov, twist_cov = self._covariance.of(stamps, rows[:, 5:7])
-        fields: dict[str, Any] = stamped | pose | messages.twist_fields(rows[:, 5:7])
-        fields |= {"pose_cov": pose_cov, "twist_cov": twist_cov}
-        yield from _pack_messages(messages.ODOM, own.odometry, when, fields)
-        yield from _pack_messages(messages.TF, own.transform, when, stamped | pose)
-        joints = stamped | {"position": rows[:, 11:15], "velocity": rows[:, 7:11]}
-        yield from _pack_messages(messages.JOINT_STATES, own.joints, when, joints)
-        yield from _pack_messages(
-            messages.CMD_VEL_SENT, own.twist, when, messages.twist_fields(rows[:, 17:19])
+    def _pack_static_frames(self, time: int) -> bytes:
+        """base_footprint, base frame at the height of the axles, and LiDAR."""
+        config = self._config
+        at = config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset
+        edges = (
+            (BASE_FOOTPRINT, config.base_frame, (0.0, 0.0, config.wheel_radius)),
+            (config.base_frame, config.lidar_frame, at),
         )
-        is_asked = ~np.isnan(rows[:, 15])
-        asked = messages.twist_fields(rows[is_asked, 15:17])
-        yield from _pack_messages(messages.CMD_VEL, own.twist, when[is_asked], asked)
-        yield from self._table(messages.TICKS, own.ticks, stamps, rows)
-        for stamp, data in self._diagnostics.ticked(events, self._time):
-            yield Message(messages.DIAGNOSTICS, self._time(stamp), data)
+        turned = make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        transforms = []
+        for parent, child, (x, y, z) in edges:
+            moved = make_message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+            transforms.append(
+                make_message(
+                    "geometry_msgs/msg/TransformStamped",
+                    header=make_ros_header(time, parent),
+                    child_frame_id=child,
+                    transform=make_message(
+                        "geometry_msgs/msg/Transform", translation=moved, rotation=turned
+                    ),
+                )
+            )
+        return pack_message(messages.TF_STATIC.kind, transforms=transforms)
 
-    def _scans(self, events: Sequence[Scanned]) -> Iterator[Message]:
+    def _encode_exchanges(self, events: Sequence[Exchange]) -> Iterator[Message]:
+        """The raw wire, the truth, and the row that says which bytes belong together."""
+        rows = np.full((len(events), len(messages.EXCHANGE_COLUMNS)), math.nan)
+        for row, event in zip(rows, events, strict=True):
+            yield from self._encode_pieces(messages.WIRE_SENT, event.sent)
+            yield from self._encode_pieces(messages.WIRE_RECEIVED, event.received)
+            row[:4] = event.number, event.stamp, len(event.sent), len(event.received)
+            if event.lateness is not None:
+                row[4] = event.lateness
+            if event.truth is not None:
+                row[5:] = *event.truth.pose, *event.truth.twist, event.truth.contact
+        yield from self._encode_table(messages.EXCHANGES, rows[:, 1], rows)
+        known = rows[~np.isnan(rows[:, 5])]
+        fields = pose_fields(known[:, 5:8]) | twist_fields(known[:, 8:10])
+        yield from self._pack(messages.TRUTH, known[:, 1], fields, stamped=True)
+
+    def _encode_writes(self, events: Sequence[Written]) -> Iterator[Message]:
+        for event in events:
+            yield from self._encode_pieces(messages.WIRE_SENT, event.sent)
+
+    def _encode_pieces(self, topic: Topic, pieces: Pieces) -> Iterator[Message]:
+        for stamp, data in pieces:
+            yield Message(topic, self._file_time(stamp), messages.pack_octets(data))
+
+    def _encode_ticks(self, events: Sequence[Tick]) -> Iterator[Message]:
+        """Odometry, joints, commands, and the row with all of it."""
+        rows = np.array(
+            [
+                (
+                    *(one.exchange, one.stamp, *one.pose, *one.twist, *one.speeds, *one.angles),
+                    *(*one.asked, *one.sent, int(one.reason)),
+                    *(math.nan if one.lateness is None else one.lateness,),
+                    *(one.feedback_age, one.refused),
+                )
+                for one in events
+            ]
+        )
+        stamps, pose, twists = rows[:, 1], pose_fields(rows[:, 2:5]), rows[:, 5:7]
+        pose_cov, twist_cov = self._covariance.update(stamps, twists)
+        covariances = {"pose_cov": pose_cov, "twist_cov": twist_cov}
+        odometry = pose | twist_fields(twists) | covariances
+        yield from self._pack(messages.ODOM, stamps, odometry, stamped=True)
+        yield from self._pack(messages.TF, stamps, pose, stamped=True)
+        joints = {"position": rows[:, 11:15], "velocity": rows[:, 7:11]}
+        yield from self._pack(messages.JOINT_STATES, stamps, joints, stamped=True)
+        yield from self._pack(messages.CMD_VEL_SENT, stamps, twist_fields(rows[:, 17:19]))
+        asked = rows[~np.isnan(rows[:, 15])]
+        yield from self._pack(messages.CMD_VEL, asked[:, 1], twist_fields(asked[:, 15:17]))
+        yield from self._encode_table(messages.TICKS, stamps, rows)
+        for event in events:
+            time = self._file_time(event.stamp)
+            if (data := self._diagnostics.add(event, time)) is not None:
+                yield Message(messages.DIAGNOSTICS, time, data)
+
+    def _encode_scans(self, events: Sequence[Scanned]) -> Iterator[Message]:
         """Scans, for viewers and exactly."""
         lidar = self._config.lidar
         for event in events:
-            ranges = np.asarray(event.ranges, np.float64)
-            time, rays = self._time(event.stamp), len(ranges)
-            step = RaySpec(rays, lidar.max_range, lidar.field_of_view).step
-            packer = messages.scan_packer(self._config, step, rays)
-            seen = np.where(ranges >= lidar.max_range, np.inf, ranges)
-            when = np.array([time])
-            yield from _pack_messages(
-                messages.SCAN, packer, when, stamp_fields(when) | {"ranges": seen}
-            )
+            ranges, stamps = np.asarray(event.ranges, np.float64), np.array([event.stamp])
+            step = RaySpec(len(ranges), lidar.max_range, lidar.field_of_view).step
+            if self._rays != len(ranges):
+                self._rays = len(ranges)
+                self._packers[messages.SCAN] = messages.scan_packer(self._config, step, self._rays)
+            seen = {"ranges": np.where(ranges >= lidar.max_range, np.inf, ranges)}
+            yield from self._pack(messages.SCAN, stamps, seen, stamped=True)
             row = np.concatenate([[event.exchange, event.stamp], ranges])
-            exact = {"data": row}
-            yield from _pack_messages(
-                messages.SCANS, messages.doubles_packer(len(row)), when, exact
-            )
+            yield from self._encode_table(messages.SCANS, stamps, row[None])
 
-    def _steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
+    def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
         """Observations, actions and rewards."""
         for event in events:
-            when = np.array([self._time(event.stamp)])
+            stamps = np.array([event.stamp])
             row = np.array([[event.step, event.stamp, event.reward, *event[5:]]], np.float64)
-            yield from self._table(messages.STEPS, self._formats.steps, row[:, 1], row)
-            for topic, values in (
-                (messages.ACTION, event.action),
-                (messages.OBSERVATION, event.observation),
-            ):
-                if values is not None:
-                    data = np.asarray(values, np.float32).ravel()
-                    yield from _pack_messages(
-                        topic, messages.singles_packer(len(data)), when, {"data": data}
-                    )
+            yield from self._encode_table(messages.STEPS, stamps, row)
+            values = (messages.ACTION, event.action), (messages.OBSERVATION, event.observation)
+            for topic, numbers in values:
+                if numbers is not None:
+                    data = np.asarray(numbers, np.float32).reshape(1, -1)
+                    yield from self._encode_table(topic, stamps, data)
 
-    def _faults(self, events: Sequence[Fault]) -> Iterator[Message]:
-        """Errors that stopped the robot."""
+    def _encode_faults(self, events: Sequence[Fault]) -> Iterator[Message]:
         for event in events:
-            time = self._time(event.stamp)
-            data = self._diagnostics.fault(event.text, time)
-            yield Message(messages.DIAGNOSTICS, time, data)
+            time = self._file_time(event.stamp)
+            states: list[State] = [("fault", DIAGNOSTIC_ERROR, event.text, {})]
+            yield Message(messages.DIAGNOSTICS, time, self._diagnostics.pack(time, states))
 
-    def _clocks(self, events: Sequence[Clock]) -> Iterator[Message]:
+    def _encode_clocks(self, events: Sequence[Clock]) -> Iterator[Message]:
         """Wall clock and link's clock."""
         for event in events:
-            yield self._reference(event)
+            time = self._file_time(event.stamp)
+            fields = {"header": make_ros_header(time), "time_ref": make_time(event.wall)}
+            kind = messages.TIME_REFERENCE.kind
+            data = pack_message(kind, source="wall clock", **fields)
+            yield Message(messages.TIME_REFERENCE, time, data)
 
-    def _reference(self, event: Clock) -> Message:
-        """The wall clock at a time of the link's clock."""
-        time = self._time(event.stamp)
-        return Message(messages.TIME_REFERENCE, time, time_reference(time, event.wall))
+    def _encode_table(self, topic: Topic, stamps: Floats, rows: NDArray[Any]) -> Iterator[Message]:
+        """Rows of numbers, one message each."""
+        self._packers[topic] = array_packer(rows.dtype.str, rows.shape[1])
+        return self._pack(topic, stamps, {"data": rows})
 
-    def _table(
-        self, topic: Topic, packer: Packer, stamps: NDArray[np.float64], rows: NDArray[np.float64]
+    def _pack(
+        self, topic: Topic, stamps: Floats, fields: Mapping[str, Any], *, stamped: bool = False
     ) -> Iterator[Message]:
-        """The rows of a table, one message each."""
-        yield from _pack_messages(topic, packer, self._times(stamps), {"data": rows})
+        """Messages of one topic; `stamped` for those with a header."""
+        when = np.maximum(np.rint(stamps * 1e9).astype(np.int64) + self._offset, 0)
+        more = stamp_fields(when) if stamped else {}
+        packed = self._packers[topic].pack(len(when), {**fields, **more})
+        yield from map(Message, [topic] * len(packed), when.tolist(), packed)
 
-    def _time(self, stamp: float) -> int:
+    def _file_time(self, stamp: float) -> int:
         """A time on the file's time line [ns]."""
-        return max(round(stamp * NANOSECONDS) + self._offset, 0)
-
-    def _times(self, stamps: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Times on the file's time line [ns]."""
-        return np.maximum(np.rint(stamps * NANOSECONDS).astype(np.int64) + self._offset, 0)
-
-
-def _pack_messages(
-    topic: Topic, packer: Packer, when: NDArray[np.int64], fields: Any
-) -> list[Message]:
-    """Pack messages of one topic."""
-    packed = packer.packed(len(when), fields)
-    return [Message(topic, time, data) for time, data in zip(when.tolist(), packed, strict=True)]
-
-
-def _split_episodes(events: Iterable[Event]) -> Iterator[list[Event]]:
-    """Split events at every reset: the reset itself, then what follows it."""
-    for begins, group in groupby(events, lambda event: type(event) is Began):
-        if begins:
-            yield from ([event] for event in group)
-        else:
-            yield list(group)
-
-
-def _exchange_row(event: Exchange) -> tuple[float, ...]:
-    """The columns of topics.EXCHANGE_COLUMNS."""
-    late, truth = math.nan if event.lateness is None else event.lateness, NO_TRUTH
-    if event.truth is not None:
-        truth = (*event.truth.pose, *event.truth.twist, float(event.truth.contact))
-    return (event.number, event.stamp, len(event.sent), len(event.received), late, *truth)
-
-
-def _tick_row(event: Tick) -> tuple[float, ...]:
-    """The columns of topics.TICK_COLUMNS."""
-    late = math.nan if event.lateness is None else event.lateness
-    return (
-        *(event.exchange, event.stamp, *event.pose, *event.twist, *event.speeds, *event.angles),
-        *(*event.asked, *event.sent, int(event.reason), late, event.feedback_age, event.refused),
-    )
+        return max(round(stamp * 1e9) + self._offset, 0)

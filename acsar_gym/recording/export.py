@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import os
 import warnings
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, MissingExtraError, RecordingWarning, show_value
+from acsar_gym.errors import ConfigError, RecordingWarning, require_extra, show_value
 from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.types import Episode, Floats, Recording
+from acsar_gym.recording.types import Episode, Recording
 
 EXPORT_FORMATS = ("parquet", "csv", "minari")
 MINARI_FOLDER = "MINARI_DATASETS_PATH"
@@ -30,7 +28,7 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
 
     Args:
         path: the recording.
-        to: one of FORMATS.
+        to: one of EXPORT_FORMATS.
         folder: to write to; made if it isn't there.
 
     Returns:
@@ -48,170 +46,18 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         how = "is left out" if to == "minari" else "is incomplete"
         last = f"the last episode {how}" if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
+    written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if to == "minari":
-            return [_minari(recording, path, folder)]
-        write = _parquet if to == "parquet" else _csv
-        return [
-            write(folder / name, columns)
-            for name, columns in make_tables(recording).items()
-            if len(columns["episode"])
-        ]
+            return [_write_minari(recording, path, folder)]
+        for name, columns in make_tables(recording).items():
+            if len(columns["episode"]):
+                written.append(folder / f"{name}.{to}")
+                (_write_parquet if to == "parquet" else _write_csv)(written[-1], columns)
     except OSError as error:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
-
-
-def make_tables(recording: Recording) -> dict[str, TableColumns]:
-    """Return the tables of a recording by name: ticks, wire, steps, scans.
-
-    All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
-    clock of the first reset [ns since 1970], as in the file.
-    """
-    makers = {"ticks": _ticks, "wire": _wire, "steps": _steps, "scans": _scans}
-    found: dict[str, TableColumns] = {}
-    for name, make in makers.items():
-        parts = [_timed(number, one, make(one)) for number, one in enumerate(recording.episodes)]
-        parts = [part for part in parts if len(part["stamp"])] or parts[:1]
-        if any(list(part) != list(parts[0]) for part in parts):
-            raise ConfigError(f"the episodes have different {name}: they don't fit into one table")
-        found[name] = {
-            key: np.concatenate([np.asarray(part[key]) for part in parts]) for key in parts[0]
-        }
-    return found
-
-
-def _timed(number: int, episode: Episode, columns: TableColumns) -> TableColumns:
-    """Add the columns that all tables have."""
-    stamps = columns["stamp"]
-    times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
-    return {"episode": np.full(len(stamps), number), "time": times, **columns}
-
-
-def _ticks(episode: Episode) -> TableColumns:
-    """One row for each tick."""
-    wheels = _named("speed", episode.speeds, "abcd")
-    truth = _named("true", episode.truth, ("x", "y", "theta"))
-    return {
-        "stamp": episode.stamps,
-        **_named("", episode.poses, ("x", "y", "theta")),
-        **_named("", episode.twists, ("linear", "angular")),
-        **wheels,
-        **_named("asked", episode.asked, ("linear", "angular")),
-        **_named("sent", episode.sent, ("linear", "angular")),
-        "reason": episode.reasons,
-        "lateness": episode.lateness,
-        **truth,
-    }
-
-
-def _wire(episode: Episode) -> TableColumns:
-    """One row for each piece of bytes, in the order of time."""
-    wire = episode.wire
-    stamps = np.concatenate([wire.sent_stamps, wire.got_stamps])
-    order = np.argsort(stamps, kind="stable")
-    names = np.array(["sent"] * len(wire.sent) + ["received"] * len(wire.got), dtype=object)
-    texts = np.array([piece.decode("latin-1") for piece in wire.sent + wire.got], dtype=object)
-    return {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]}
-
-
-def _steps(episode: Episode) -> TableColumns:
-    """One row for each observation, with the action that led to it."""
-    count = len(episode.step_stamps)
-    first = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
-    actions = np.concatenate([first, episode.actions])
-    rewards = np.concatenate([np.full(min(count, 1), np.nan), episode.rewards])
-    return {
-        "stamp": episode.step_stamps,
-        "step": np.arange(count),
-        "reward": rewards,
-        **_numbered("action", actions),
-        **_numbered("observation", episode.observations),
-    }
-
-
-def _scans(episode: Episode) -> TableColumns:
-    """One row for each scan."""
-    return {"stamp": episode.scans.stamps, **_numbered("range", episode.scans.ranges)}
-
-
-def _named(prefix: str, rows: Floats, names: Any) -> TableColumns:
-    """The columns of rows by name."""
-    lead = f"{prefix}_" if prefix else ""
-    return {f"{lead}{name}": rows[:, number] for number, name in enumerate(names)}
-
-
-def _numbered(prefix: str, rows: NDArray[Any]) -> TableColumns:
-    """The columns of rows by number."""
-    return {f"{prefix}_{number}": rows[:, number] for number in range(rows.shape[1])}
-
-
-def _csv(path: Path, columns: TableColumns) -> Path:
-    """Write a table as CSV."""
-    path = path.with_suffix(".csv")
-    with replace_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-    return path
-
-
-def _parquet(path: Path, columns: TableColumns) -> Path:
-    """Write a table as Parquet."""
-    try:
-        import pyarrow as pa  # noqa: PLC0415 - optional
-        from pyarrow import parquet  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("export to Parquet", "export") from None
-    path = path.with_suffix(".parquet")
-    with replace_file(path) as new:
-        parquet.write_table(pa.table(columns), new)
-    return path
-
-
-def _minari(recording: Recording, path: Path, folder: Path) -> Path:
-    """Write a data set for Minari; returns its folder."""
-    try:
-        import minari  # noqa: PLC0415 - optional
-        from gymnasium.spaces import Box  # noqa: PLC0415 - only here
-        from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("export to Minari", "export") from None
-    buffers = [EpisodeBuffer(**told) for told in _episodes(recording)]
-    if not buffers:
-        what = "whole episode" if is_incomplete(recording) else "steps"
-        raise ConfigError(f"{path}: holds no {what} of an env: record an env, run or evaluate")
-    name = "".join(c if c.isalnum() else "-" for c in path.stem).strip("-") or "recording"
-    width = recording.episodes[0].observations.shape[1]
-    try:
-        with _stored_in(folder):
-            minari.create_dataset_from_buffers(
-                f"acsar/{name}-v0",
-                buffers,
-                observation_space=Box(-np.inf, np.inf, (width,), np.float32),
-                action_space=Box(-1.0, 1.0, (2,), np.float32),
-                data_format="arrow",
-                algorithm_name=_policy(recording.header),
-                description=f"Recorded by acsar_gym {_version(recording.header)}.",
-            )
-    except ValueError as error:  # it is there already
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
-    return folder / "acsar" / f"{name}-v0"
-
-
-@contextlib.contextmanager
-def _stored_in(folder: Path) -> Iterator[None]:
-    """Let Minari write to a folder, without its warnings about authors, as a context manager."""
-    before = os.environ.get(MINARI_FOLDER)
-    os.environ[MINARI_FOLDER] = str(folder.absolute())
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        os.environ.pop(MINARI_FOLDER)
-        if before is not None:
-            os.environ[MINARI_FOLDER] = before
+    return written
 
 
 def is_incomplete(recording: Recording) -> bool:
@@ -219,8 +65,95 @@ def is_incomplete(recording: Recording) -> bool:
     return recording.cut and not recording.episodes[-1].terminated
 
 
-def _episodes(recording: Recording) -> Iterator[dict[str, Any]]:
-    """The arguments of Minari's buffers, one for each episode with steps."""
+def make_tables(recording: Recording) -> dict[str, TableColumns]:
+    """Return the tables of a recording by name: ticks, wire, steps, scans.
+
+    All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
+    clock of the first reset [ns since 1970], as in the file.
+
+    Raises:
+        ConfigError: the episodes have different columns.
+    """
+    found = [_list_columns(episode) for episode in recording.episodes]
+    tables: dict[str, TableColumns] = {}
+    for name in found[0]:
+        parts = []
+        for number, (episode, columns) in enumerate(zip(recording.episodes, found, strict=True)):
+            stamps = columns[name]["stamp"]
+            times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
+            episodes = np.full(len(stamps), number)
+            parts.append({"episode": episodes, "time": times, **columns[name]})
+        parts = [part for part in parts if len(part["stamp"])] or parts[:1]
+        if any(list(part) != list(parts[0]) for part in parts):
+            raise ConfigError(f"the episodes have different {name}: they don't fit into one table")
+        tables[name] = {
+            key: np.concatenate([np.asarray(part[key]) for part in parts]) for key in parts[0]
+        }
+    return tables
+
+
+def _list_columns(episode: Episode) -> dict[str, TableColumns]:
+    """The columns of each table: ticks, pieces of bytes, observations with what led to them."""
+    pose, twist, wire, count = "x y theta", "linear angular", episode.wire, len(episode.step_stamps)
+    ticks = {
+        "stamp": episode.stamps,
+        **_name_columns("", episode.poses, pose),
+        **_name_columns("", episode.twists, twist),
+        **_name_columns("speed_", episode.speeds, "a b c d"),
+        **_name_columns("asked_", episode.asked, twist),
+        **_name_columns("sent_", episode.sent, twist),
+        "reason": episode.reasons,
+        "lateness": episode.lateness,
+        **_name_columns("true_", episode.truth, pose),
+    }
+    stamps = np.concatenate([wire.sent_stamps, wire.got_stamps])
+    order = np.argsort(stamps, kind="stable")
+    names = np.array(["sent"] * len(wire.sent) + ["received"] * len(wire.got), dtype=object)
+    texts = np.array([piece.decode("latin-1") for piece in wire.sent + wire.got], dtype=object)
+    none = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
+    steps = {
+        "stamp": episode.step_stamps,
+        "step": np.arange(count),
+        "reward": np.concatenate([none[:, 0], episode.rewards]),
+        **_name_columns("action_", np.concatenate([none, episode.actions])),
+        **_name_columns("observation_", episode.observations),
+    }
+    return {
+        "ticks": ticks,
+        "wire": {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]},
+        "steps": steps,
+        "scans": {"stamp": episode.scans.stamps, **_name_columns("range_", episode.scans.ranges)},
+    }
+
+
+def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:
+    """The columns of rows by name; by number where none are given."""
+    found = names.split() or map(str, range(rows.shape[1]))
+    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(found)}
+
+
+def _write_csv(path: Path, columns: TableColumns) -> None:
+    with replace_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+
+def _write_parquet(path: Path, columns: TableColumns) -> None:
+    with require_extra("export to Parquet", "export"):
+        import pyarrow as pa  # noqa: PLC0415 - optional
+        from pyarrow import parquet  # noqa: PLC0415 - optional
+    with replace_file(path) as new:
+        parquet.write_table(pa.table(columns), new)
+
+
+def _write_minari(recording: Recording, path: Path, folder: Path) -> Path:
+    """Write a data set of the episodes with steps; returns its folder."""
+    with require_extra("export to Minari", "export"):
+        import minari  # noqa: PLC0415 - optional
+        from gymnasium.spaces import Box  # noqa: PLC0415 - only here
+        from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
+    buffers = []
     whole = len(recording.episodes) - is_incomplete(recording)
     for number, one in enumerate(recording.episodes[:whole]):
         count = len(one.actions)
@@ -229,23 +162,44 @@ def _episodes(recording: Recording) -> Iterator[dict[str, Any]]:
         ended = np.zeros(count, bool)
         ended[-1] = True
         terminated = ended & one.terminated
-        yield {
-            "id": number,
-            "seed": seed if isinstance(seed := one.info.get("seed"), int) else None,
-            "observations": np.array(one.observations),
-            "actions": np.array(one.actions),
-            "rewards": one.rewards.tolist(),
-            "terminations": terminated.tolist(),
-            "truncations": (ended & ~terminated).tolist(),
-        }
-
-
-def _policy(header: Mapping[str, Any]) -> str:
-    """What drove, as far as the header tells."""
-    policy = header.get("about", {}).get("policy")
-    return str(policy.get("file", "unknown")) if isinstance(policy, dict) else "unknown"
-
-
-def _version(header: Mapping[str, Any]) -> str:
-    """The version of this package that recorded."""
-    return str(header["versions"].get("acsar_gym", "unknown"))
+        buffer = EpisodeBuffer(
+            id=number,
+            seed=seed if isinstance(seed := one.info.get("seed"), int) else None,
+            observations=np.array(one.observations),
+            actions=np.array(one.actions),
+            rewards=one.rewards.tolist(),
+            terminations=terminated.tolist(),
+            truncations=(ended & ~terminated).tolist(),
+        )
+        buffers.append(buffer)
+    if not buffers:
+        what = "whole episode" if is_incomplete(recording) else "steps"
+        raise ConfigError(f"{path}: holds no {what} of an env: record an env, run or evaluate")
+    name = "".join(c if c.isalnum() else "-" for c in path.stem).strip("-") or "recording"
+    policy = recording.header["about"].get("policy")
+    before = os.environ.get(MINARI_FOLDER)
+    os.environ[MINARI_FOLDER] = str(folder.absolute())
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about authors
+            minari.create_dataset_from_buffers(
+                f"acsar/{name}-v0",
+                buffers,
+                observation_space=Box(
+                    -np.inf, np.inf, recording.episodes[0].observations.shape[1:], np.float32
+                ),
+                action_space=Box(-1.0, 1.0, (2,), np.float32),
+                data_format="arrow",
+                algorithm_name=str(policy.get("file", "unknown"))
+                if isinstance(policy, dict)
+                else "unknown",
+                description="Recorded by acsar_gym "
+                f"{recording.header['versions'].get('acsar_gym', 'unknown')}.",
+            )
+    except ValueError as error:  # it is there already
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
+    finally:
+        os.environ.pop(MINARI_FOLDER)
+        if before is not None:
+            os.environ[MINARI_FOLDER] = before
+    return folder / "acsar" / f"{name}-v0"

@@ -1,4 +1,22 @@
-"""What a recording is made of: its header, its topics, and how their ROS 2 messages are packed."""
+"""What a recording is made of: its header, its topics, and how their ROS 2 messages are packed.
+
+The header is what is needed to read, repeat and align a recording:
+
+| key | content |
+|---|---|
+| `format` | number of this format |
+| `config`, `config_sha256` | the robot, and the hash of its whole config |
+| `versions` | of acsar_gym, python, numpy |
+| `process` | id of the process that records, which listens for an emergency stop on hardware |
+| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
+| | /time_reference repeats the wall clock every second |
+| `about` | what the program says about it: `env` (id, kwargs), `task`, `observation` (names of |
+| | its numbers), `policy` (file, sha256), |
+| | `link`, `command`. /acsar/episode tells seed, goal and start of each episode |
+
+A message whose strings and lists have a fixed length has each of its numbers at a fixed place. So
+many messages are one numpy array with one row each, which costs about as much as one message.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +25,7 @@ import os
 import platform
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib import metadata
@@ -18,126 +36,60 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
-from acsar_gym.errors import MissingExtraError
+from acsar_gym.errors import require_extra
 from acsar_gym.protocol import WHEELS
 
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""What a CDR message begins with; alignment counts from behind it."""
-NUMBER_SIZES = {"i1": 1, "u1": 1, "i4": 4, "u4": 4, "f4": 4, "f8": 8}
-NANOSECONDS = 1_000_000_000
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+RECORDING_FORMAT = 1
+HEADER_RECORD = "acsar_gym"
+"""Name of the metadata record that holds the header."""
+END_RECORD = "acsar_gym_end"
+"""Name of the metadata record at the end of a complete recording."""
 
 
-class MessageLayout:
-    """The fields of one kind of message, in the order of its definition.
-
-    Each method adds the next field and returns the layout. `packed` then makes messages.
-    """
-
-    def __init__(self) -> None:
-        self._names: list[str] = []
-        self._formats: list[Any] = []
-        self._offsets: list[int] = []
-        self._fixed: dict[str, Any] = {}
-        self._size = 0
-
-    def number(self, kind: str, name: str, fixed: float | None = None) -> MessageLayout:
-        """Add a number of `kind` (a key of SIZES), with the same value in all messages if given."""
-        self._place(name, f"<{kind}", NUMBER_SIZES[kind], NUMBER_SIZES[kind])
-        if fixed is not None:
-            self._fixed[name] = fixed
-        return self
-
-    def numbers(self, kind: str, name: str, count: int) -> MessageLayout:
-        """Add an array of `count` numbers; in a row it is of shape (count,)."""
-        if count:
-            self._place(
-                name, (f"<{kind}", (count,)), NUMBER_SIZES[kind], NUMBER_SIZES[kind] * count
-            )
-        return self
-
-    def sequence(self, kind: str, name: str, count: int) -> MessageLayout:
-        """Add a list of `count` numbers, which begins with its length."""
-        self.number("u4", f"{name}.length", count)
-        return self.numbers(kind, name, count)
-
-    def text(self, name: str, text: str) -> MessageLayout:
-        """Add a string that is the same in all messages."""
-        data = text.encode() + b"\0"
-        self.number("u4", f"{name}.length", len(data))
-        self._place(name, f"S{len(data)}", 1, len(data))
-        self._fixed[name] = data
-        return self
-
-    def texts(self, name: str, texts: tuple[str, ...]) -> MessageLayout:
-        """Add a list of strings that are the same in all messages."""
-        self.number("u4", f"{name}.length", len(texts))
-        for number, text in enumerate(texts):
-            self.text(f"{name}.{number}", text)
-        return self
-
-    def header(self, frame: str) -> MessageLayout:
-        """Add a std_msgs/Header with fields `sec` and `nanosec`."""
-        return self.number("i4", "sec").number("u4", "nanosec").text("frame", frame)
-
-    def _place(self, name: str, form: Any, alignment: int, size: int) -> None:
-        """Put a field at the next multiple of its alignment."""
-        self._size += -self._size % alignment
-        self._names.append(name)
-        self._formats.append(form)
-        self._offsets.append(self._size + len(LITTLE_ENDIAN))
-        self._size += size
-
-    def done(self) -> Packer:
-        """Finish the layout."""
-        size = self._size + len(LITTLE_ENDIAN)
-        kind = np.dtype(
-            {
-                "names": self._names,
-                "formats": self._formats,
-                "offsets": self._offsets,
-                "itemsize": size,
-            }
-        )
-        blank = np.frombuffer(bytearray(LITTLE_ENDIAN.ljust(size, b"\0")), kind)
-        for name, value in self._fixed.items():
-            blank[name] = value
-        return Packer(blank)
+def package_version() -> str:
+    """Return the version of this package."""
+    try:
+        return metadata.version("acsar_gym")
+    except metadata.PackageNotFoundError:  # used from its folder, not installed
+        return "unknown"
 
 
-class Packer:
-    """Packs messages of one layout.
+def to_plain_json(value: Any) -> Any:
+    """Return what JSON can hold of a value: NaN and infinity become null, objects their text."""
+    return json.loads(json.dumps(value, default=str), parse_constant=lambda name: None)
+
+
+def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Make the header of a recording that begins now.
 
     Args:
-        blank: (1,), a message with all fixed fields.
+        config: of the robot.
+        about: what the program says about it, ready for JSON.
     """
-
-    def __init__(self, blank: NDArray[np.void]) -> None:
-        self._blank = blank
-        self.size = blank.dtype.itemsize
-
-    def packed(self, count: int, fields: Mapping[str, Any]) -> list[bytes]:
-        """Make messages.
-
-        Args:
-            count: how many.
-            fields: by name, (count,) or (count, length) each.
-        """
-        rows = np.repeat(self._blank, count)
-        for name, values in fields.items():
-            rows[name] = values
-        data, size = rows.tobytes(), self.size
-        return [data[first : first + size] for first in range(0, count * size, size)]
-
-
-def stamp_fields(nanoseconds: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
-    """The fields `sec` and `nanosec` of headers."""
-    return {"sec": nanoseconds // NANOSECONDS, "nanosec": nanoseconds % NANOSECONDS}
+    return {
+        "format": RECORDING_FORMAT,
+        "config": config.model_dump(mode="json"),
+        "config_sha256": hash_config(config),
+        "versions": {
+            "acsar_gym": package_version(),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        "process": os.getpid(),
+        "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
+        "about": to_plain_json(dict(about)),
+    }
 
 
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
 BASE_FOOTPRINT = "base_footprint"
 """Frame on the ground below the base frame; odometry moves it."""
+WORLD_FRAME = "world"
+"""Frame of the ground truth."""
+JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)
+"""Names of the wheels' joints, as in assets/robots/acsar.urdf."""
 LATCHED_QOS = """- history: 3
   depth: 0
   reliability: 1
@@ -184,8 +136,8 @@ class Topic:
     @property
     def metadata(self) -> dict[str, str]:
         """What its channel tells besides."""
-        told = {"offered_qos_profiles": LATCHED_QOS if self.latched else ""}
-        return told | ({"columns": ",".join(self.columns)} if self.columns else {})
+        found = {"offered_qos_profiles": LATCHED_QOS if self.latched else ""}
+        return found | ({"columns": ",".join(self.columns)} if self.columns else {})
 
 
 DOUBLES_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -220,55 +172,11 @@ TOPICS = (
 """All of them; those under /acsar are what this project reads back, bit for bit."""
 
 
-RECORDING_FORMAT = 1
-HEADER_RECORD = "acsar_gym"
-"""Name of the metadata record that holds the header."""
-END_RECORD = "acsar_gym_end"
-"""Name of the metadata record at the end of a complete recording."""
-
-
-def package_version() -> str:
-    """Return the version of this package."""
-    try:
-        return metadata.version("acsar_gym")
-    except metadata.PackageNotFoundError:  # used from its folder, not installed
-        return "unknown"
-
-
-def to_plain_json(told: Any) -> Any:
-    """Return what JSON can hold of something: NaN and infinity become null, objects their text."""
-    return json.loads(json.dumps(told, default=str), parse_constant=lambda name: None)
-
-
-def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Make the header of a recording that begins now.
-
-    Args:
-        config: of the robot.
-        about: what the program says about it, ready for JSON.
-    """
-    return {
-        "format": RECORDING_FORMAT,
-        "config": config.model_dump(mode="json"),
-        "config_sha256": hash_config(config),
-        "versions": {
-            "acsar_gym": package_version(),
-            "numpy": np.__version__,
-            "python": platform.python_version(),
-        },
-        "process": os.getpid(),
-        "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
-        "about": to_plain_json(dict(about)),
-    }
-
-
 @cache
 def load_typestore() -> Any:
     """Return the messages of ROS 2 Humble; MissingExtraError without rosbags."""
-    try:
+    with require_extra("recording", "record"):
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("recording", "record") from None
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -277,9 +185,9 @@ def make_message(kind: str, **fields: Any) -> Any:
     return load_typestore().types[kind](**fields)
 
 
-def pack_message(message: Any) -> bytes:
-    """Serialise a message in CDR."""
-    return bytes(load_typestore().serialize_cdr(message, message.__msgtype__))
+def pack_message(kind: str, **fields: Any) -> bytes:
+    """Make a message, and serialise it in CDR."""
+    return bytes(load_typestore().serialize_cdr(make_message(kind, **fields), kind))
 
 
 def type_definition(kind: str) -> bytes:
@@ -299,104 +207,125 @@ def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
     return make_message("std_msgs/msg/Header", stamp=make_time(nanoseconds), frame_id=frame)
 
 
-WORLD_FRAME = "world"
-"""Frame of the ground truth."""
-JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)
-"""Names of the wheels' joints, as in assets/robots/acsar.urdf."""
-_BYTES = struct.Struct("<4sIII")
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+"""What a CDR message begins with; alignment counts from behind it."""
+_OCTETS = struct.Struct("<4sIII")
+Field = tuple[str, str, Any]
+"""Name, numpy's type, and the value that is the same in all messages; None for one that isn't."""
 
 
-@dataclass(frozen=True)
-class MessageFormats:
-    """Packers of the topics whose messages have a fixed size."""
+class Packer:
+    """Packs messages of one kind, whose fields have fixed sizes.
 
-    odometry: Packer
-    truth: Packer
-    transform: Packer
-    joints: Packer
-    twist: Packer
-    exchanges: Packer
-    ticks: Packer
-    steps: Packer
+    Args:
+        *fields: in the order of the message's definition.
+    """
 
-    @classmethod
-    def of(cls, config: RobotConfig) -> MessageFormats:
-        """Return the formats for a robot's frames."""
-        return cls(
-            odometry=odometry_packer(config.odom_frame, BASE_FOOTPRINT),
-            truth=odometry_packer(WORLD_FRAME, BASE_FOOTPRINT),
-            transform=transform_packer(config.odom_frame, BASE_FOOTPRINT),
-            joints=joint_packer(),
-            twist=_twist(MessageLayout(), "").done(),
-            exchanges=row_packer(len(EXCHANGE_COLUMNS)),
-            ticks=row_packer(len(TICK_COLUMNS)),
-            steps=row_packer(len(STEP_COLUMNS)),
-        )
+    def __init__(self, *fields: Field) -> None:
+        kinds = [np.dtype(kind) for _, kind, _ in fields]
+        end, offsets = len(LITTLE_ENDIAN), []
+        for kind in kinds:
+            if kind.kind != "S":
+                end += -(end - len(LITTLE_ENDIAN)) % kind.base.itemsize
+            offsets.append(end)
+            end += kind.itemsize
+        names = [name for name, _, _ in fields]
+        row = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": end})
+        self._blank = np.frombuffer(bytearray(LITTLE_ENDIAN.ljust(end, b"\0")), row)
+        for name, _, value in fields:
+            if value is not None:
+                self._blank[name] = value
+
+    def pack(self, count: int, fields: Mapping[str, Any]) -> list[bytes]:
+        """Make so many messages of fields by name, (count,) or (count, length) each."""
+        rows = np.repeat(self._blank, count)
+        for name, values in fields.items():
+            rows[name] = values
+        data, size = rows.tobytes(), rows.itemsize
+        return [data[first : first + size] for first in range(0, count * size, size)]
+
+
+def _numbers(names: str) -> list[Field]:
+    return [(name, "<f8", None) for name in names.split()]
+
+
+def _text(name: str, text: str) -> list[Field]:
+    data = text.encode() + b"\0"
+    return [(f"{name}.length", "<u4", len(data)), (name, f"S{len(data)}", data)]
+
+
+def _sequence(name: str, kind: str, count: int) -> list[Field]:
+    """A list of numbers, which begins with its length."""
+    numbers: list[Field] = [(name, f"({count},){kind}", None)] if count else []
+    return [(f"{name}.length", "<u4", count), *numbers]
+
+
+def _header(frame: str) -> list[Field]:
+    return [("sec", "<i4", None), ("nanosec", "<u4", None), *_text("frame", frame)]
+
+
+POSE = _numbers("px py pz qx qy qz qw")
+TWIST = _numbers("vx vy vz wx wy wz")
 
 
 def odometry_packer(frame: str, child: str) -> Packer:
     """nav_msgs/Odometry, with fields px py pz qx qy qz qw, vx .. wz, pose_cov, twist_cov."""
-    layout = MessageLayout().header(frame).text("child", child)
-    _numbers(layout, "px py pz qx qy qz qw").numbers("f8", "pose_cov", 36)
-    return _twist(layout, "").numbers("f8", "twist_cov", 36).done()
+    head = *_header(frame), *_text("child", child)
+    matrices = ("pose_cov", "(36,)<f8", None), ("twist_cov", "(36,)<f8", None)
+    return Packer(*head, *POSE, matrices[0], *TWIST, matrices[1])
 
 
 def transform_packer(frame: str, child: str) -> Packer:
     """tf2_msgs/TFMessage with one transform, with fields px py pz qx qy qz qw."""
-    layout = MessageLayout().number("u4", "count", 1).header(frame).text("child", child)
-    return _numbers(layout, "px py pz qx qy qz qw").done()
+    return Packer(("count", "<u4", 1), *_header(frame), *_text("child", child), *POSE)
 
 
 def joint_packer() -> Packer:
     """sensor_msgs/JointState of the wheels, with fields position and velocity."""
-    layout = MessageLayout().header("").texts("name", JOINT_NAMES)
-    layout.sequence("f8", "position", 4).sequence("f8", "velocity", 4)
-    return layout.sequence("f8", "effort", 0).done()
+    names = [field for number, name in enumerate(JOINT_NAMES) for field in _text(f"{number}", name)]
+    lists = ("position", 4), ("velocity", 4), ("effort", 0)
+    numbers = [field for name, count in lists for field in _sequence(name, "<f8", count)]
+    return Packer(*_header(""), ("names", "<u4", len(JOINT_NAMES)), *names, *numbers)
 
 
-def row_packer(columns: int) -> Packer:
-    """std_msgs/Float64MultiArray, with the field data, (columns,)."""
-    return _array("f8", columns)
-
-
-@lru_cache(maxsize=16)
-def singles_packer(columns: int) -> Packer:
-    """std_msgs/Float32MultiArray, with the field data, (columns,)."""
-    return _array("f4", columns)
-
-
-@lru_cache(maxsize=16)
-def doubles_packer(columns: int) -> Packer:
-    """std_msgs/Float64MultiArray, with the field data, (columns,)."""
-    return _array("f8", columns)
-
-
-def _array(kind: str, columns: int) -> Packer:
-    """A MultiArray without dimensions."""
-    layout = MessageLayout().number("u4", "dimensions", 0).number("u4", "data_offset", 0)
-    return layout.sequence(kind, "data", columns).done()
+@lru_cache(maxsize=32)
+def array_packer(kind: str, columns: int) -> Packer:
+    """std_msgs/Float64MultiArray ("<f8") or Float32MultiArray ("<f4"), with the field data."""
+    head = ("dimensions", "<u4", 0), ("data_offset", "<u4", 0)
+    return Packer(*head, *_sequence("data", kind, columns))
 
 
 def scan_packer(config: RobotConfig, step: float, rays: int) -> Packer:
     """sensor_msgs/LaserScan, with the field ranges, (rays,)."""
     lidar, first = config.lidar, -config.lidar.field_of_view / 2.0
-    layout = MessageLayout().header(config.lidar_frame)
-    layout.number("f4", "angle_min", first).number("f4", "angle_max", first + (rays - 1) * step)
-    layout.number("f4", "angle_increment", step).number("f4", "time_increment", 0.0)
-    layout.number("f4", "scan_time", 1.0 / lidar.rate).number("f4", "range_min", lidar.min_range)
-    layout.number("f4", "range_max", lidar.max_range).sequence("f4", "ranges", rays)
-    return layout.sequence("f4", "intensities", 0).done()
+    values = {
+        "angle_min": first,
+        "angle_max": first + (rays - 1) * step,
+        "angle_increment": step,
+        "time_increment": 0.0,
+        "scan_time": 1.0 / lidar.rate,
+        "range_min": lidar.min_range,
+        "range_max": lidar.max_range,
+    }
+    numbers = [(name, "<f4", value) for name, value in values.items()]
+    lists = *_sequence("ranges", "<f4", rays), *_sequence("intensities", "<f4", 0)
+    return Packer(*_header(config.lidar_frame), *numbers, *lists)
 
 
 def pack_octets(data: bytes) -> bytes:
     """Pack std_msgs/UInt8MultiArray."""
-    return _BYTES.pack(LITTLE_ENDIAN, 0, 0, len(data)) + data
+    return _OCTETS.pack(LITTLE_ENDIAN, 0, 0, len(data)) + data
 
 
 def pack_text(data: str) -> bytes:
     """Pack std_msgs/String."""
     encoded = data.encode() + b"\0"
     return LITTLE_ENDIAN + struct.pack("<I", len(encoded)) + encoded
+
+
+def stamp_fields(nanoseconds: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+    """The fields `sec` and `nanosec` of headers."""
+    return {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
 
 
 def pose_fields(poses: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -408,56 +337,3 @@ def pose_fields(poses: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 def twist_fields(twists: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """The fields of twists (n, 2): linear [m/s], angular [rad/s]."""
     return {"vx": twists[:, 0], "wz": twists[:, 1]}
-
-
-def _twist(layout: MessageLayout, prefix: str) -> MessageLayout:
-    """Add the fields vx vy vz wx wy wz."""
-    return _numbers(layout, "vx vy vz wx wy wz")
-
-
-def _numbers(layout: MessageLayout, names: str) -> MessageLayout:
-    """Add numbers by name."""
-    for name in names.split():
-        layout.number("f8", name)
-    return layout
-
-
-def static_transforms(config: RobotConfig) -> Callable[[int], bytes]:
-    """Return what makes /tf_static at a time [ns]: base_footprint, base frame, LiDAR.
-
-    The base frame is at the height of the axles.
-    """
-    base, lidar = config.base_frame, config.lidar_frame
-    at = config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset
-    edges = (BASE_FOOTPRINT, base, (0.0, 0.0, config.wheel_radius)), (base, lidar, at)
-
-    def make_them(time: int) -> bytes:
-        transforms = [_transform(time, *edge) for edge in edges]
-        return pack_message(make_message("tf2_msgs/msg/TFMessage", transforms=transforms))
-
-    return make_them
-
-
-def time_reference(time: int, wall: int) -> bytes:
-    """Pack sensor_msgs/TimeReference: what the wall clock showed [ns] at a time of the file."""
-    return pack_message(
-        make_message(
-            "sensor_msgs/msg/TimeReference",
-            header=make_ros_header(time),
-            time_ref=make_time(wall),
-            source="wall clock",
-        )
-    )
-
-
-def _transform(time: int, parent: str, child: str, at: tuple[float, float, float]) -> Any:
-    """A geometry_msgs/TransformStamped without rotation."""
-    x, y, z = at
-    moved = make_message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-    turned = make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    return make_message(
-        "geometry_msgs/msg/TransformStamped",
-        header=make_ros_header(time, parent),
-        child_frame_id=child,
-        transform=make_message("geometry_msgs/msg/Transform", translation=moved, rotation=turned),
-    )

@@ -11,44 +11,33 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
-from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning
-from acsar_gym.recording import target
-from acsar_gym.recording.encoder import Began, Clock, Encoder, Event, Exchange, Message
+from acsar_gym.errors import ConfigError, RecordingWarning, show_value
+from acsar_gym.reading import explain_error
+from acsar_gym.recording.encoder import Began, Clock, Encoder, Event, Exchange
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.sinks import McapFile
+from acsar_gym.recording.sinks import McapFile, Sink, check_target
 
+QUEUE_CAPACITY = 20_000
+"""Most events that wait for the writer: at 100 Hz more than a minute's."""
+WRITER_TIMEOUT = 10.0
+"""Longest wait of a simulation for the writer [s]; from then on it drops, too."""
+ROOM_POLL = 0.001
+"""How often a simulation looks whether the writer has caught up [s]."""
 WRITER_PAUSE = 0.02
 """How often the writer looks for events [s]."""
 WRITER_BATCH = 16
 """Events that the writer handles at once, so that the control loop never waits for it."""
 WRITER_YIELD = 0.0002
-"""How long it lets others run after each piece [s]."""
+"""How long it lets others run after each batch [s]."""
 FLUSH_PERIOD = 0.5
 """How often what was written is made safe from crashes [s]."""
 HANG_WAIT = 1.0
 """How often the end looks whether the writer makes progress [s]."""
 HANG_WAITS = 10
 """A writer that has made none in so many looks hangs; a program that was stopped loses only one."""
-
-
-class Sink(Protocol):
-    """Something that takes messages: a file, or viewers."""
-
-    def add(self, message: Message) -> None:
-        """Take a message."""
-
-    def flush(self) -> None:
-        """Pass on what was added."""
-
-    def close(self, end: Mapping[str, Any]) -> None:
-        """End; `end` has the number of dropped events."""
-
-    def abandon(self) -> None:
-        """End after an error; raises nothing."""
 
 
 class WriterThread(threading.Thread):
@@ -75,17 +64,35 @@ class WriterThread(threading.Thread):
         self._ending = threading.Event()
 
     def run(self) -> None:
-        """Work until the end."""
-        due = time.monotonic() + FLUSH_PERIOD
-        while not self._ending.wait(WRITER_PAUSE):
-            self._empty()
-            if time.monotonic() >= due:
-                self._guarded(self._flush)
-                due = time.monotonic() + FLUSH_PERIOD
-        self._empty()
-        self._guarded(self._close)
-        for sink in self._sinks if self._error else ():
-            sink.abandon()
+        """Write until the end; after the first error nothing is written any more."""
+        try:
+            due = time.monotonic() + FLUSH_PERIOD
+            while not self._ending.wait(WRITER_PAUSE):
+                self._drain_queue()
+                if time.monotonic() >= due:
+                    for sink in self._sinks:
+                        sink.flush()
+                    due = time.monotonic() + FLUSH_PERIOD
+            self._drain_queue()
+            for sink in self._sinks:
+                sink.close({"dropped": self.dropped})
+        except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
+            self._error = error
+            for sink in self._sinks:
+                sink.abandon()
+            while not self._ending.wait(WRITER_PAUSE):
+                self._queue.clear()
+
+    def _drain_queue(self) -> None:
+        """Write what waits in the queue now, batch by batch."""
+        queue = self._queue
+        for _ in range(len(queue) // WRITER_BATCH + 1):
+            events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
+            for message in self._encoder.encode(events, self.dropped):
+                for sink in self._sinks:
+                    sink.add(message)
+                self._progress += 1
+            time.sleep(WRITER_YIELD)
 
     def finish(self) -> None:
         """Write what waits, and end, however long it takes; one that hangs is left to itself."""
@@ -100,50 +107,12 @@ class WriterThread(threading.Thread):
     @property
     def problem(self) -> str | None:
         """Why writing has failed; None where it hasn't."""
-        if self._error is None:
-            hung = f"can't be written: writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
-            return f"{hung}; what waits is lost if the program ends now" if self._hangs else None
-        why = reading.explain_error(self._error)
-        return f"can't be written: {why}; what follows isn't recorded"
-
-    def _empty(self) -> None:
-        """Write what waits in the queue now, piece by piece."""
-        queue = self._queue
-        for _ in range(len(queue) // WRITER_BATCH + 1):
-            events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
-            self._guarded(self._write, events)
-            time.sleep(WRITER_YIELD)
-
-    def _write(self, events: Sequence[Event]) -> None:
-        for message in self._encoder.encode(events, self.dropped):
-            for sink in self._sinks:
-                sink.add(message)
-            self._progress += 1
-
-    def _flush(self) -> None:
-        for sink in self._sinks:
-            sink.flush()
-
-    def _close(self) -> None:
-        for sink in self._sinks:
-            sink.close({"dropped": self.dropped})
-
-    def _guarded(self, work: Any, *arguments: Any) -> None:
-        """Do something; after the first error nothing is written any more."""
-        if self._error is None:
-            try:
-                work(*arguments)
-                self._progress += 1
-            except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
-                self._error = error
-
-
-QUEUE_CAPACITY = 20_000
-"""Most events that wait for the writer: at 100 Hz more than a minute's."""
-WRITER_TIMEOUT = 10.0
-"""Longest wait of a simulation for the writer [s]; from then on it drops, too."""
-ROOM_POLL = 0.001
-"""How often a simulation looks whether the writer has caught up [s]."""
+        if self._error is not None:
+            return f"can't be written: {explain_error(self._error)}; what follows isn't recorded"
+        if not self._hangs:
+            return None
+        hung = f"can't be written: writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
+        return f"{hung}; what waits is lost if the program ends now"
 
 
 class Recorder:
@@ -159,8 +128,9 @@ class Recorder:
     whole, None where it is.
 
     Args:
-        path: the file; None for a live view only. A recording that is there is replaced.
-        about: what the header says about it, ready for JSON; see `recording.header`.
+        path: the file; None for a live view only. An older recording of that name is kept
+            under a number.
+        about: what the header says about it, ready for JSON; see `recording.messages`.
         sinks: what else gets the messages.
         capacity: most events that wait.
     """
@@ -187,6 +157,22 @@ class Recorder:
         self._clock_due = 0.0
         self._waits = False
 
+    @classmethod
+    def of(cls, record: Any) -> Recorder | None:
+        """Return a recorder for a file's name.
+
+        Args:
+            record: name of a file; a Recorder or None is returned as it is.
+
+        Raises:
+            ConfigError: for anything else.
+        """
+        if record is None or isinstance(record, Recorder):
+            return record
+        if not isinstance(record, str | os.PathLike):
+            raise ConfigError(f"record = {show_value(record)}: must be the name of a file")
+        return cls(record)
+
     def check(self, source: Path | None = None) -> None:
         """Check, before a link opens, that the recording can begin or go on; writes nothing.
 
@@ -199,7 +185,7 @@ class Recorder:
         if self._closed:
             raise ConfigError(f"{self._name}: this recording has ended: make another one")
         if self._writer is None and self.path is not None:
-            target.check_target(self.path, source)
+            check_target(self.path, source)
 
     def open(self, config: RobotConfig) -> None:
         """Open the file and start the writer; idempotent.
@@ -215,7 +201,7 @@ class Recorder:
         """
         self.check()
         if self._writer is not None:
-            self._tell(self._writer)
+            self._warn(self._writer)
             return
         if self.path is not None:
             self._sinks.append(McapFile(self.path, make_header(config, self.about)))
@@ -223,13 +209,16 @@ class Recorder:
         self._writer.start()
         _open_recorders.add(self)
 
-    def describe(self, info: Mapping[str, Any]) -> None:
-        """Say something about the next episode.
+    def describe(self, info: Mapping[str, Any], **about: Any) -> None:
+        """Say something about the next episode, and about the recording if it isn't said yet.
 
         Args:
             info: such as seed and goal, ready for JSON.
+            **about: for the header, likewise.
         """
         self._info = info
+        for name, value in about.items():
+            self.about.setdefault(name, value)
 
     def begin(self, stamp: float, *, simulated: bool) -> None:
         """Begin an episode.
@@ -243,7 +232,7 @@ class Recorder:
         self._queue.append(Began(stamp, time.time_ns(), self._info))
         self._info = {}
 
-    def exchanged(self, event: Exchange) -> None:
+    def add_exchange(self, event: Exchange) -> None:
         """Record a control period of the wire, and once a second the clocks.
 
         Args:
@@ -256,30 +245,30 @@ class Recorder:
             self.add(Clock(event.stamp, time.time_ns()))
 
     def add(self, event: Event) -> None:
-        """Record an event, if there is room for it.
+        """Record an event, if there is room for it; a simulation waits for the writer first.
 
         Args:
-            event: of `recording.events`.
+            event: of `recording.encoder`.
         """
-        if len(self._queue) >= self._capacity and not self._has_room():
-            self.dropped += 1
-            writer = self._writer
-            if writer is not None:
-                writer.dropped = self.dropped
+        if len(self._queue) < self._capacity:
+            self._queue.append(event)
             return
+        deadline = time.monotonic() + WRITER_TIMEOUT if self._waits else 0.0
+        while len(self._queue) >= self._capacity:
+            writer = self._writer
+            if writer is None or not writer.is_alive() or time.monotonic() >= deadline:
+                self._waits = False  # a disk that doesn't answer
+                self.dropped += 1
+                if writer is not None:
+                    writer.dropped = self.dropped
+                return
+            time.sleep(ROOM_POLL)
         self._queue.append(event)
 
-    def _has_room(self) -> bool:
-        """Whether there is room; for a simulation once the writer has caught up."""
-        writer = self._writer
-        for _ in range(int(WRITER_TIMEOUT / ROOM_POLL) if self._waits else 0):
-            if writer is None or not writer.is_alive():
-                return False
-            if len(self._queue) < self._capacity:
-                return True
-            time.sleep(ROOM_POLL)
-        self._waits = False  # a disk that doesn't answer
-        return False
+    @property
+    def file(self) -> str:
+        """The file that is recorded to, as an absolute path; empty for a live view."""
+        return "" if self.path is None else str(self.path.absolute())
 
     @property
     def _name(self) -> str:
@@ -295,9 +284,9 @@ class Recorder:
         _open_recorders.discard(self)
         if writer is not None and writer.pid == os.getpid():
             writer.finish()
-            self._tell(writer)
+            self._warn(writer)
 
-    def _tell(self, writer: WriterThread) -> None:
+    def _warn(self, writer: WriterThread) -> None:
         """Warn once where writing has failed."""
         problem = writer.problem
         if problem is not None and self.problem is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,124 +17,18 @@ from acsar_gym.physics.body import Body, GroundTruth
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.recording.types import Episode, Floats, Recording, WireLog
 
-ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
-LENGTH_TOLERANCE = 0.1
-"""Lengths of one robot differ by less than this share: a calibration changes them a little."""
-
-
-def find_difference(
-    one: RobotConfig, other: RobotConfig, *, wire: bool
-) -> tuple[str, str, str] | None:
-    """Return the first field in which two robots differ, and both values; None if they don't.
-
-    Args:
-        one: a robot.
-        other: another one, or the same one before or after it was calibrated.
-        wire: whether name, baud rate and wiring count, too.
-    """
-    for field in ROBOT_LENGTHS:
-        first, second = getattr(one, field), getattr(other, field)
-        if abs(first - second) > LENGTH_TOLERANCE * max(first, second):
-            return field, f"{first:g} m", f"{second:g} m"
-    return _differing_wire(one, other) if wire else None
-
-
-def _differing_wire(one: RobotConfig, other: RobotConfig) -> tuple[str, str, str] | None:
-    """The first difference in name, baud rate and wiring."""
-    for field in ("name", "baud_rate"):
-        first, second = getattr(one, field), getattr(other, field)
-        if first != second:
-            return field, repr(first), repr(second)
-    for letter in WIRE_LETTERS:
-        wirings = [_wiring(config, letter) for config in (one, other)]
-        if wirings[0] != wirings[1]:
-            return f"wheels.{letter}", wirings[0], wirings[1]
-    return None
-
-
-def _wiring(config: RobotConfig, letter: str) -> str:
-    """The wiring of one wheel in a few words."""
-    wheel = getattr(config.wheels, letter)
-    motor, encoder = ("-" if sign < 0 else "" for sign in (wheel.motor_sign, wheel.sign))
-    return f"motor {motor}{wheel.motor}, encoder {encoder}{wheel.encoder}"
-
-
-def check_same_robot(
-    logs: Sequence[tuple[str, Recording]], doing: str, *, wire: bool = True
-) -> None:
-    """Check that recordings are of one robot.
-
-    Args:
-        logs: names and recordings.
-        doing: verb for the message, such as "identify".
-        wire: whether name, baud rate and wiring count, too.
-
-    Raises:
-        ConfigError: the message names the first file of another robot, and the field.
-    """
-    first_name, first = logs[0]
-    for name, recording in logs[1:]:
-        found = find_difference(recording.config, first.config, wire=wire)
-        if found is not None:
-            field, theirs, own = found
-            raise ConfigError(
-                f"{name}: is of another robot: {field} is {theirs}, but {own} in {first_name}; "
-                f"{doing} one robot at a time"
-            )
-
-
+TWIN_BODIES = ("planar", "bullet")
+PHASE_TOLERANCE = 0.0005
+"""Phases that differ by less are the same [s]."""
 JITTER_WINDOW = 50
 """Number of lines over which the board's clock is followed."""
 JITTER_RANK = 2
 """How many earlier lines of a window may be late by more than half a period."""
 PERIODIC_SHARE = 0.25
 """Lines count as periodic if half of them are late by less than this share of the period."""
-
-
-def remove_jitter(stamps: Floats, period: float) -> Floats:
-    """Estimate when nearly periodic lines would have arrived without delays by the host.
-
-    A board sends its lines by its own clock; its host's scheduler and adapter see them at that time
-    or later. So within a window the phase of the earliest lines is that of the board's clock, and
-    every line is late by what its phase is after it.
-
-    Args:
-        stamps: (k,) times of arrival [s], ascending.
-        period: nominal period [s]; the board's own may differ by a few percent.
-
-    Returns:
-        (k,) times [s]; those given, if the lines aren't periodic or too few.
-    """
-    with require_extra("identification", "scipy"):
-        from scipy.ndimage import rank_filter, uniform_filter1d  # noqa: PLC0415 - slow to import
-
-    if len(stamps) < JITTER_WINDOW:
-        return stamps
-    step = _line_period(stamps, period)
-    turns = stamps / step
-    waves = np.exp(2j * np.pi * turns)
-    means = [
-        uniform_filter1d(part, JITTER_WINDOW, mode="nearest") for part in (waves.real, waves.imag)
-    ]
-    phases = np.arctan2(means[1], means[0]) / (2.0 * np.pi)
-    off = turns - phases
-    off = (off - np.rint(off)) * step
-    earliest = uniform_filter1d(
-        rank_filter(off, JITTER_RANK, JITTER_WINDOW, mode="nearest"), JITTER_WINDOW
-    )
-    late = off - earliest
-    late = np.where(late < -PERIODIC_SHARE * step, late + step, late)  # by more than half a period
-    return stamps - late if float(np.median(late)) < PERIODIC_SHARE * step else stamps
-
-
-def _line_period(stamps: Floats, period: float) -> float:
-    """Return the period of the lines [s]: the median over windows, some of whose lines are lost."""
-    step = float(np.median(np.diff(stamps)))
-    if abs(step - period) > 0.1 * period:
-        step = period
-    half = JITTER_WINDOW // 2
-    lasted = stamps[half:] - stamps[:-half]
-    return float(np.median(lasted / np.maximum(1.0, np.rint(lasted / step))))
+ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
+LENGTH_TOLERANCE = 0.1
+"""Lengths of one robot differ by less than this share: a calibration changes them a little."""
 
 
 class Tape:
@@ -148,9 +42,11 @@ class Tape:
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
-        self._periods = episode.exchanges
-        self._writes = _edges(self._periods.writes)
-        self._pieces = _edges(self._periods.pieces)
+        self._periods = periods = episode.exchanges
+        self._writes, self._pieces = (
+            [0, *itertools.accumulate(np.maximum(counts, 0).tolist())]
+            for counts in (periods.writes, periods.pieces)
+        )
         self._next = 0
         self._written = 0
         self._scan = -1
@@ -173,10 +69,9 @@ class Tape:
     def has_gap(self) -> bool:
         """Whether the recording lacks the next period, or bytes of it."""
         wire, number = self._episode.wire, self._next
-        short = self._writes[number + 1] > len(wire.sent) or self._pieces[number + 1] > len(
-            wire.got
-        )
-        return short or self._periods.numbers[number] != number
+        lacks_sent = self._writes[number + 1] > len(wire.sent)
+        lacks_got = self._pieces[number + 1] > len(wire.got)
+        return lacks_sent or lacks_got or int(self._periods.numbers[number]) != number
 
     def wrote(self) -> None:
         """Move on to the time at which the next write was done, where time was real."""
@@ -236,16 +131,6 @@ class Tape:
         return float(scans.stamps[self._scan]), scans.ranges[self._scan]
 
 
-def _edges(counts: NDArray[np.int64]) -> list[int]:
-    """Where the bytes of each period begin and end, from their counts."""
-    return [0, *itertools.accumulate(np.maximum(counts, 0).tolist())]
-
-
-TWIN_BODIES = ("planar", "bullet")
-PHASE_TOLERANCE = 0.0005
-"""Phases that differ by less are the same [s]."""
-
-
 @dataclass(frozen=True, eq=False)
 class TwinReplay:
     """What the twin did with recorded commands."""
@@ -280,14 +165,33 @@ def replay_commands(
     robot = make_twin_body(body, config)
     try:
         firmware = Firmware(config, robot)
-        begin = _beginning(config, firmware, log)
-        return _run(firmware, robot, log, stamps, begin)
+        begin = now = _find_beginning(config, firmware, log)
+        last = float(log.got_stamps[-1]) if len(log.got_stamps) else -math.inf
+        pieces: list[tuple[float, bytes]] = []
+        poses: list[tuple[float, float, float]] = []
+        # At equal times the pose comes first: it ends a tick, and the command begins the next one.
+        sent = zip(log.sent_stamps.tolist(), itertools.repeat(1), log.sent, strict=False)
+        events: list[tuple[float, int, bytes | None]]
+        events = [*((stamp, 0, None) for stamp in stamps.tolist()), *sent, (last, 2, b"")]
+        for when, _, data in sorted(events, key=lambda event: event[:2]):
+            if when > now:
+                firmware.advance(when - now)
+                pieces += [(begin + stamp, line) for stamp, line in firmware.arrived]
+                now = when
+            if data is None:
+                poses.append(robot.truth.pose)
+            else:
+                firmware.receive(data)
     finally:
         robot.close()
+    track = np.array(poses, np.float64).reshape(-1, 3)
+    track[:, 2] = np.unwrap(track[:, 2])
+    answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
+    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered), track)
 
 
 def make_twin_body(body: str, config: RobotConfig) -> Body:
-    """Make the physics of a twin; ConfigError for names other than those in BODIES."""
+    """Make the physics of a twin; ConfigError for names other than those in TWIN_BODIES."""
     if body == "planar":
         from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
 
@@ -299,7 +203,7 @@ def make_twin_body(body: str, config: RobotConfig) -> Body:
     raise ConfigError(f"unknown body {body!r}{suggest_name(body[:40], TWIN_BODIES)}")
 
 
-def _beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
+def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
     """Return the time of the log at which the twin's clock is zero [s].
 
     It is the latest one before the first command at which the phase of the twin's lines is that of
@@ -314,45 +218,105 @@ def _beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
     firmware.reset()
     if not len(own):
         return first
-    phase = _phase(remove_jitter(recorded, period), period) - _phase(own, period)
-    ahead = math.fmod(first - phase, period)
+    phases = [
+        float(np.angle(np.exp(2j * math.pi * stamps / period).mean())) / (2.0 * math.pi) * period
+        for stamps in (remove_jitter(recorded, period), own)
+    ]
+    ahead = math.fmod(first - (phases[0] - phases[1]), period)
     ahead += period if ahead < 0.0 else 0.0
     return first if min(ahead, period - ahead) < PHASE_TOLERANCE else first - ahead
 
 
-def _phase(stamps: Floats, period: float) -> float:
-    """Return the mean phase of nearly periodic times [s]."""
-    turns = np.exp(2j * math.pi * stamps / period)
-    return float(np.angle(turns.mean())) / (2.0 * math.pi) * period
+def remove_jitter(stamps: Floats, period: float) -> Floats:
+    """Estimate when nearly periodic lines would have arrived without delays by the host.
 
+    A board sends its lines by its own clock; its host's scheduler and adapter see them at that time
+    or later. So within a window the phase of the earliest lines is that of the board's clock, and
+    every line is late by what its phase is after it.
 
-def _run(firmware: Firmware, robot: Body, log: WireLog, stamps: Floats, begin: float) -> TwinReplay:
-    """Replay the log on a twin whose clock is zero at `begin`."""
-    now, last = begin, float(log.got_stamps[-1]) if len(log.got_stamps) else -math.inf
-    pieces: list[tuple[float, bytes]] = []
-    poses: list[tuple[float, float, float]] = []
-    for when, _, data in _events(log, stamps, last):
-        if when > now:
-            firmware.advance(when - now)
-            pieces += [(begin + stamp, line) for stamp, line in firmware.arrived]
-            now = when
-        if data is None:
-            poses.append(robot.truth.pose)
-        else:
-            firmware.receive(data)
-    track = np.array(poses, np.float64).reshape(-1, 3)
-    track[:, 2] = np.unwrap(track[:, 2])
-    answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered), track)
+    Args:
+        stamps: (k,) times of arrival [s], ascending.
+        period: nominal period [s]; the board's own may differ by a few percent.
 
-
-def _events(log: WireLog, stamps: Floats, last: float) -> Iterator[tuple[float, int, bytes | None]]:
-    """Yield (time, order, bytes to send or None for a pose) in the order of time.
-
-    At equal times the pose comes first: it ends a tick, and the command begins the next one.
+    Returns:
+        (k,) times [s]; those given, if the lines aren't periodic or too few.
     """
-    poses = ((stamp, 0, None) for stamp in stamps.tolist())
-    sent = zip(log.sent_stamps.tolist(), itertools.repeat(1), log.sent, strict=False)
-    end = [(last, 2, b"")]
-    events: list[tuple[float, int, bytes | None]] = [*poses, *sent, *end]
-    yield from sorted(events, key=lambda event: event[:2])
+    with require_extra("identification", "scipy"):
+        from scipy.ndimage import rank_filter, uniform_filter1d  # noqa: PLC0415 - slow to import
+
+    if len(stamps) < JITTER_WINDOW:
+        return stamps
+    step = float(np.median(np.diff(stamps)))
+    if abs(step - period) > 0.1 * period:
+        step = period
+    half = JITTER_WINDOW // 2
+    lasted = stamps[half:] - stamps[:-half]  # some of its lines may be lost
+    step = float(np.median(lasted / np.maximum(1.0, np.rint(lasted / step))))
+    turns = stamps / step
+    waves = np.exp(2j * np.pi * turns)
+    means = [
+        uniform_filter1d(part, JITTER_WINDOW, mode="nearest") for part in (waves.real, waves.imag)
+    ]
+    phases = np.arctan2(means[1], means[0]) / (2.0 * np.pi)
+    off = turns - phases
+    off = (off - np.rint(off)) * step
+    ranked = rank_filter(off, JITTER_RANK, JITTER_WINDOW, mode="nearest")
+    late = off - uniform_filter1d(ranked, JITTER_WINDOW)
+    late = np.where(late < -PERIODIC_SHARE * step, late + step, late)  # by more than half a period
+    return stamps - late if float(np.median(late)) < PERIODIC_SHARE * step else stamps
+
+
+def find_difference(
+    one: RobotConfig, other: RobotConfig, *, wire: bool
+) -> tuple[str, str, str] | None:
+    """Return the first field in which two robots differ, and both values; None if they don't.
+
+    Args:
+        one: a robot.
+        other: another one, or the same one before or after it was calibrated.
+        wire: whether name, baud rate and wiring count, too.
+    """
+    for field in ROBOT_LENGTHS:
+        first, second = getattr(one, field), getattr(other, field)
+        if abs(first - second) > LENGTH_TOLERANCE * max(first, second):
+            return field, f"{first:g} m", f"{second:g} m"
+    if not wire:
+        return None
+    for field in ("name", "baud_rate"):
+        first, second = getattr(one, field), getattr(other, field)
+        if first != second:
+            return field, repr(first), repr(second)
+    for letter in WIRE_LETTERS:
+        wheels = [getattr(config.wheels, letter) for config in (one, other)]
+        wirings = [
+            f"motor {'-' if wheel.motor_sign < 0 else ''}{wheel.motor}, "
+            f"encoder {'-' if wheel.sign < 0 else ''}{wheel.encoder}"
+            for wheel in wheels
+        ]
+        if wirings[0] != wirings[1]:
+            return f"wheels.{letter}", wirings[0], wirings[1]
+    return None
+
+
+def check_same_robot(
+    logs: Sequence[tuple[str, Recording]], doing: str, *, wire: bool = True
+) -> None:
+    """Check that recordings are of one robot.
+
+    Args:
+        logs: names and recordings.
+        doing: verb for the message, such as "identify".
+        wire: whether name, baud rate and wiring count, too.
+
+    Raises:
+        ConfigError: the message names the first file of another robot, and the field.
+    """
+    first_name, first = logs[0]
+    for name, recording in logs[1:]:
+        found = find_difference(recording.config, first.config, wire=wire)
+        if found is not None:
+            field, theirs, own = found
+            raise ConfigError(
+                f"{name}: is of another robot: {field} is {theirs}, but {own} in {first_name}; "
+                f"{doing} one robot at a time"
+            )

@@ -3,34 +3,196 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from acsar_gym import reading
-from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.reading import explain_error
-from acsar_gym.recording import messages, target
+from acsar_gym.errors import ConfigError, require_extra
+from acsar_gym.reading import explain_error, open_nonblocking
+from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Message
-from acsar_gym.recording.messages import (
-    END_RECORD,
-    HEADER_RECORD,
-    MESSAGE_ENCODING,
-    SCHEMA_ENCODING,
-    TOPICS,
-    package_version,
-    type_definition,
-)
+from acsar_gym.recording.messages import MCAP_MAGIC, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS
 
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
+
+CHUNK_SIZE = 100_000
+"""Size of a chunk before it is packed [bytes]; a cut file loses its last one."""
 LIVE_HOST = "127.0.0.1"
 LIVE_PORT = 8765
 """The port that viewers try first; another free one where it is taken."""
 
 
+class Sink(Protocol):
+    """Something that takes messages: a file, or viewers."""
+
+    def add(self, message: Message) -> None:
+        """Take a message."""
+
+    def flush(self) -> None:
+        """Pass on what was added."""
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """End; `end` has the number of dropped events."""
+
+    def abandon(self) -> None:
+        """End after an error; raises nothing."""
+
+
+def check_target(path: Path, source: Path | None = None) -> None:
+    """Check that a recording may be written here; writes nothing.
+
+    Args:
+        path: of the recording.
+        source: file that is replayed meanwhile.
+
+    Raises:
+        ConfigError: its folder is missing, it is a file of another kind, or it is `source`.
+    """
+    try:
+        if path.is_dir() or not path.parent.is_dir():
+            raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
+        if source is not None and path.exists() and source.exists() and path.samefile(source):
+            raise ConfigError(f"{path}: is being replayed: record to another file")
+        if path.is_file():
+            with path.open("rb") as file:
+                if file.read(len(MCAP_MAGIC)) not in (b"", MCAP_MAGIC):
+                    raise ConfigError(
+                        f"{path}: isn't a recording, so it isn't replaced: name another file"
+                    )
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+
+
+def open_exclusively(path: str, flags: int) -> int:
+    """Open a file for one recorder only, for `open(opener=...)`; an older recording is kept."""
+    file = _open_locked(path, flags)
+    if not os.fstat(file).st_size:
+        return file
+    try:
+        older = Path(path)
+        numbered = (older.with_suffix(f".{n}{older.suffix}") for n in itertools.count(1))
+        older.rename(next(name for name in numbered if not name.exists()))
+        return _open_locked(path, flags)
+    finally:
+        os.close(file)
+
+
+def _open_locked(path: str, flags: int) -> int:
+    """Open a file, which isn't emptied; OSError where another recorder holds it."""
+    file = open_nonblocking(path, flags & ~os.O_TRUNC)
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            raise OSError(0, "another recorder writes it: name a file for each") from None
+        except OSError:  # a file system that can't lock
+            pass
+    return file
+
+
+class McapFile:
+    """A file that is being written. Errors are OSError, except in the constructor.
+
+    Args:
+        path: of the file; an older recording that is there is kept under a number.
+        header: of the recording.
+
+    Raises:
+        ConfigError: it can't be written.
+        MissingExtraError: mcap or rosbags isn't installed.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        with require_extra("recording", "record"):
+            from mcap.writer import Writer  # noqa: PLC0415 - optional
+        messages.load_typestore()
+        self._file: UnbufferedFile | None = None
+        try:
+            self._file = UnbufferedFile(path)
+            self._writer: Any = Writer(self._file, chunk_size=CHUNK_SIZE)  # type: ignore[arg-type]
+            self._writer.start("ros2", f"acsar_gym {messages.package_version()}")
+            self._writer.add_metadata(messages.HEADER_RECORD, {"header": json.dumps(header)})
+            schemas = {
+                kind: self._writer.register_schema(
+                    kind, SCHEMA_ENCODING, messages.type_definition(kind)
+                )
+                for kind in dict.fromkeys(topic.kind for topic in TOPICS)
+            }
+            self._channels = {
+                topic.name: self._writer.register_channel(
+                    topic.name, MESSAGE_ENCODING, schemas[topic.kind], topic.metadata
+                )
+                for topic in TOPICS
+            }
+            self.flush()
+        except (OSError, ValueError) as error:
+            self.abandon()
+            raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+
+    def add(self, message: Message) -> None:
+        """Add a message; it is in the file after the next `flush`."""
+        channel = self._channels[message.topic.name]
+        self._writer.add_message(channel, message.time, message.data, message.time)
+
+    def flush(self) -> None:
+        """Write what was added, so that it survives a crash of the program or the computer."""
+        self._writer.flush()
+        with contextlib.suppress(OSError):  # not a regular file
+            if self._file is not None:
+                os.fdatasync(self._file.raw.fileno())
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """Finish the file with its index, and what is only known at the end."""
+        try:
+            self._writer.flush()
+            self._writer.add_metadata(messages.END_RECORD, {"end": json.dumps(end)})
+            self._writer.finish()
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        if self._file is not None and not self._file.raw.closed:
+            with contextlib.suppress(OSError):
+                if fcntl is not None:  # also for processes that were forked meanwhile
+                    fcntl.flock(self._file.raw.fileno(), fcntl.LOCK_UN)
+            with contextlib.suppress(OSError):
+                self._file.raw.close()
+
+
+class UnbufferedFile:
+    """A file without a buffer, which a forked process would write a second time.
+
+    Args:
+        path: of the file.
+
+    Attributes: `raw`, the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.raw = open(path, "wb", buffering=0, opener=open_exclusively)  # noqa: SIM115
+        self.tell = self.raw.tell
+
+    def write(self, data: bytes) -> int:
+        """Write all of the bytes."""
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self.raw.write(rest) or 0 :]
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+
 class LiveView:
-    """A server that viewers connect to; messages go to whoever is connected.
+    """A server on this computer that Foxglove connects to; messages go to whoever is connected.
 
     Attributes: `url`, what viewers open.
 
@@ -43,16 +205,16 @@ class LiveView:
     """
 
     def __init__(self, port: int = LIVE_PORT) -> None:
-        try:
+        with require_extra("a live view", "view"):
             import foxglove  # noqa: PLC0415 - optional
-        except ImportError:
-            raise MissingExtraError("a live view", "view") from None
         self._context = context = foxglove.Context()  # nothing else keeps it
         self._channels = {
             topic.name: foxglove.Channel(
                 topic.name,
                 schema=foxglove.Schema(
-                    name=topic.kind, encoding=SCHEMA_ENCODING, data=type_definition(topic.kind)
+                    name=topic.kind,
+                    encoding=SCHEMA_ENCODING,
+                    data=messages.type_definition(topic.kind),
                 ),
                 message_encoding=MESSAGE_ENCODING,
                 context=context,
@@ -61,22 +223,30 @@ class LiveView:
             for topic in TOPICS
         }
         self._latched: dict[str, Message] = {}
-        self._server = _started(foxglove, context, port)
-        self.url = f"ws://{LIVE_HOST}:{self._server.port}"
+        server: Any = None
+        for number in dict.fromkeys((port, 0)):
+            try:
+                server = foxglove.start_server(
+                    name="acsar_gym", host=LIVE_HOST, port=number, context=context
+                )
+                break
+            except Exception as error:  # noqa: BLE001 - whatever the SDK raises
+                problem = error
+        if server is None:
+            raise ConfigError(f"no live view: {explain_error(problem)}")
+        self._server = server
+        self.url = f"ws://{LIVE_HOST}:{server.port}"
 
     def add(self, message: Message) -> None:
         """Send a message to the viewers."""
         if message.topic.latched:
             self._latched[message.topic.name] = message
-        self._send(message)
+        self._channels[message.topic.name].log(message.data, log_time=message.time)
 
     def flush(self) -> None:
         """Send again what viewers need that connected later."""
         for message in self._latched.values():
-            self._send(message)
-
-    def _send(self, message: Message) -> None:
-        self._channels[message.topic.name].log(message.data, log_time=message.time)
+            self.add(message)
 
     def close(self, end: Mapping[str, Any]) -> None:
         """Stop the server."""
@@ -88,125 +258,3 @@ class LiveView:
             self._server.stop()
             for channel in self._channels.values():
                 channel.close()
-
-
-def _started(foxglove: Any, context: Any, port: int) -> Any:
-    """Start the server, on another port where this one is taken."""
-    for number in dict.fromkeys((port, 0)):
-        try:
-            return foxglove.start_server(
-                name="acsar_gym", host=LIVE_HOST, port=number, context=context
-            )
-        except Exception as error:  # noqa: BLE001 - whatever the SDK raises
-            problem = error
-    raise ConfigError(f"no live view: {explain_error(problem)}") from None
-
-
-CHUNK_SIZE = 100_000
-"""Size of a chunk before it is packed [bytes]; a cut file loses its last one."""
-
-
-class McapFile:
-    """A file that is being written. Errors are OSError, except in the constructor.
-
-    Args:
-        path: of the file; a recording that is there is replaced.
-        header: of the recording.
-
-    Raises:
-        ConfigError: it can't be written.
-        MissingExtraError: mcap or rosbags isn't installed.
-    """
-
-    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        try:
-            from mcap.writer import Writer  # noqa: PLC0415 - optional
-        except ImportError:
-            raise MissingExtraError("recording", "record") from None
-        messages.load_typestore()
-        self._file: _Unbuffered | None = None
-        try:
-            self._file = _Unbuffered(path)
-            self._writer: Any = Writer(self._file, chunk_size=CHUNK_SIZE)  # type: ignore[arg-type]
-            self._writer.start("ros2", f"acsar_gym {package_version()}")
-            self._writer.add_metadata(HEADER_RECORD, {"header": json.dumps(header)})
-            self._channels = self._registered()
-            self.flush()
-        except (OSError, ValueError) as error:
-            self.abandon()
-            raise ConfigError(f"{path}: can't be written: {reading.explain_error(error)}") from None
-
-    def _registered(self) -> dict[str, int]:
-        """Register all topics; returns their channels."""
-        writer, schemas = self._writer, {}
-        for kind in dict.fromkeys(topic.kind for topic in TOPICS):
-            text = messages.type_definition(kind)
-            schemas[kind] = writer.register_schema(kind, SCHEMA_ENCODING, text)
-        return {
-            topic.name: writer.register_channel(
-                topic.name, MESSAGE_ENCODING, schemas[topic.kind], topic.metadata
-            )
-            for topic in TOPICS
-        }
-
-    def add(self, message: Message) -> None:
-        """Add a message; it is in the file after the next `flush`."""
-        channel = self._channels[message.topic.name]
-        self._writer.add_message(channel, message.time, message.data, message.time)
-
-    def flush(self) -> None:
-        """Write what was added, so that it survives a crash of the program or the computer."""
-        self._writer.flush()
-        with contextlib.suppress(OSError):  # not a regular file
-            if self._file is not None:
-                self._file.sync()
-
-    def close(self, end: Mapping[str, Any]) -> None:
-        """Finish the file with its index, and what is only known at the end."""
-        try:
-            self._writer.flush()
-            self._writer.add_metadata(END_RECORD, {"end": json.dumps(end)})
-            self._writer.finish()
-        finally:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """Close the file as it is."""
-        with contextlib.suppress(OSError):
-            if self._file is not None:
-                self._file.close()
-
-
-class _Unbuffered:
-    """A file without a buffer, which a forked process would write a second time.
-
-    Args:
-        path: of the file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = open(path, "wb", buffering=0, opener=target.open_exclusively)  # noqa: SIM115
-
-    def write(self, data: bytes) -> int:
-        """Write all of the bytes."""
-        rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) or 0 :]
-        return len(data)
-
-    def tell(self) -> int:
-        """Return the number of bytes so far."""
-        return self._file.tell()
-
-    def flush(self) -> None:
-        """Do nothing: there is no buffer."""
-
-    def sync(self) -> None:
-        """Wait until the disk has what was written."""
-        os.fdatasync(self._file.fileno())
-
-    def close(self) -> None:
-        """Close the file, and let others write it."""
-        if not self._file.closed:
-            target.unlock_file(self._file.fileno())
-        self._file.close()

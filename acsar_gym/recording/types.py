@@ -164,7 +164,7 @@ class Recording:
     """A recording, read back whole."""
 
     header: Mapping[str, Any]
-    """Robot, env, task, policy, versions and clocks; see `recording.header`."""
+    """Robot, env, task, policy, versions and clocks; see `recording.messages`."""
     sha256: str
     """First 16 hex digits of the file's SHA-256."""
     config: RobotConfig

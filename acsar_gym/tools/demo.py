@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.tools.emulation.board import run_emulator
-from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import report, runs
-from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.evaluation.episodes import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
 
@@ -38,18 +36,19 @@ def run_demo(
     for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
-    console = report.SafeConsole()
+    console, log = report.SafeConsole(), out / "emulator.jsonl"
     console.rule("1. train PPO on simulated robots", align="left")
     policy_file = train_demo_policy(steps, out)
     policy = OnnxPolicy(policy_file)
     gc.freeze()  # keeps garbage collection short while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
-    simulated = _check_whole(
-        runs.evaluate_policy(policy, "bullet", None, range(10_000, 10_000 + episodes))
-    )
+    simulated = _drive(policy, "bullet", range(10_000, 10_000 + episodes))
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
-    serial = _over_serial(policy, serial_episodes, out / "emulator.jsonl")
-    return [("PyBullet", simulated), ("serial device (emulator)", serial)]
+    with run_emulator("--body", "bullet", "--log", str(log)) as devices:
+        serial = _drive(policy, devices.robot, range(20_000, 20_000 + serial_episodes))
+    errors = odometry_errors(serial.results, log)
+    known = [replace(r, odometry_error=e) for r, e in zip(serial.results, errors, strict=True)]
+    return [("PyBullet", simulated), ("serial device (emulator)", replace(serial, results=known))]
 
 
 def train_demo_policy(steps: int, out: Path) -> Path:
@@ -74,23 +73,9 @@ def train_demo_policy(steps: int, out: Path) -> Path:
     return out / "policy.onnx"
 
 
-def _over_serial(policy: OnnxPolicy, count: int, log: Path) -> EvaluationRun:
-    """Evaluate with an emulator in another process, whose log provides the odometry errors."""
-    with run_emulator("--body", "bullet", "--log", str(log)) as devices:
-        run = _check_whole(
-            runs.evaluate_policy(policy, devices.robot, None, range(20_000, 20_000 + count))
-        )
-    return replace(run, results=add_odometry_errors(run.results, log))
-
-
-def _check_whole(run: EvaluationRun) -> EvaluationRun:
-    """Return an evaluation that wasn't ended early; raises what ended it."""
+def _drive(policy: OnnxPolicy, link: str, seeds: range) -> EvaluationRun:
+    """Evaluate a policy; raises what ended the evaluation early."""
+    run = runs.evaluate_policy(policy, link, None, seeds)
     if run.ended is not None:
         raise run.ended
     return run
-
-
-def add_odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[EpisodeResult]:
-    """Return the results with odometry errors from the emulator's log."""
-    errors = evaluation.odometry_errors(results, log)
-    return [replace(r, odometry_error=e) for r, e in zip(results, errors, strict=True)]

@@ -52,16 +52,14 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
         raise CommandError(
             "--linear and --angular must be finite numbers, --duration finite and not negative"
         )
-    ticks = math.inf if duration is None else round(duration * robot.config.control_rate)
-    done = 0
+    ticks = None if duration is None else round(duration * robot.config.control_rate)
     with robot:
         begin = robot.link.now()
-        while done < ticks:
+        for done in itertools.count(1) if ticks is None else range(1, ticks + 1):
             robot.drive(linear, angular)
             robot.safety.check(robot.link.now() - begin)
-            done += 1
-            if done % SHOW_EVERY == 0:
-                _show(robot)
+            if done % SHOW_EVERY == 0 and sys.stdout.isatty():
+                _print_status(robot)
         _print_status(robot)
     sys.stdout.write("\n")
 
@@ -92,8 +90,8 @@ def drive_keyboard(robot: Robot) -> None:
                 keys.press(str(key.name or key), robot.link.now())
             linear, angular = keys.twist(robot.link.now())
             robot.drive(linear * config.max_linear, angular * config.max_angular)
-            if tick % SHOW_EVERY == 0:
-                _show(robot)
+            if tick % SHOW_EVERY == 0 and sys.stdout.isatty():
+                _print_status(robot)
 
 
 class DriveKeys:
@@ -127,13 +125,6 @@ class DriveKeys:
         asked = (self._ahead, self._around)
         linear, angular = (way if now - since < KEY_TIMEOUT else 0.0 for way, since in asked)
         return linear * self._share, angular * self._share
-
-
-def _show(robot: Robot) -> None:
-    """Print the status line if stdout is a terminal."""
-    if not sys.stdout.isatty():
-        return
-    _print_status(robot)
 
 
 def _print_status(robot: Robot) -> None:

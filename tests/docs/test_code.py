@@ -23,8 +23,7 @@ from page_tools import PAGES, ROOT, Block
 
 from acsar_gym.errors import LateTicksError
 from acsar_gym.tools import cli
-from acsar_gym.tools.cli import app, policies, recording
-from acsar_gym.tools.cli import worlds as world_commands
+from acsar_gym.tools.cli import app
 from acsar_gym.tools.training.plan import TrainingOptions
 from acsar_gym.worlds import registry
 
@@ -167,14 +166,13 @@ def quiet(command: Callable[..., Any]) -> Callable[..., int]:
 def parsed(words: list[str]) -> None:
     """Check a command's name and options; it isn't run."""
     with pytest.MonkeyPatch.context() as patch:
-        for table in (app.COMMANDS, policies.POLICY_COMMANDS, world_commands.WORLD_COMMANDS):
-            for name in [name for name in table if name not in app.COMMAND_GROUPS]:
-                patch.setitem(table, name, quiet(table[name]))
-        for name in ("info", "export"):
-            patch.setattr(recording, name, quiet(getattr(recording, name)))
-        patch.setitem(
-            app.COMMAND_GROUPS, "train", lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1
-        )
+        for name, command in app.COMMANDS.items():
+            patch.setitem(app.COMMANDS, name, quiet(command))
+        for name, (about, commands) in app.GROUPS.items():
+            inner = {each: quiet(command) for each, command in commands.items()}
+            patch.setitem(app.COMMANDS, name, app.make_group(about, inner))
+        train = lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1  # noqa: E731
+        patch.setitem(app.COMMANDS, "train", train)
         called(words, patch)
 
 

@@ -87,8 +87,8 @@ def test_what_a_header_or_episode_lacks_is_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = make_header(RobotConfig.of(None), {}) | {"versions": {}}
-    monkeypatch.setattr("acsar_gym.recording.recorder.header", lambda *_: told)
-    monkeypatch.setattr("acsar_gym.recording.encoder.plain", lambda _: {"seed": "x"})
+    monkeypatch.setattr("acsar_gym.recording.recorder.make_header", lambda *_: told)
+    monkeypatch.setattr("acsar_gym.recording.messages.to_plain_json", lambda _: {"seed": "x"})
     path = tmp_path / "tape.mcap"
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=path)
     env.reset(seed=0)

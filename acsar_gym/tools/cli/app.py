@@ -23,25 +23,30 @@ from acsar_gym.errors import (
     SafetyWarning,
     escape_unprintable,
 )
-from acsar_gym.tools.cli.benchmark import run_benchmark
-from acsar_gym.tools.cli.devices import drive_robot, emulate_board, examine_robot, stop_robots
-from acsar_gym.tools.cli.policies import (
-    POLICY_COMMANDS,
-    evaluate_policy,
-    export_policy,
-    run_policy,
-    run_policy_group,
-    train_policy,
-)
-from acsar_gym.tools.cli.recording import RECORD_COMMANDS, report_broken, run_record_group, view_run
-from acsar_gym.tools.cli.sysid import calibrate_robot, compare_runs, identify_robot, measure_gap
-from acsar_gym.tools.cli.tools import measure_speed, show_demo, warm_up_caches
-from acsar_gym.tools.cli.worlds import WORLD_COMMANDS, run_worlds_group
+from acsar_gym.tools.cli import benchmark, devices, policies, recording, sysid, tools, worlds
+from acsar_gym.tools.cli.options import report_broken
 
 FORMAT_WARNING = warnings.formatwarning
 CLI_ABOUT = """Simulate, train, measure and drive a skid-steer robot; --version prints the version.
 
 Every command has a --help of its own."""
+DRIVING_COMMANDS = ("drive", "run", "evaluate", "doctor", "identify", "calibrate")
+
+
+def make_group(about: str, commands: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a command that has commands of its own."""
+
+    def group(command: Any) -> Any:
+        return command
+
+    kinds: list[Any] = [
+        Annotated[Any, tyro.conf.subcommand(name, constructor=function)]
+        for name, function in commands.items()
+    ]
+    kinds.append(Annotated[None, tyro.conf.Suppress])  # one command alone would be no choice
+    group.__annotations__["command"] = functools.reduce(operator.or_, kinds)
+    group.__doc__ = about
+    return group
 
 
 def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
@@ -54,41 +59,62 @@ def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.
     """
     from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
 
-    groups = {"policy": POLICY_COMMANDS, "record": RECORD_COMMANDS, "worlds": WORLD_COMMANDS}
-    print_script(shell, {**COMMANDS, "train": TrainingOptions}, groups)
+    with contextlib.suppress(SystemExit):  # with which tyro ends after printing
+        parse_command({**COMMANDS, "train": TrainingOptions}, ["--tyro-print-completion", shell])
     return 0
 
 
+GROUPS: dict[str, tuple[str, dict[str, Callable[..., Any]]]] = {
+    "policy": (
+        "Show what a policy file says about itself: acsar-gym policy show FILE.",
+        {"show": policies.show_policy},
+    ),
+    "record": (
+        "Look into recordings, or convert them: acsar-gym record info|export FILE.",
+        {"info": recording.describe_recording, "export": recording.export_recording},
+    ),
+    "worlds": (
+        "Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE.",
+        {
+            "show": worlds.show_worlds,
+            "check": worlds.check_worlds,
+            "convert": worlds.convert_world,
+        },
+    ),
+}
+"""Commands that have commands of their own: what they are for, and these."""
 COMMANDS: dict[str, Callable[..., Any]] = {
-    "demo": show_demo,
-    "bench": measure_speed,
-    "emulate": emulate_board,
-    "doctor": examine_robot,
-    "identify": identify_robot,
-    "calibrate": calibrate_robot,
-    "drive": drive_robot,
-    "estop": stop_robots,
-    "train": train_policy,
-    "evaluate": evaluate_policy,
-    "run": run_policy,
-    "export": export_policy,
-    "record": run_record_group,
-    "view": view_run,
-    "gap": measure_gap,
-    "compare": compare_runs,
-    "benchmark": run_benchmark,
-    "policy": run_policy_group,
-    "worlds": run_worlds_group,
-    "warm-up": warm_up_caches,
+    "demo": tools.show_demo,
+    "bench": tools.measure_speed,
+    "emulate": devices.emulate_board,
+    "doctor": devices.examine_robot,
+    "identify": sysid.identify_robot,
+    "calibrate": sysid.calibrate_robot,
+    "drive": devices.drive_robot,
+    "estop": devices.stop_robots,
+    "train": policies.train_policy,
+    "evaluate": policies.evaluate_policy,
+    "run": policies.run_policy,
+    "export": policies.convert_policy,
+    "view": recording.view_run,
+    "gap": sysid.measure_gap,
+    "compare": sysid.compare_runs,
+    "benchmark": benchmark.run_benchmark,
+    **{name: make_group(*group) for name, group in GROUPS.items()},
+    "warm-up": tools.warm_up_caches,
     "completion": print_completion,
 }
-COMMAND_GROUPS: dict[str, Callable[[], int]] = {
-    "policy": run_policy_group,
-    "record": run_record_group,
-    "train": train_policy,
-    "worlds": run_worlds_group,
-}
-"""Commands that parse their own arguments, as they have subcommands or options of a script."""
+
+
+def parse_command(commands: Mapping[str, Callable[..., Any]], words: list[str]) -> Any:
+    """Run the command of a command line."""
+    return tyro.extras.subcommand_cli_from_dict(
+        dict(commands),
+        prog="acsar-gym",
+        description=CLI_ABOUT,
+        args=words,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes),
+    )
 
 
 def _format_one_line(
@@ -110,69 +136,24 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _format_one_line
+    words, code = sys.argv[1:], 0
     try:
-        if sys.argv[1:] == ["--version"]:
+        if words == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
-            code = 0
-        elif sys.argv[1:2] and sys.argv[1] in COMMAND_GROUPS:
-            code = COMMAND_GROUPS[sys.argv[1]]()
+        elif words[:1] == ["train"]:  # has options of a script
+            code = COMMANDS["train"]()
         else:
-            code = tyro.extras.subcommand_cli_from_dict(
-                COMMANDS, prog="acsar-gym", description=CLI_ABOUT
-            )
+            code = parse_command(COMMANDS, words)
         sys.stdout.flush()
     except AcsarError as error:
         print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        driving = sys.argv[1:2] in (
-            ["drive"],
-            ["run"],
-            ["evaluate"],
-            ["doctor"],
-            ["identify"],
-            ["calibrate"],
-        )
-        stopped = ", the wheels were commanded to stop" if driving else ""
+        drives = words[:1] and words[0] in DRIVING_COMMANDS
+        stopped = ", the wheels were commanded to stop" if drives else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130
     except BrokenPipeError:  # such as `| head -1`: nobody reads on
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 128 + signal.SIGPIPE
     sys.exit(2 if report_broken() and not code else code)
-
-
-CommandTable = Mapping[str, Callable[..., Any]]
-
-
-def print_script(shell: str, commands: CommandTable, groups: Mapping[str, CommandTable]) -> None:
-    """Print the script of a shell, which needs nothing but Python's standard library at TAB.
-
-    Args:
-        shell: bash, zsh or fish.
-        commands: name and function or class of each command.
-        groups: commands that have commands of their own: by name, and then as `commands`.
-    """
-    nested = {name: _make_group(name, inner) for name, inner in groups.items()}
-    with contextlib.suppress(SystemExit):  # with which tyro ends after printing
-        tyro.extras.subcommand_cli_from_dict(
-            {**commands, **nested},
-            prog="acsar-gym",
-            args=["--tyro-print-completion", shell],
-            config=(tyro.conf.OmitSubcommandPrefixes,),
-        )
-
-
-def _make_group(name: str, commands: CommandTable) -> Callable[..., Any]:
-    """Return a function whose only parameter is one of these commands."""
-
-    def group(command: Any) -> None:
-        pass
-
-    kinds: list[Any] = [
-        Annotated[Any, tyro.conf.subcommand(inner, constructor=function)]
-        for inner, function in commands.items()
-    ]
-    group.__annotations__["command"] = functools.reduce(operator.or_, kinds)
-    group.__doc__ = f"Commands of acsar-gym {name}."
-    return group

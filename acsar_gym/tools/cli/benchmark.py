@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.cli.options import Json
+from acsar_gym.tools.cli.options import File, check_writable
 
 if TYPE_CHECKING:
     from acsar_gym.tools.benchmark.plan import BenchmarkPlan
@@ -46,7 +46,7 @@ class BenchmarkChoice:
 
 
 @dataclass(frozen=True)
-class BenchmarkOutput:
+class BenchmarkOutputs:
     """Where it runs, and what it writes."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
@@ -57,26 +57,23 @@ class BenchmarkOutput:
     """Processes at a time; default: 1, on a cluster one per CPU."""
     address: str | None = None
     """Ray cluster: auto, local, host:port or ray://host:port."""
-    table: Json = None
+    table: File = None
     """Also write the Markdown tables to this file."""
-    json: Json = None
+    json: File = None
     """Also write the JSON to this file."""
-    html: Json = None
+    html: File = None
     """Also write an HTML report with films of the worst episodes, which are driven again."""
     worst: int = 10
     """How many of these episodes."""
 
 
-_flat = tyro.conf.arg(name="")
-
-
 def run_benchmark(
-    what: Annotated[BenchmarkChoice, _flat],
-    how: Annotated[BenchmarkOutput, _flat],
+    what: BenchmarkChoice,
+    how: BenchmarkOutputs,
     policy: str = "",
     combine: Folders = (),
     cards: Folder = None,
-    check: Json = None,
+    check: File = None,
 ) -> int:
     """Compare agents over fixed scenes: success, scores and intervals.
 
@@ -92,30 +89,27 @@ def run_benchmark(
     """
     from acsar_gym.tools.benchmark import result  # noqa: PLC0415
     from acsar_gym.tools.benchmark.result import BenchmarkOutput  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     if check is not None:
         print(result.check_row(check))
         return 0
-    for path in (how.table, how.json, how.html):
-        report.check_writable(path)
+    check_writable(how.table, how.json, how.html)
     if policy and (what.agents or what.trained or combine):
-        raise ConfigError(
-            "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
-        )
+        alone = "benchmarks one policy; leave out --agents, --trained, --combine"
+        raise ConfigError(f"--policy: {alone}")
     command = BenchmarkOutput(how.out, how.table, how.json, cards, how.html, how.worst)
     if combine:
         command.combine(combine, what.trained, what.seeds)
     else:
-        command.run(_plan(what, policy), policy, how.workers, how.address, resume=how.resume)
+        plan = _make_plan(what, policy)
+        command.run(plan, policy, how.workers, how.address, resume=how.resume)
     return 0
 
 
-def _plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
+def _make_plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
     """Make the plan of these options."""
     from acsar_gym.registration import IDS  # noqa: PLC0415
     from acsar_gym.tools.benchmark import plan  # noqa: PLC0415
-    from acsar_gym.tools.benchmark.plan import BenchmarkPlan  # noqa: PLC0415
 
     named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
     if policy:
@@ -124,6 +118,5 @@ def _plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
     else:
         ids = tuple(dict.fromkeys(plan.short_id(name) for name in what.ids)) or tuple(IDS)
         found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
-    return BenchmarkPlan(
-        tuple(found), ids, what.links, named, what.scenes, what.port_scenes, what.barn
-    )
+    scenes = what.scenes, what.port_scenes
+    return plan.BenchmarkPlan(tuple(found), ids, what.links, named, *scenes, what.barn)

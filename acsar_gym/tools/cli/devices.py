@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,34 +11,29 @@ import tyro
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.tools.cli.options import (
-    BoardArgs,
+    BoardOptions,
     File,
-    HostArgs,
-    Json,
+    HostOptions,
+    RecordOptions,
     RobotArg,
     Seconds,
-    SpinArgs,
     SpinOptions,
-    TimingArgs,
     TimingOptions,
     Worlds,
     ask_user,
-    check_out,
+    check_writable,
     countdown,
+    print_results,
 )
-from acsar_gym.tools.cli.recording import RecordArgs
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.doctor.checks import Check
-    from acsar_gym.tools.doctor.commission import Commission
     from acsar_gym.tools.emulation.board import Emulator
-    from acsar_gym.worlds import World
 
 Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
 
 
 def emulate_board(
-    board: BoardArgs,
+    board: BoardOptions,
     robot: RobotArg = None,
     body: str = "planar",
     log: File = None,
@@ -63,42 +57,30 @@ def emulate_board(
         name: symbolic link that always points to the current device.
     """
     from acsar_gym.tools.emulation.board import Emulator  # noqa: PLC0415
+    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
 
-    config = RobotConfig.of(robot)
+    config, place = RobotConfig.of(robot), None
+    if world is not None:
+        place = next(iter(Pool.of(world, None, footprint_radius(config), 1) or ()), None)
     with Emulator(
         config,
         body=body,
         log=log,
         silent=board.silent,
-        world=_first(world, config),
+        world=place,
         sees=lidar,
         name=name,
         quirks=board.quirk,
     ) as emulator:
-        _serve(emulator, duration)
+        ended = _handle_signals(emulator)
+        print(f"serving a robot on {emulator.device}", flush=True)
+        if emulator.lidar_device:
+            print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
+        emulator.run(duration, until=lambda: bool(ended))
+        if emulator.lost:
+            print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
     return 0
-
-
-def _serve(emulator: Emulator, duration: float | None) -> None:
-    """Run an emulator for a while [s], or until a signal ends it, and say where it is."""
-    ended = _handle_signals(emulator)
-    print(f"serving a robot on {emulator.device}", flush=True)
-    if emulator.lidar_device:
-        print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
-    emulator.run(duration, until=lambda: bool(ended))
-    if emulator.lost:
-        print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
-
-
-def _first(worlds: str | None, config: RobotConfig) -> World | None:
-    """Return the first of some worlds, None for none."""
-    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
-    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
-
-    if worlds is None:
-        return None
-    pool = Pool.of(worlds, None, footprint_radius(config), 1)
-    return next(iter(pool)) if pool else None
 
 
 def _handle_signals(emulator: Emulator) -> list[int]:
@@ -116,13 +98,13 @@ def _handle_signals(emulator: Emulator) -> list[int]:
 
 
 def examine_robot(
-    timing: TimingArgs,
-    spinning: SpinArgs,
-    host: HostArgs,
+    timing: TimingOptions,
+    spinning: SpinOptions,
+    host: HostOptions,
     device: Device = None,
     robot: RobotArg = None,
     baud_rate: int | None = None,
-    json: Json = None,
+    json: File = None,
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
 
@@ -136,91 +118,63 @@ def examine_robot(
         json: also write the findings to this file.
     """
     from acsar_gym.tools.doctor import wire  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
         config = wire.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
-    report.check_writable(json)
+    check_writable(json)
     host.prepare()
     if timing.timing:
-        return _timing(device, config, timing, json)
-    return _checks(device, config, json, spinning)
+        from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
+
+        timed = timings.examine_timing(device, config, timing.duration)
+        print_results(*timed.tables(), json=json, data=timed.as_dict())
+        return 0
+    return _run_checks(device, config, json, spinning)
 
 
-def _checks(
+def _run_checks(
     device: str | None, config: RobotConfig, json: Path | None, spinning: SpinOptions
 ) -> int:
     """Run the checks of the serial port; returns the exit code."""
-    from acsar_gym.tools.doctor import checks, wire  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+    from acsar_gym.tools.doctor import checks, commission, wire  # noqa: PLC0415
 
-    commission, stop = _commission(device, spinning), None
+    turning, stop = None, None
+    if spinning.spin:
+        if device is None:
+            raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
+        check_writable(robot=spinning.out)
+        eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
+        what = f"the wheels of the robot on {device} will turn: lift it"
+        countdown(what, yes=spinning.yes)
+        asks = eyes is None and not spinning.yes
+        turning = commission.Commission(eyes=eyes, ask=ask_user if asks else None)
+    elif spinning.out is not None or spinning.saw is not None:
+        raise ConfigError("--out and --saw need --spin, which turns the wheels")
     found = [checks.check_ports(device), checks.check_estop()]
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
-        stop = _extend(found, wire.examine_device(device, config, commission, recorder))
-    if commission is not None and spinning.out is not None:
-        if commission.finished:
-            found.append(commission.save(config, spinning.out))
+        try:
+            found.extend(wire.examine_device(device, config, turning, recorder))
+        except EmergencyStopError as error:
+            stop = error
+    if turning is not None and spinning.out is not None:
+        if turning.finished:
+            found.append(turning.save(config, spinning.out))
         else:
             said = f"{spinning.out} isn't written: not all was found"
-            found.append(
-                checks.Check("robot file", "skip", said, "mend what failed, and start again")
-            )
-    report.print_tables(checks.draw_checks(found))
-    report.write_json(json, checks.checks_as_json(found))
+            fix = "mend what failed, and start again"
+            found.append(checks.Check("robot file", "skip", said, fix))
+    print_results(checks.draw_checks(found), json=json, data=checks.checks_as_json(found))
     if stop is not None:
         raise stop
     return 1 if any(check.status == "fail" for check in found) else 0
 
 
-def _extend(found: list[Check], more: Iterable[Check]) -> EmergencyStopError | None:
-    """Collect results; returns the emergency stop that ended them, None for none."""
-    try:
-        found.extend(more)
-    except EmergencyStopError as error:
-        return error
-    return None
-
-
-def _commission(device: str | None, options: SpinOptions) -> Commission | None:
-    """Count down, and return what is to be found by turning wheels; None without --spin."""
-    from acsar_gym.tools.doctor.commission import (  # noqa: PLC0415
-        Commission,
-        parse_all_seen,
-    )
-
-    if not options.spin:
-        if options.out is not None or options.saw is not None:
-            raise ConfigError("--out and --saw need --spin, which turns the wheels")
-        return None
-    if device is None:
-        raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
-    check_out(options.out)
-    eyes = None if options.saw is None else parse_all_seen(options.saw)
-    asks = eyes is None and not options.yes
-    countdown(f"the wheels of the robot on {device} will turn: lift it", yes=options.yes)
-    return Commission(eyes=eyes, ask=ask_user if asks else None)
-
-
-def _timing(
-    device: str | None, config: RobotConfig, options: TimingOptions, json: Path | None
-) -> int:
-    """Run --timing; returns the exit code."""
-    from acsar_gym.tools.doctor import timing  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-
-    found = timing.examine_timing(device, config, options.duration)
-    report.print_tables(*found.tables())
-    report.write_json(json, found.as_dict())
-    return 0
-
-
 def drive_robot(
-    host: HostArgs,
-    recording: RecordArgs,
+    host: HostOptions,
+    recording: RecordOptions,
     link: str = "bullet",
     robot: RobotArg = None,
     linear: float | None = None,

@@ -1,4 +1,4 @@
-"""Options that several commands share, and the countdown before wheels turn."""
+"""Options that several commands share, their output, and the countdown before wheels turn."""
 
 from __future__ import annotations
 
@@ -14,10 +14,53 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from acsar_gym.errors import CancelledError, ConfigError, escape_unprintable
-from acsar_gym.tools.cli.recording import RecordOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from acsar_gym.recording import Recorder
+    from acsar_gym.tools.evaluation.episodes import EpisodeResult
 
 COUNTDOWN = 3.0
 """Usual length of a countdown [s]."""
+
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
+OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
+LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
+EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
+RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+
+
+def say(text: str) -> None:
+    """Print a line at once, with control characters escaped."""
+    print(escape_unprintable(text), flush=True)
+
+
+def print_results(*tables: Table, json: Path | None = None, data: Any = None) -> None:
+    """Print tables, and write the figures to a JSON file, if one is named."""
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+
+    report.print_tables(*tables)
+    report.write_json(json, data)
+
+
+def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
+    """Check before the work that results can be written.
+
+    Args:
+        *paths: files; None is accepted.
+        robot: file of a robot, likewise.
+
+    Raises:
+        ConfigError: one of them can't be written.
+    """
+    from acsar_gym.config import files  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+
+    for path in (*paths, None if robot is None else files.check_target(robot)):
+        report.check_writable(path)
 
 
 def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:
@@ -37,8 +80,13 @@ def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> No
         return
     if not sys.stdin.isatty():
         raise ConfigError(f"{what}: no terminal to ask on; add --yes if that is safe")
-    print(f"{escape_unprintable(what)}. Any key cancels.", flush=True)
-    _count(seconds)
+    say(f"{what}. Any key cancels.")
+    with _single_keys() as pressed:
+        while seconds > 0.0:
+            print(f"\r{seconds:.0f} ", end="", flush=True)
+            if pressed(min(seconds, 1.0)):
+                raise CancelledError("cancelled by a key; nothing has moved")
+            seconds -= 1.0
 
 
 def ask_user(question: str) -> str:
@@ -47,17 +95,6 @@ def ask_user(question: str) -> str:
         return input(escape_unprintable(question))
     except EOFError:
         raise CancelledError("cancelled: no answer") from None
-
-
-def _count(seconds: float) -> None:
-    """Count down once a second; CancelledError at any key."""
-    left = seconds
-    with _single_keys() as pressed:
-        while left > 0.0:
-            print(f"\r{left:.0f} ", end="", flush=True)
-            if pressed(min(left, 1.0)):
-                raise CancelledError("cancelled by a key; nothing has moved")
-            left -= 1.0
 
 
 @contextlib.contextmanager
@@ -93,17 +130,61 @@ def _windows_key(wait: float) -> bool:
     return pressed()
 
 
-if TYPE_CHECKING:
-    from acsar_gym.tools.evaluation.episodes import EpisodeResult
+@dataclass(frozen=True)
+class RecordOptions:
+    """Recording of what the robot does."""
 
-Json = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
-File = Json
-Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
-OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
-Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
-LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
-EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
-RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+    record: File = None
+    """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE; an older recording of
+    that name is kept, as FILE.1.mcap."""
+    view: bool = False
+    """Show it live to Foxglove, on this computer only; prints the address."""
+
+    def recorder(self, command: str, **about: Any) -> Recorder | None:
+        """Make the recorder that is asked for.
+
+        Args:
+            command: what records.
+            **about: what the header says besides, ready for JSON.
+
+        Returns:
+            A recorder, which the robot or env that it is given to closes; None if nothing is asked
+            for.
+
+        Raises:
+            ConfigError, MissingExtraError: it can't record or show.
+        """
+        if self.record is None and not self.view:
+            return None
+        from acsar_gym.recording import Recorder  # noqa: PLC0415
+        from acsar_gym.recording.sinks import LiveView, check_target  # noqa: PLC0415
+
+        if self.record is not None:
+            check_target(self.record)
+        sinks = []
+        if self.view:
+            sinks.append(LiveView())
+            print(f"live view: open {sinks[0].url} in Foxglove", flush=True)
+        made = Recorder(self.record, {"command": command, **about}, sinks)
+        _command_recorders.append(made)
+        return made
+
+
+_command_recorders: list[Recorder] = []
+"""The recorders of this command."""
+
+
+def report_broken() -> bool:
+    """Tell on stderr which recordings of this command aren't whole; whether there are any."""
+    broken = [
+        recorder.path or "live view"
+        for recorder in _command_recorders
+        if recorder.problem is not None
+    ]
+    _command_recorders.clear()
+    for name in broken:
+        print(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"), file=sys.stderr)
+    return bool(broken)
 
 
 @dataclass(frozen=True)
@@ -157,11 +238,6 @@ class WorldOptions:
     difficulty: float | None = None
     """Difficulty of generated worlds, 0 to 1."""
 
-    @property
-    def options(self) -> dict[str, Any]:
-        """Arguments of the env."""
-        return {"worlds": self.worlds, "difficulty": self.difficulty}
-
 
 @dataclass(frozen=True)
 class EpisodeOptions:
@@ -199,7 +275,7 @@ class VideoOptions:
         if self.video is not None:
             chosen = pictures.worst_episodes(results, self.video_episodes or None)
             for path in pictures.write_videos(chosen, self.video):
-                print(escape_unprintable(f"written: {path}"))
+                say(f"written: {path}")
 
 
 @dataclass(frozen=True)
@@ -253,24 +329,3 @@ class TimingOptions:
     """Duration of --timing [s]."""
 
 
-def check_out(path: Path | None) -> None:
-    """Check an --out before a robot drives; ConfigError where no robot can be written there."""
-    from acsar_gym.config import files  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-
-    if path is not None:
-        report.check_writable(files.check_target(path))
-
-
-_flat = tyro.conf.arg(name="")
-"""Makes the fields options of the command itself, without a prefix."""
-VideoArgs = Annotated[VideoOptions, _flat]
-HostArgs = Annotated[HostOptions, _flat]
-PolicyArgs = Annotated[PolicyOptions, _flat]
-RobotArgs = Annotated[RobotOptions, _flat]
-WorldArgs = Annotated[WorldOptions, _flat]
-EpisodeArgs = Annotated[EpisodeOptions, _flat]
-ScaleArgs = Annotated[ScaleOptions, _flat]
-BoardArgs = Annotated[BoardOptions, _flat]
-SpinArgs = Annotated[SpinOptions, _flat]
-TimingArgs = Annotated[TimingOptions, _flat]

@@ -3,32 +3,37 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from acsar_gym.errors import LateTicksError, LinkError, escape_unprintable
+from acsar_gym.errors import LateTicksError, LinkError
 from acsar_gym.tools.cli.options import (
     EnvArg,
-    EpisodeArgs,
-    HostArgs,
-    Json,
+    EpisodeOptions,
+    File,
+    HostOptions,
     OutFile,
-    PolicyArgs,
+    PolicyOptions,
     RobotArg,
-    RobotArgs,
-    ScaleArgs,
-    VideoArgs,
-    WorldArgs,
+    RobotOptions,
+    ScaleOptions,
+    VideoOptions,
+    WorldOptions,
+    check_writable,
     countdown,
+    print_results,
+    say,
 )
+
+if TYPE_CHECKING:
+    from acsar_gym.tools.evaluation.runs import EvaluationRun
 
 
 def show_policy(
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|NAME")],
-    json: Json = None,
+    json: File = None,
 ) -> int:
     """Print what a policy file says about itself: its task, robot, training and figures.
 
@@ -39,27 +44,11 @@ def show_policy(
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
     from acsar_gym.tools.policies import describe, onnx  # noqa: PLC0415
 
-    report.check_writable(json)
+    check_writable(json)
     path, bundle = onnx.read_bundle(file)
-    report.print_tables(report.fact_table(str(path), describe.bundle_rows(bundle)))
-    report.write_json(json, bundle.model_dump(mode="json"))
+    table = report.fact_table(str(path), describe.bundle_rows(bundle))
+    print_results(table, json=json, data=bundle.model_dump(mode="json"))
     return 0
-
-
-POLICY_COMMANDS: dict[str, Callable[..., Any]] = {"show": show_policy}
-
-
-def run_policy_group() -> int:
-    """Show what a policy file says about itself: acsar-gym policy show FILE."""
-    return int(
-        tyro.extras.subcommand_cli_from_dict(
-            POLICY_COMMANDS, prog="acsar-gym policy", args=sys.argv[2:]
-        )
-    )
-
-
-if TYPE_CHECKING:
-    from acsar_gym.tools.evaluation.runs import EvaluationRun
 
 
 def train_policy() -> int:
@@ -70,14 +59,14 @@ def train_policy() -> int:
 
 
 def evaluate_policy(
-    policy: PolicyArgs,
-    robot: RobotArgs,
-    worlds: WorldArgs,
-    host: HostArgs,
-    scale: ScaleArgs,
-    episodes: EpisodeArgs,
-    video: VideoArgs,
-    json: Json = None,
+    policy: PolicyOptions,
+    robot: RobotOptions,
+    worlds: WorldOptions,
+    host: HostOptions,
+    scale: ScaleOptions,
+    episodes: EpisodeOptions,
+    video: VideoOptions,
+    json: File = None,
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
 
@@ -91,23 +80,26 @@ def evaluate_policy(
         video: videos of the worst episodes.
         json: also write the metrics and every episode to this file.
     """
-    from acsar_gym.tools.evaluation import (  # noqa: PLC0415
-        report,
-        runs,
-        shards,
-    )
+    from acsar_gym.tools.evaluation import runs, shards  # noqa: PLC0415
 
-    report.check_writable(json)
+    check_writable(json)
     video.prepare()
     host.prepare()
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
-    options = worlds.options | {"lidar": robot.lidar, "tracked": video.video is not None}
-    options["record"] = robot.recorder("evaluate", link=robot.link, policy=loaded.about)
-    how = {"in_order": worlds.in_order, "late_share": episodes.late_share}
-    spread: Any = {"workers": scale.workers, "address": scale.address}
     done = shards.evaluate_in_parallel(
-        loaded, robot.link, robot.robot, seeds, how=how, **spread, **options
+        loaded,
+        robot.link,
+        robot.robot,
+        seeds,
+        how={"in_order": worlds.in_order, "late_share": episodes.late_share},
+        workers=scale.workers,
+        address=scale.address,
+        worlds=worlds.worlds,
+        difficulty=worlds.difficulty,
+        lidar=robot.lidar,
+        tracked=video.video is not None,
+        record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),
     )
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     try:
@@ -118,10 +110,10 @@ def evaluate_policy(
 
 def run_policy(
     goal: Annotated[tuple[float, float], tyro.conf.Positional, tyro.conf.arg(metavar="X Y")],
-    policy: PolicyArgs,
-    robot: RobotArgs,
-    host: HostArgs,
-    json: Json = None,
+    policy: PolicyOptions,
+    robot: RobotOptions,
+    host: HostOptions,
+    json: File = None,
     yes: bool = False,
     goal_distance: Annotated[
         tuple[float, float] | None, tyro.conf.arg(metavar="NEAREST FARTHEST")
@@ -139,9 +131,9 @@ def run_policy(
         goal_distance: how near and how far goals may be [m]; default: as in training.
     """
     from acsar_gym.links.factory import is_device  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report, runs  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
 
-    report.check_writable(json)
+    check_writable(json)
     host.prepare()
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
 
@@ -170,11 +162,12 @@ def _report_run(
     """
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
+    tables = []
     if done.results:
-        report.print_tables(report.summary_table(title, [(link, done.summary)], done.notes))
+        tables.append(report.summary_table(title, [(link, done.summary)], done.notes))
     if done.results and not to_goal:
-        report.print_tables(report.interval_table(title, done.summary))
-    report.write_json(json, done.as_dict())
+        tables.append(report.interval_table(title, done.summary))
+    print_results(*tables, json=json, data=done.as_dict())
     if done.ended is not None:
         raise done.ended
     if done.faults:
@@ -186,7 +179,7 @@ def _report_run(
     return 0
 
 
-def export_policy(
+def convert_policy(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     out: OutFile,
     trust: bool = False,
@@ -205,9 +198,9 @@ def export_policy(
         robot: preset or config file of the robot that it was trained on.
         vecnormalize: file of the VecNormalize that it was trained with; can run code, too.
     """
-    from acsar_gym.tools.evaluation import report, runs  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
 
-    report.check_writable(out)
+    check_writable(out)
     runs.export_policy(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
-    print(escape_unprintable(f"written: {out}"))
+    say(f"written: {out}")
     return 0

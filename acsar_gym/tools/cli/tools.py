@@ -5,8 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, escape_unprintable, show_value
-from acsar_gym.tools.cli.options import EnvArg, File, Json, RobotArg
+from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.tools.cli.options import (
+    EnvArg,
+    File,
+    RobotArg,
+    check_writable,
+    print_results,
+    say,
+)
 
 MAX_COUNT = 10**9
 """Largest number of steps or episodes."""
@@ -17,7 +24,7 @@ def show_demo(
     episodes: int = 100,
     serial_episodes: int = 16,
     out: Path = Path("runs/demo"),
-    json: Json = None,
+    json: File = None,
 ) -> int:
     """Train a policy, run it in PyBullet, then over a serial device; print one table.
 
@@ -31,7 +38,7 @@ def show_demo(
     from acsar_gym.tools import demo as demos  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    report.check_writable(json)
+    check_writable(json)
     counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
     for name, count in counts.items():
         if not 1 <= count <= MAX_COUNT:
@@ -40,28 +47,26 @@ def show_demo(
     runs = demos.run_demo(steps, episodes, serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
-    report.print_tables(report.summary_table(title, rows))
-    report.write_json(json, {name: run.as_dict() for name, run in runs})
+    data = {name: run.as_dict() for name, run in runs}
+    print_results(report.summary_table(title, rows), json=json, data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
-def measure_speed(json: Json = None, plots: File = None) -> int:
+def measure_speed(json: File = None, plots: File = None) -> int:
     """Measure the speed of envs, serial protocol and physics.
 
     Args:
         json: also write the figures to this file.
         plots: folder for plots that compare the planar robot with PyBullet's.
     """
-    from acsar_gym.tools import bench as benchmark  # noqa: PLC0415
-    from acsar_gym.tools import body_comparison  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+    from acsar_gym.tools import bench, body_comparison  # noqa: PLC0415
 
-    report.check_writable(json)
-    figures = benchmark.measure_all()
-    report.print_tables(benchmark.figure_table(figures))
-    report.write_json(json, {f"{f.name} [{f.unit}]": f.value for f in figures})
+    check_writable(json)
+    figures = bench.measure_all()
+    data = {f"{f.name} [{f.unit}]": f.value for f in figures}
+    print_results(bench.figure_table(figures), json=json, data=data)
     for file in body_comparison.plot_drives(plots, RobotConfig.of(None)) if plots else ():
-        print(escape_unprintable(f"drawn: {file}"))
+        say(f"drawn: {file}")
     return 0
 
 

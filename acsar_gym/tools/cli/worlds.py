@@ -1,16 +1,20 @@
-"""The command `acsar-gym worlds`: show, check or convert worlds."""
+"""Commands for worlds: worlds show, worlds check, worlds convert."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
-from acsar_gym.errors import escape_unprintable
-from acsar_gym.tools.cli.options import Json, OutFile, RobotArg
+from acsar_gym.tools.cli.options import (
+    File,
+    OutFile,
+    RobotArg,
+    check_writable,
+    print_results,
+    say,
+)
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")]
 
@@ -37,12 +41,12 @@ def show_worlds(
 
     most = atlas.max_drawn(columns, size, out)
     atlas.draw_worlds(atlas.collect_worlds(source, difficulty, robot, 12, most), columns, size, out)
-    print(escape_unprintable(f"drawn: {out}"))
+    say(f"drawn: {out}")
     return 0
 
 
 def check_worlds(
-    source: Source, difficulty: float | None = None, robot: RobotArg = None, json: Json = None
+    source: Source, difficulty: float | None = None, robot: RobotArg = None, json: File = None
 ) -> int:
     """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
 
@@ -53,13 +57,13 @@ def check_worlds(
         json: also write the findings to this file.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    report.check_writable(json)
+    check_writable(json)
     findings = atlas.check_worlds(atlas.collect_worlds(source, difficulty, robot, 12), robot)
     told = atlas.describe_source(source, 12)
-    report.print_tables(atlas.findings_table(str(told["source"]), findings))
-    report.write_json(json, told | {"worlds": [finding.as_dict() for finding in findings]})
+    table = atlas.findings_table(str(told["source"]), findings)
+    data = told | {"worlds": [finding.as_dict() for finding in findings]}
+    print_results(table, json=json, data=data)
     return int(any(finding.fault for finding in findings))
 
 
@@ -77,21 +81,5 @@ def convert_world(
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
     atlas.convert_world(source, out, difficulty, robot)
-    print(escape_unprintable(f"written: {out}"))
+    say(f"written: {out}")
     return 0
-
-
-WORLD_COMMANDS: dict[str, Callable[..., Any]] = {
-    "show": show_worlds,
-    "check": check_worlds,
-    "convert": convert_world,
-}
-
-
-def run_worlds_group() -> int:
-    """Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE."""
-    return int(
-        tyro.extras.subcommand_cli_from_dict(
-            WORLD_COMMANDS, prog="acsar-gym worlds", args=sys.argv[2:]
-        )
-    )

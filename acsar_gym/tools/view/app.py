@@ -1,20 +1,20 @@
-"""The Dash application: what the page's parts do."""
+"""The Dash application: which parts the page has, and what they do."""
 
 from __future__ import annotations
 
-import html
 import secrets
 import time
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import dash
-from dash import Input, Output, State, ctx, no_update
+from dash import Input, Output, State, ctx, dcc, html, no_update
 
 from acsar_gym.errors import escape_unprintable
-from acsar_gym.tools.view import layout
 from acsar_gym.tools.view import session as sessions
+from acsar_gym.tools.view.drawing import NO_VALUE
 from acsar_gym.tools.view.session import Session
 from acsar_gym.tools.view.tail import GrowingEpisode
 
@@ -31,10 +31,12 @@ SILENCE_LIMIT = 3.0
 """A live run from which nothing came for so long is told [s]."""
 MAX_PLAY_STEP = 1.0
 """Longest step of playing [s]: a browser pauses pages that nobody looks at."""
-VALUE_NAMES = (
-    *("time", "end", "goal", "late", "worst", "age", "reason", "said"),
-    *(f"{kind}_{who}" for kind in ("linear", "angular") for who in ("asked", "sent", "measured")),
-)
+PLAY_RATES = [{"label": f"{rate} x", "value": rate} for rate in ("0.5", "1", "4", "16")]
+"""How fast a recording is played."""
+QUICK_UPDATE, SLOW_UPDATE = 200, 1000
+"""Time between two updates while something moves, and while nothing does [ms]."""
+STATIC_GRAPH = {"displayModeBar": False, "displaylogo": False}
+PANNED_GRAPH = STATIC_GRAPH | {"scrollZoom": True, "doubleClick": "reset"}
 STATE_WORDS = {
     sessions.LIVE: "live",
     sessions.STOPPED: "stopped",
@@ -43,6 +45,11 @@ STATE_WORDS = {
     sessions.BROKEN: "can't be read",
 }
 GRAPH_NAMES = ("top", "wheels", "lateness")
+SPEED_KINDS = ("asked", "sent", "measured")
+VALUE_NAMES = (
+    *("time", "end", "goal", "late", "worst", "age", "reason", "said"),
+    *(f"{kind}_{who}" for kind in ("linear", "angular") for who in SPEED_KINDS),
+)
 PAGE_OUTPUTS = {
     **{graph: Output(graph, "figure") for graph in GRAPH_NAMES},
     **{name: Output(f"value-{name}", "children") for name in VALUE_NAMES},
@@ -77,7 +84,7 @@ PAGE_INPUTS = {
 
 @dataclass(frozen=True)
 class PageInputs:
-    """What the page sends: see `INPUTS`."""
+    """What the page sends: see `PAGE_INPUTS`."""
 
     pulse: int | None
     at: float | None
@@ -95,170 +102,243 @@ def make_app(session: Session) -> dash.Dash:
     app = dash.Dash(
         "acsar_gym",
         assets_folder=str(ASSETS),
-        title=html.escape(f"{escape_unprintable(session.tail.path.name)} - acsar-gym"),
+        title=escape(f"{escape_unprintable(session.tail.path.name)} - acsar-gym"),
         update_title="",
         serve_locally=True,
         add_log_handler=False,
         enable_mcp=False,
         meta_tags=[{"name": STOP_TOKEN, "content": (token := secrets.token_urlsafe())}],
     )
-    app.layout = lambda: layout.make_page(session)
-    asking = [
-        (Output("pulse", "disabled"), True, False)
-    ]  # never a second question before an answer
-    app.callback(PAGE_OUTPUTS, PAGE_INPUTS, running=asking)(PageUpdate(session))
-    _serve(app.server, session, token)
-    _guard(app.server)
+    app.layout = lambda: make_page(session)
+
+    def answer(**page: Any) -> dict[str, Any]:
+        return update_page(session, PageInputs(**page), ctx.triggered_id, time.monotonic())
+
+    asking = (Output("pulse", "disabled"), True, False)  # no second question before an answer
+    app.callback(PAGE_OUTPUTS, PAGE_INPUTS, running=[asking])(answer)
+    _add_routes(app.server, session, token)
     return app
 
 
-class PageUpdate:
-    """Works out what the page shows next.
+def _add_routes(server: Any, session: Session, token: str) -> None:
+    """Answer what assets/stop.js asks, on ways that no drawing and no lock is in.
 
-    Args:
-        session: what is shown.
+    Pages get answers from this computer only, and browsers load nothing from elsewhere.
     """
-
-    def __init__(self, session: Session) -> None:
-        self._session = session
-
-    def __call__(self, **page: Any) -> dict[str, Any]:
-        """Answer the page: from its inputs, by name, to its outputs."""
-        return self.answered(PageInputs(**page), ctx.triggered_id, time.monotonic())
-
-    def answered(self, page: PageInputs, cause: str | None, now: float) -> dict[str, Any]:
-        """Work out the outputs.
-
-        Args:
-            page: what the page has sent.
-            cause: the part of the page that has changed; None when it was opened.
-            now: of a steady clock [s].
-        """
-        session = self._session
-        revision, live = session.poll(), session.is_live
-        playing = _playing(page, cause, live=live)
-        follows = live and playing
-        count = len(session.tail.episodes)
-        asked = int(page.episode or (count if live else 1))
-        number = count if follows else min(max(asked, 1), count)
-        shown = session.episode(number - 1)
-        end = 0.0 if shown is None else shown.end
-        step = min(max(now - page.clock, 0.0), MAX_PLAY_STEP) * float(page.rate)
-        at = _moved(page, cause, end, step if playing else 0.0)
-        if follows or (cause == "pulse" and self._has_followed(page)):
-            at = end
-        playing = follows or (playing and (at < end or bool(session.problem)))
-        told = self._state(shown, live=live, playing=playing)
-        told |= {"playing": playing, "clock": now, "seen": revision}
-        moves = revision != page.seen or (not follows and (playing or page.playing))
-        if cause == "pulse" and not moves:  # a browser that draws answers the stop button later
-            return dict.fromkeys(PAGE_OUTPUTS, no_update) | told
-        return (
-            told
-            | self._pictures(number - 1, at)
-            | {
-                "slider": at,
-                "longest": max(end, 0.01),
-                "episode": number or no_update,
-                "episodes": f"of {count}",
-            }
-        )
-
-    def _has_followed(self, page: PageInputs) -> bool:
-        """Whether the page was at the end of a live run, which is over now."""
-        is_last = (page.at or 0.0) >= page.longest
-        return page.playing and is_last and self._session.state != sessions.RECORDED
-
-    def _state(self, shown: GrowingEpisode | None, *, live: bool, playing: bool) -> dict[str, Any]:
-        """What the head of the page tells, and how often it asks again."""
-        session = self._session
-        state = session.state
-        return {
-            "state": STATE_WORDS[state],
-            "look": f"state {state}",
-            "box": "stopping" if session.can_stop else "stopping none",
-            "message": _message(session, shown),
-            "about": layout.describe_run(session),
-            "pulse": layout.QUICK_UPDATE if live or playing else layout.SLOW_UPDATE,
-            "play": "Pause" if playing else "Follow" if live else "Play",
-        }
-
-    def _pictures(self, number: int, at: float) -> dict[str, Any]:
-        """Figures, and figures in words."""
-        frame = self._session.frame(number, at)
-        told: dict[str, Any] = dict.fromkeys((*GRAPH_NAMES, *VALUE_NAMES, "safety"), no_update)
-        shown = {name: frame.readings[name] for name in VALUE_NAMES if frame.readings}
-        grade = frame.readings.get("grade", "0")
-        return told | frame.figures | shown | {"safety": f"tile reason{grade}"}
-
-
-def _playing(page: PageInputs, cause: str | None, *, live: bool) -> bool:
-    """Whether time goes on."""
-    if cause == "play":
-        return not page.playing
-    if cause == "time" and live:  # somebody looks at the past
-        return False
-    return page.playing and cause != "episode"
-
-
-def _moved(page: PageInputs, cause: str | None, end: float, step: float) -> float:
-    """Return the time to show, within the episode [s]."""
-    at = page.at or 0.0
-    if cause == "episode" or (cause == "play" and at >= end):
-        return 0.0
-    if cause == "pulse":
-        at += step
-    return min(at, end)
-
-
-def _message(session: Session, shown: GrowingEpisode | None) -> str:
-    """What goes wrong, in one line; empty where nothing does."""
-    if session.problem:
-        return escape_unprintable(session.problem)
-    if shown is None:
-        return "waiting for the first episode"
-    if shown.faults:
-        return escape_unprintable(shown.faults[-1][1])
-    age = session.tail.age
-    return f"nothing new for {age:.0f} s" if session.is_live and age > SILENCE_LIMIT else ""
-
-
-def _serve(server: Any, session: Session, token: str) -> None:
-    """Answer what assets/stop.js asks, on ways that no drawing and no lock is in."""
-    from flask import request  # noqa: PLC0415 - optional
+    from flask import abort, request  # noqa: PLC0415 - optional
 
     own = secrets.token_hex(8)
 
-    def plain(text: str, code: int = 200) -> Any:
+    def answer(text: str, code: int = 200) -> Any:
         return text, code, {"Content-Type": "text/plain; charset=utf-8"}
 
     def stop() -> Any:
         shown = request.headers.get(STOP_TOKEN, "")
         if not secrets.compare_digest(shown.encode(), token.encode()):
-            return plain("not stopped: only the page's own button may; run acsar-gym estop\n", 403)
-        return plain(escape_unprintable(session.stop().said))
-
-    def alive() -> Any:
-        return plain(own)
-
-    server.add_url_rule("/stop", "stop", stop, methods=["POST"])
-    server.add_url_rule("/alive", "alive", alive)
-
-
-def _guard(server: Any) -> None:
-    """Answer pages from this computer only, and tell browsers to load nothing from elsewhere."""
-    from flask import abort, request  # noqa: PLC0415 - optional
+            return answer("not stopped: only the page's own button may; run acsar-gym estop\n", 403)
+        return answer(escape_unprintable(session.stop().said))
 
     def check() -> None:
-        own = f"http://{request.host}"
-        is_own = request.headers.get("Origin", own) == own
+        own_origin = f"http://{request.host}"
+        is_own = request.headers.get("Origin", own_origin) == own_origin
         if request.host.rsplit(":", 1)[0] not in LOCAL_HOSTS or not is_own:
             abort(403)
 
-    def secured(response: Any) -> Any:
+    def secure(response: Any) -> Any:
         response.headers["Content-Security-Policy"] = CONTENT_POLICY
         response.headers["X-Frame-Options"] = "DENY"
         return response
 
+    server.add_url_rule("/stop", "stop", stop, methods=["POST"])
+    server.add_url_rule("/alive", "alive", lambda: answer(own))
     server.before_request(check)
-    server.after_request(secured)
+    server.after_request(secure)
+
+
+def update_page(
+    session: Session, page: PageInputs, cause: str | None, now: float
+) -> dict[str, Any]:
+    """Work out what the page shows next.
+
+    Args:
+        session: what is shown.
+        page: what the page has sent.
+        cause: the part of the page that has changed; None when it was opened.
+        now: of a steady clock [s].
+
+    Returns:
+        Values of `PAGE_OUTPUTS`.
+    """
+    revision, live = session.poll(), session.is_live
+    playing = page.playing and cause != "episode"
+    if cause == "play":
+        playing = not page.playing
+    elif cause == "time" and live:  # somebody looks at the past
+        playing = False
+    follows = live and playing
+    count = len(session.tail.episodes)
+    asked = int(page.episode or (count if live else 1))
+    number = count if follows else min(max(asked, 1), count)
+    shown = session.episode(number - 1)
+    end = 0.0 if shown is None else shown.end
+    at = page.at or 0.0
+    followed = page.playing and at >= page.longest and session.state != sessions.RECORDED
+    if follows or (cause == "pulse" and followed):  # a live run, which may be over now
+        at = end
+    elif cause == "episode" or (cause == "play" and at >= end):
+        at = 0.0
+    elif cause == "pulse" and playing:
+        at += min(max(now - page.clock, 0.0), MAX_PLAY_STEP) * float(page.rate)
+    at = min(at, end)
+    playing = follows or (playing and (at < end or bool(session.problem)))
+    state = session.state
+    outputs = dict.fromkeys(PAGE_OUTPUTS, no_update) | {
+        "state": STATE_WORDS[state],
+        "look": f"state {state}",
+        "box": "stopping" if session.can_stop else "stopping none",
+        "message": escape_unprintable(_find_message(session, shown)),
+        "about": describe_run(session),
+        "pulse": QUICK_UPDATE if live or playing else SLOW_UPDATE,
+        "play": "Pause" if playing else "Follow" if live else "Play",
+        "playing": playing,
+        "clock": now,
+        "seen": revision,
+    }
+    moves = revision != page.seen or (not follows and (playing or page.playing))
+    if cause == "pulse" and not moves:  # a browser that draws answers the stop button later
+        return outputs
+    figures, values = session.draw(number - 1, at)
+    outputs |= figures | {name: values[name] for name in VALUE_NAMES if values}
+    return outputs | {
+        "safety": f"tile reason{values.get('grade', '0')}",
+        "slider": at,
+        "longest": max(end, 0.01),
+        "episode": number or no_update,
+        "episodes": f"of {count}",
+    }
+
+
+def _find_message(session: Session, shown: GrowingEpisode | None) -> str:
+    """What goes wrong, in one line; empty where nothing does."""
+    if session.problem:
+        return session.problem
+    if shown is None:
+        return "waiting for the first episode"
+    if shown.faults:
+        return shown.faults[-1][1]
+    age = session.tail.age
+    return f"nothing new for {age:.0f} s" if session.is_live and age > SILENCE_LIMIT else ""
+
+
+def describe_run(session: Session) -> str:
+    """Tell what was recorded: robot, command, link and policy."""
+    about = session.tail.header.get("about", {})
+    policy = about.get("policy")
+    words = (
+        session.tail.config.name,
+        about.get("command"),
+        about.get("link"),
+        Path(str(policy.get("file", ""))).name if isinstance(policy, dict) else None,
+    )
+    return " · ".join(escape_unprintable(str(each)[:80]) for each in words if each)
+
+
+def make_page(session: Session) -> Any:
+    """Make the page of a session."""
+    name = escape_unprintable(session.tail.path.name)
+    heading = html.H1([name, html.Span("", id="state", className="state")])
+    stop = [
+        html.P("", id="stop-said", className="muted", role="alert"),
+        html.Button("Stop robot", id="stop", className="stop"),
+    ]
+    header = [
+        html.Div([heading, html.P("", id="about", className="muted")]),
+        html.Div(stop, className="stopping", id="stop-box"),
+    ]
+    wheel_key = [(kind, f"line {kind}") for kind in SPEED_KINDS]
+    top_key = [
+        ("path", "line sent"),
+        ("LiDAR now", "dot scan"),
+        ("seen before", "dot seen"),
+        ("goal", "ring goal"),
+        ("true path, if simulated", "line truth"),
+    ]
+    late_key = [
+        ("late: over 1 ms", "line late"),
+        ("as asked", "box none"),
+        ("limits", "box limits"),
+        ("geofence", "box fence"),
+        ("stale feedback", "box stale"),
+        ("emergency stop", "box estop"),
+    ]
+    pair = [
+        _make_card("From above", top_key, "top", PANNED_GRAPH, "top"),
+        _make_card("Wheel speeds", wheel_key, "wheels", STATIC_GRAPH, "wheels"),
+    ]
+    late = "Lateness of ticks, and the safety layer"
+    return html.Main(
+        [
+            html.Header(header),
+            html.P("", id="message", role="status"),
+            html.Div(_make_tiles(), className="tiles"),
+            html.Div(pair, className="pair"),
+            _make_card(late, late_key, "lateness", STATIC_GRAPH, "late"),
+            html.Div(_make_transport(), className="transport"),
+            dcc.Store(id="playing", data=session.is_live),
+            dcc.Store(id="clock", data=0.0),
+            dcc.Store(id="seen", data=0),
+            dcc.Interval(id="pulse", interval=QUICK_UPDATE if session.is_live else SLOW_UPDATE),
+        ]
+    )
+
+
+def _make_tiles() -> list[Any]:
+    """The figures in large type."""
+
+    def value(name: str) -> Any:
+        return html.Span(NO_VALUE, id=f"value-{name}")
+
+    def tile(label: str, large: list[Any], small: list[Any], **more: Any) -> Any:
+        parts = [html.Span(label, className="label"), html.B(large), html.Span(small)]
+        return html.Div(parts, className="tile", **more)
+
+    def wide_tile(label: str, name: str, unit: str) -> Any:
+        cells = [
+            html.Div([html.B(value(f"{name}_{kind}")), html.Span(kind)], className=kind)
+            for kind in SPEED_KINDS
+        ]
+        heading = html.Span([label, html.I(unit)], className="label")
+        return html.Div([heading, html.Div(cells, className="three")], className="tile wide")
+
+    worst = ["worst ", value("worst"), " ms, feedback ", value("age"), " ms old"]
+    return [
+        tile("Time", [value("time"), " s"], [value("end")]),
+        wide_tile("Speed", "linear", "m/s"),
+        wide_tile("Turn rate", "angular", "rad/s"),
+        tile("To the goal", [value("goal"), " m"], ["by odometry"]),
+        tile("Lateness", [value("late"), " ms"], worst),
+        tile("Safety layer", [value("reason")], [value("said")], id="safety"),
+    ]
+
+
+def _make_card(
+    title: str, entries: list[tuple[str, str]], graph: str, config: dict[str, Any], kind: str
+) -> Any:
+    """A figure with its title, and what its colours mean."""
+    key = [html.Span([html.I(className=look), name]) for name, look in entries]
+    heading = html.Div([html.H2(title), html.Div(key, className="key")], className="heading")
+    plot = dcc.Graph(id=graph, figure={}, config=config, responsive=True)
+    return html.Section([heading, plot], className=f"card {kind}")
+
+
+def _make_transport() -> list[Any]:
+    """Play, slider, rate and episode: they choose what is shown, and don't move the robot."""
+    times: dict[str, Any] = {"min": 0.0, "max": 1.0, "step": 0.01, "value": 0.0, "marks": None}
+    look: dict[str, Any] = {"updatemode": "drag", "allow_direct_input": False}
+    number = dcc.Input(id="episode", type="number", min=1, step=1, value=None, debounce=True)
+    return [
+        html.Button("Play", id="play", n_clicks=0),
+        dcc.Slider(id="time", **times, **look, className="slider"),
+        dcc.RadioItems(id="rate", options=PLAY_RATES, value="1", inline=True, className="rates"),
+        html.Label(["Episode", number, html.Span("", id="episodes")], className="episode"),
+    ]

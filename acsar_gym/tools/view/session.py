@@ -11,13 +11,14 @@ from typing import Any
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.safety import estop
 from acsar_gym.tools.view import drawing
-from acsar_gym.tools.view.drawing import find_world, read_values
 from acsar_gym.tools.view.tail import WRITING_TIMEOUT, GrowingEpisode, RecordingTail
 from acsar_gym.worlds import World
 
+LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded", "broken"
+
 
 @dataclass(frozen=True)
-class StopResult:
+class StopAnswer:
     """What came of a stop.
 
     Attributes: `state`, "stopped", "unanswered" or "nobody"; `said`, in words.
@@ -35,12 +36,13 @@ def can_stop_process(process: int) -> bool:
         return False
 
 
-def stop_process(process: int) -> StopResult:
+def stop_process(process: int) -> StopAnswer:
     """Ask the process that drives to stop the robot, and wait until it says that it has.
 
-    Its control loop answers once zero was written to the wire, and goes on commanding zero until
-    somebody releases it, whatever the program resets. Where it doesn't answer, its watchdog process
-    commands zero on its own. Nobody else is asked, so that nobody else's silence counts.
+    This is the same emergency stop as `acsar-gym estop`, for one process. Its control loop answers
+    once zero was written to the wire, and goes on commanding zero until somebody releases it,
+    whatever the program resets. Where it doesn't answer, its watchdog process commands zero on its
+    own. Nobody else is asked, so that nobody else's silence counts.
 
     Args:
         process: its id.
@@ -49,35 +51,21 @@ def stop_process(process: int) -> StopResult:
     try:
         found = estop.stop_all(process=process) if process else []
     except LinkError as error:
-        return StopResult("unanswered", str(error))
+        return StopAnswer("unanswered", str(error))
     took = (time.monotonic() - began) * 1e3
     answered = bool(found) and all(each.answered for each in found)
     if not (answered or can_stop_process(process)):
-        return StopResult(
-            "nobody",
-            "nothing to stop: the program has ended, and it or its watchdog stops the wheels",
-        )
+        said = "nothing to stop: the program has ended, and it or its watchdog stops the wheels"
+        return StopAnswer("nobody", said)
     if not answered:
-        return StopResult("unanswered", "the program doesn't answer: its watchdog stops the wheels")
+        said = "the program doesn't answer: its watchdog stops the wheels"
+        return StopAnswer("unanswered", said)
     if not all(each.connected for each in found):
-        return StopResult("stopped", "the program isn't connected to the robot, and won't drive it")
+        said = "the program isn't connected to the robot, and won't drive it"
+        return StopAnswer("stopped", said)
     clock = time.strftime("%H:%M:%S")
     said = f"zero is on the wire, says the control loop (after {took:.0f} ms, at {clock})"
-    return StopResult("stopped", f"{said}, until acsar-gym estop --release")
-
-
-LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded", "broken"
-
-
-@dataclass(frozen=True)
-class PageFrame:
-    """What the page shows at one time.
-
-    Attributes: `figures`, of plotly: top, wheels, lateness; `readings`, see `readings.readings`.
-    """
-
-    figures: dict[str, Any]
-    readings: dict[str, str]
+    return StopAnswer("stopped", f"{said}, until acsar-gym estop --release")
 
 
 class Session:
@@ -96,12 +84,12 @@ class Session:
     def __init__(self, path: Path) -> None:
         self.tail = RecordingTail(path)
         self.problem = ""
-        self.stopped: StopResult | None = None
+        self.stopped: StopAnswer | None = None
         self.revision = 1
         self._lock, self._stopping = threading.Lock(), threading.Lock()
         self._worlds: dict[int, World | None] = {}
         self._stopped_in = 0
-        self._was_live = self._has_grown()
+        self._was_live = self._is_written()
         if not self.tail.episodes and not self._was_live:
             raise ConfigError(f"{path}: holds no episode")
 
@@ -118,10 +106,10 @@ class Session:
                 self._worlds, self.stopped, self._was_live = {}, None, False
             elif len(self.tail.episodes) > self._stopped_in:
                 self.stopped = None  # somebody has started again
-            self._was_live = self._was_live or self._has_grown()
+            self._was_live = self._was_live or self._is_written()
             return self.revision
 
-    def _has_grown(self) -> bool:
+    def _is_written(self) -> bool:
         """Whether a process on this computer is writing it."""
         return self.tail.is_open and self.tail.age < WRITING_TIMEOUT
 
@@ -146,7 +134,7 @@ class Session:
         """Whether the stop button does anything."""
         return self.is_live and can_stop_process(self.tail.process)
 
-    def stop(self) -> StopResult:
+    def stop(self) -> StopAnswer:
         """Stop the robot, and wait until its program says so; several at once have to queue."""
         with self._stopping:
             before, newest = self.stopped, len(self.tail.episodes)
@@ -163,27 +151,23 @@ class Session:
             return None
         return found[number] if 0 <= number < len(found) else found[-1]
 
-    def frame(self, number: int, time: float) -> PageFrame:
-        """Draw an episode at a time since its reset [s]."""
-        with self._lock:
-            episode = self.episode(number)
-            if episode is None:
-                return PageFrame({}, {})
-            revision = str(number)
-            config = self.tail.config
-            figures = {
-                "top": drawing.draw_top_view(
-                    episode, config, self._world(number, episode), time, revision
-                ),
-                "wheels": drawing.draw_wheels(episode, time, revision),
-                "lateness": drawing.draw_lateness(episode, time, revision),
-            }
-            return PageFrame(figures, read_values(episode, time))
+    def draw(self, number: int, at: float) -> tuple[dict[str, Any], dict[str, str]]:
+        """Draw an episode at a time since its reset [s].
 
-    def _world(self, number: int, episode: GrowingEpisode) -> World | None:
-        """The world of an episode, made once; None where it isn't known."""
-        if number not in self._worlds:
-            if not len(episode.truth):
-                return None
-            self._worlds[number] = find_world(self.tail.header, self.tail.config, episode)
-        return self._worlds[number]
+        Returns:
+            Figures of plotly: top, wheels, lateness; and texts, see `drawing.read_values`. Both
+            are empty where there is no episode.
+        """
+        with self._lock:
+            episode, config = self.episode(number), self.tail.config
+            if episode is None:
+                return {}, {}
+            if number not in self._worlds and len(episode.truth):
+                self._worlds[number] = drawing.find_world(self.tail.header, config, episode)
+            world, revision = self._worlds.get(number), str(number)
+            figures = {
+                "top": drawing.draw_episode_from_above(episode, config, world, at, revision),
+                "wheels": drawing.draw_wheels(episode, at, revision),
+                "lateness": drawing.draw_lateness(episode, at, revision),
+            }
+            return figures, drawing.read_values(episode, at)

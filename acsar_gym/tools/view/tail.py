@@ -4,30 +4,46 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sized
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.reading import open_file
 from acsar_gym.recording import messages
+from acsar_gym.recording.messages import (
+    DIAGNOSTICS,
+    EXCHANGES,
+    SCANS,
+    TICK_COLUMNS,
+    TICKS,
+    WIRE_SENT,
+    Topic,
+)
 from acsar_gym.recording.reader import (
     MAX_FILE,
-    MESSAGE_TAKERS,
     EpisodeCollector,
     EpisodeParts,
     FileCut,
-    MessageTaker,
-    open_records,
+    RecordStream,
 )
-from acsar_gym.recording.types import WireLog
+from acsar_gym.recording.types import Floats, WireLog
 
-Floats = NDArray[np.float64]
+WRITING_TIMEOUT = 10.0
+"""A file that hasn't grown for so long when it is opened isn't being written [s]."""
+TAIL_TOPICS = TICKS, EXCHANGES, SCANS, WIRE_SENT, DIAGNOSTICS
+FAULT_STATUS = b"acsar: fault"
+"""Name of the status that tells what ended an episode."""
+TICK_PLACES = {name: place for place, name in enumerate(TICK_COLUMNS)}
+"""Columns of `GrowingEpisode.ticks` by name; times are since the reset."""
+MAX_COORDINATE = 1e6
+"""Largest coordinate of goal and start, either sign [m]."""
 INITIAL_ROWS = 16
-"""Rows for which there is room at first."""
+"""Rows of a table for which there is room at first."""
 
 
 class GrowingTable:
@@ -50,81 +66,49 @@ class GrowingTable:
         """All rows, (n, width); they stay as they are while others are added."""
         return self._data[: self._size]
 
-    def add(self, rows: NDArray[Any]) -> None:
-        """Add rows, (k, width)."""
+    def add(self, rows: NDArray[Any], clock: int | None = None) -> None:
+        """Add rows, (k, width), whose column `clock` holds ascending times.
+
+        Raises:
+            ConfigError: the times are no numbers, or go backwards.
+        """
+        if clock is not None:
+            stamps = np.r_[self.rows[-1:, clock], rows[:, clock]]
+            if not (np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all()):
+                raise ConfigError("is damaged: its times go backwards")
         size = self._size + len(rows)
         if size > len(self._data):
-            grown = np.zeros(
-                (max(size, 2 * len(self._data)), self._data.shape[1]), self._data.dtype
-            )
+            room = max(size, 2 * len(self._data)), self._data.shape[1]
+            grown = np.zeros(room, self._data.dtype)
             grown[: self._size] = self.rows
             self._data = grown
         self._data[self._size : size] = rows
         self._size = size
 
 
-def thin_keeping_peaks(values: Floats, most: int) -> NDArray[np.intp]:
-    """Choose points of a line that is drawn, so that no peak is lost.
-
-    Args:
-        values: (n,) of the line; NaN is a gap.
-        most: points at most.
-
-    Returns:
-        Their numbers, ascending: the least and the largest one of each of `most` / 2 stretches.
-    """
-    if len(values) <= most:
-        return np.arange(len(values))
-    edges = np.linspace(0, len(values), most // 2 + 1).astype(np.intp)[:-1]
-    size = int(np.diff(edges).max()) + 1
-    places = np.minimum(
-        edges[:, None] + np.arange(size), np.r_[edges[1:], len(values)][:, None] - 1
-    )
-    found = values[places]
-    known = ~np.isnan(found)
-    low = np.where(known, found, np.inf).argmin(axis=1)
-    high = np.where(known, found, -np.inf).argmax(axis=1)
-    rows = np.arange(len(edges))
-    return np.unique(np.concatenate([places[rows, low], places[rows, high]]))
-
-
-def thin_evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Choose at most `most` of `count` points, the first and the last one among them."""
-    if count <= most:
-        return np.arange(count)
-    return np.unique(np.linspace(0, count - 1, most).astype(np.intp))
-
-
-TICK_PLACES = {name: place for place, name in enumerate(messages.TICK_COLUMNS)}
-"""Columns of `Episode.ticks` by name; times are since the reset."""
-MAX_COORDINATE = 1e6
-"""Largest coordinate of goal and start, either sign [m]."""
-
-
 class GrowingEpisode:
     """What was recorded from a reset to the next one. Times are since the reset [s].
 
-    Attributes: `ticks`, the columns of `topics.TICK_COLUMNS`; `truth`, (m, 4) time, x [m], y [m],
+    Attributes: `ticks`, the columns of `messages.TICK_COLUMNS`; `truth`, (m, 4) time, x [m], y [m],
     theta [rad] in the frame of the world, NaN on hardware; `sent`, (k, 5) time and the wheel
     speeds of each command on the wire [rad/s]; `scans`, (s, 1) times; `ranges`, (s, rays) [m],
     None without a LiDAR; `faults`, (time, text).
 
     Args:
-        part: what was read of it; it is emptied here.
+        parts: what was read of it; it is emptied here.
         config: of the robot.
     """
 
-    def __init__(self, part: EpisodeParts, config: RobotConfig) -> None:
-        self.info: dict[str, Any] = part.told["info"]
-        self.ticks = GrowingTable(len(messages.TICK_COLUMNS))
+    def __init__(self, parts: EpisodeParts, config: RobotConfig) -> None:
+        self.info = parts.info
+        self.ticks = GrowingTable(len(TICK_COLUMNS))
         self.truth = GrowingTable(4)
         self.sent = GrowingTable(5)
         self.scans = GrowingTable(1)
         self.ranges: GrowingTable | None = None
         self.faults: list[tuple[float, str]] = []
-        self._part = part
+        self._parts = parts
         self._config = config
-        self._start = part.start
 
     def drain(self) -> bool:
         """Take what was read since the last call; returns whether there was anything.
@@ -132,21 +116,48 @@ class GrowingEpisode:
         Raises:
             ConfigError: the recording is damaged.
         """
-        sizes = self._sizes()
-        self._ticked()
-        self._sent()
-        self._scanned()
-        return self._sizes() != sizes
+        before = self._count_rows()
+        self.ticks.add(self._take_table(TICKS), TICK_PLACES["stamp"])
+        self.truth.add(self._take_table(EXCHANGES)[:, [1, 5, 6, 7]], 0)
+        stamps, sent = self._take_list(WIRE_SENT)
+        log = WireLog(stamps, tuple(sent), np.zeros(0), ())
+        stamps, speeds = log.commands(self._config)
+        self.sent.add(np.column_stack([np.maximum.accumulate(stamps), speeds]))
+        for data in self._take_list(SCANS)[1]:
+            row = np.frombuffer(data, "<f8")
+            rays = len(row) - 2
+            if self.ranges is None and rays > 0:
+                self.ranges = GrowingTable(rays, np.float32)
+            if self.ranges is None or self.ranges.rows.shape[1] != rays:
+                raise ConfigError("is damaged: scans of several lengths")
+            self.scans.add(row[None, 1:2] - self._parts.start, 0)
+            self.ranges.add(row[None, 2:].astype(np.float32))
+        for stamp, data in zip(*self._take_list(DIAGNOSTICS), strict=True):
+            if FAULT_STATUS in data:
+                self.faults.append((float(stamp), _parse_fault(data)))
+        return self._count_rows() != before
 
-    def fault(self, time: int, text: str) -> None:
-        """Take an error that ended the episode, at a time of the file [ns]."""
-        self.faults.append(((time - self._part.offset) / 1e9 - self._start, text))
+    def _count_rows(self) -> list[int]:
+        tables: list[Sized] = [self.ticks, self.truth, self.sent, self.scans, self.faults]
+        return [len(table) for table in tables]
+
+    def _take_table(self, topic: Topic) -> Floats:
+        """The rows of a table since the last call; their column `stamp` is since the reset."""
+        rows = self._parts.take_table(topic).copy()
+        rows[:, topic.columns.index("stamp")] -= self._parts.start
+        return rows
+
+    def _take_list(self, topic: Topic) -> tuple[Floats, list[bytes]]:
+        """Times since the reset [s], and messages, since the last call."""
+        times, data = self._parts.take_list(topic)
+        stamps = np.array([time - self._parts.offset for time in times], np.float64) / 1e9
+        return stamps - self._parts.start, data
 
     @property
     def end(self) -> float:
         """Time of the newest tick or command [s]."""
-        newest = [rows.rows[-1, place] for rows, place in self._clocks() if len(rows)]
-        return max(0.0, *map(float, newest)) if newest else 0.0
+        newest = [self.column("stamp")[-1:], self.sent.rows[-1:, 0]]
+        return float(np.max(np.concatenate(newest), initial=0.0))
 
     @property
     def is_simulated(self) -> bool:
@@ -177,93 +188,30 @@ class GrowingEpisode:
     def asked(self, ticks: slice) -> Floats:
         """Wheel speeds that were asked for in some ticks, (n, 4) [rad/s]; NaN where none were."""
         rows = self.ticks.rows[ticks]
-        linear, angular = (
-            rows[:, TICK_PLACES["asked_linear"]],
-            rows[:, TICK_PLACES["asked_angular"]],
-        )
+        linear, angular = (rows[:, TICK_PLACES[f"asked_{name}"]] for name in ("linear", "angular"))
         left_radius, right_radius = self._config.wheel_radii
         turn = angular * self._config.effective_separation / 2.0
         right, left = (linear + turn) / right_radius, (linear - turn) / left_radius
         return np.stack([right, left, left, right], axis=1)
 
-    def _clocks(self) -> tuple[tuple[GrowingTable, int], ...]:
-        return (self.ticks, TICK_PLACES["stamp"]), (self.sent, 0)
 
-    def _sizes(self) -> tuple[int, ...]:
-        return len(self.ticks), len(self.truth), len(self.sent), len(self.scans), len(self.faults)
-
-    def _ticked(self) -> None:
-        """Take the tables."""
-        ticks = self._table(messages.TICKS, "stamp")
-        _check_ascending(self.ticks, ticks[:, TICK_PLACES["stamp"]], TICK_PLACES["stamp"])
-        self.ticks.add(ticks)
-        exchanges = self._table(messages.EXCHANGES, "stamp")
-        truth = exchanges[:, [1, 5, 6, 7]]
-        _check_ascending(self.truth, truth[:, 0], 0)
-        self.truth.add(truth)
-
-    def _table(self, topic: messages.Topic, clock: str) -> Floats:
-        """The rows of a table since the last call."""
-        data = self._part.tables[topic.name]
-        rows = np.frombuffer(bytes(data), "<f8").reshape(-1, len(topic.columns)).copy()
-        data.clear()
-        rows[:, topic.columns.index(clock)] -= self._start
-        return rows
-
-    def _sent(self) -> None:
-        """Take the commands on the wire."""
-        part = self._part
-        when = np.array([each - part.offset for each in part.sent_times]) / 1e9 - self._start
-        log = WireLog(when, tuple(part.sent), np.zeros(0), ())
-        part.sent_times, part.sent = [], []
-        stamps, speeds = log.commands(self._config)
-        stamps = np.maximum.accumulate(stamps) if len(stamps) else stamps
-        self.sent.add(np.column_stack([stamps, speeds]))
-
-    def _scanned(self) -> None:
-        """Take the scans: exchange, stamp and ranges."""
-        scans, self._part.scans = self._part.scans, []
-        for row in (np.frombuffer(data, "<f8") for data in scans):
-            rays = len(row) - 2
-            if self.ranges is None and rays > 0:
-                self.ranges = GrowingTable(rays, np.float32)
-            if self.ranges is None or self.ranges.rows.shape[1] != rays:
-                raise ConfigError("is damaged: scans of several lengths")
-            stamp = np.array([row[1] - self._start])
-            _check_ascending(self.scans, stamp, 0)
-            self.scans.add(stamp[:, None])
-            self.ranges.add(row[None, 2:].astype(np.float32))
-
-
-def _parse_numbers(told: Any, count: int) -> tuple[float, ...] | None:
+def _parse_numbers(value: Any, count: int) -> tuple[float, ...] | None:
     """So many numbers of moderate size; None for anything else that a file may say."""
     try:
-        found = tuple(map(float, told))
+        found = tuple(map(float, value))
     except (TypeError, ValueError, OverflowError):
         return None
-    return (
-        found if len(found) == count and all(abs(one) < MAX_COORDINATE for one in found) else None
-    )
+    moderate = all(abs(one) < MAX_COORDINATE for one in found)
+    return found if len(found) == count and moderate else None
 
 
-def _check_ascending(known: GrowingTable, stamps: Floats, place: int) -> None:
-    """Raise ConfigError for times that are no numbers, or go backwards."""
-    before = known.rows[-1:, place]
-    if not (np.isfinite(stamps).all() and (np.diff(np.r_[before, stamps]) >= 0.0).all()):
-        raise ConfigError("is damaged: its times go backwards")
-
-
-WRITING_TIMEOUT = 10.0
-"""A file that hasn't grown for so long when it is opened isn't being written [s]."""
-TAIL_TOPICS = (
-    messages.EPISODE,
-    messages.TICKS,
-    messages.EXCHANGES,
-    messages.SCANS,
-    messages.WIRE_SENT,
-)
-FAULT_STATUS = b"acsar: fault"
-"""Name of the status that tells what ended an episode."""
+def _parse_fault(data: bytes) -> str:
+    """The error in a diagnostic message."""
+    try:
+        found: Any = messages.load_typestore().deserialize_cdr(data, DIAGNOSTICS.kind)
+        return str(next(s.message for s in found.status if s.name == FAULT_STATUS.decode()))
+    except Exception:  # noqa: BLE001 - a damaged file can make it raise anything
+        return "an error that can't be read"
 
 
 class RecordingTail:
@@ -282,17 +230,12 @@ class RecordingTail:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._began: tuple[int, int] | None = None
-        self._begin()
+        self._file: tuple[int, int] | None = None
+        self._restart()
         self.poll()
 
-    def _begin(self) -> None:
-        """Forget everything."""
-        wanted: dict[str, MessageTaker] = {
-            topic.name: MESSAGE_TAKERS[topic.name] for topic in TAIL_TOPICS
-        }
-        self._collector = EpisodeCollector(wanted | {messages.DIAGNOSTICS.name: self._fault})
-        self._faults: list[tuple[EpisodeParts, int, bytes]] = []
+    def _restart(self) -> None:
+        self._collector = EpisodeCollector(TAIL_TOPICS)
         self._place, self._size, self._damage = 0, -1, ""
         self.episodes: list[GrowingEpisode] = []
         self.config = RobotConfig()
@@ -307,29 +250,28 @@ class RecordingTail:
         Raises:
             ConfigError: as for the constructor.
         """
-        with reading.open_file(self.path, MAX_FILE) as file:
+        with open_file(self.path, MAX_FILE) as file:
             status = os.fstat(file.fileno())
-            is_other = self._began not in (None, (status.st_dev, status.st_ino))
+            same = status.st_dev, status.st_ino
+            is_other = self._file not in (None, same)
             if is_other or status.st_size < self._size:
-                self._begin()
+                self._restart()
             elif self._damage:
                 raise ConfigError(self._damage)
             elif status.st_size == self._size and self.header:
                 return False
-            self._began, self._size = (status.st_dev, status.st_ino), status.st_size
+            self._file, self._size = same, status.st_size
             try:
-                self._read(file)
-                return self._drained() or is_other
+                return self._read(file) or is_other
             except ConfigError as error:
                 self._damage = str(error) if self.header else ""
                 raise
 
-    def _read(self, file: IO[bytes]) -> None:
-        """Read complete records from the place where the last call has ended."""
+    def _read(self, file: Any) -> bool:
+        """Read complete records from where the last call has ended; whether there was anything."""
         collector = self._collector
         try:
-            records = open_records(file, _Nothing())
-            records.wanted = collector.takers
+            records = RecordStream(file, collector.topics)
             file.seek(self._place or file.tell())
             for opcode, content in records:
                 collector.take(opcode, content)
@@ -342,21 +284,10 @@ class RecordingTail:
         if not self.header:
             self.config = RobotConfig.model_validate(collector.header["config"])
             self.header = collector.header
-
-    def _drained(self) -> bool:
-        """Pass on to the episodes what was read; returns whether there was anything."""
-        known, parts = len(self.episodes), self._collector.parts
-        self.episodes += [GrowingEpisode(part, self.config) for part in parts[known:]]
-        faults, self._faults = self._faults, []
-        for part, when, data in faults:
-            self.episodes[parts.index(part)].fault(when, _told(data))
+        known = len(self.episodes)
+        self.episodes += [GrowingEpisode(one, self.config) for one in collector.parts[known:]]
         changed = [episode.drain() for episode in self.episodes[max(known - 1, 0) :]]
-        return any(changed) or len(parts) > known or bool(faults) or self.is_complete
-
-    def _fault(self, part: EpisodeParts, when: int, data: bytes) -> None:
-        """Keep a diagnostic message if it tells what ended an episode."""
-        if FAULT_STATUS in data:
-            self._faults.append((part, when, data))
+        return any(changed) or len(self.episodes) > known or self.is_complete
 
     @property
     def is_complete(self) -> bool:
@@ -374,37 +305,18 @@ class RecordingTail:
     @property
     def is_open(self) -> bool:
         """Whether it wasn't ended, and the process that records runs on this computer."""
-        return not self.is_complete and _process_exists(self.process)
+        if self.is_complete or not self.process:
+            return False
+        try:
+            os.kill(self.process, 0)
+        except PermissionError:
+            return True
+        except (OSError, OverflowError):
+            return False
+        return True
 
     @property
     def process(self) -> int:
         """Id of the process that records; 0 where it isn't known."""
         found = self.header.get("process")
         return found if isinstance(found, int) and 0 < found < 2**31 else 0
-
-
-class _Nothing:
-    """Takes the place of a hash."""
-
-    def update(self, data: bytes) -> None:
-        """Do nothing."""
-
-
-def _process_exists(process: int) -> bool:
-    """Whether a process exists."""
-    try:
-        os.kill(process, 0)
-    except PermissionError:
-        return True
-    except (OSError, OverflowError):
-        return False
-    return process > 0
-
-
-def _told(data: bytes) -> str:
-    """The error in a diagnostic message."""
-    try:
-        found: Any = messages.load_typestore().deserialize_cdr(data, messages.DIAGNOSTICS.kind)
-        return str(next(s.message for s in found.status if s.name == FAULT_STATUS.decode()))
-    except Exception:  # noqa: BLE001 - a damaged file can make it raise anything
-        return "an error that can't be read"

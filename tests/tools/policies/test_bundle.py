@@ -264,11 +264,12 @@ def test_hashes_of_robots_and_calibrations() -> None:
 def test_a_policy_is_shown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from acsar_gym.tools.cli.policies import run_policy_group
+    from acsar_gym.tools.cli import main
 
     out = tmp_path / "bundle.json"
     monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", "barn", "--json", str(out)])
-    assert run_policy_group() == 0
+    with pytest.raises(SystemExit, match="0"):
+        main()
     shown = capsys.readouterr().out
     for said in ("acsar_gym/Barn-v1", "goal_distance 0 to 2", "64 ranges over", "friction 0.7 to"):
         assert said in shown
@@ -278,11 +279,12 @@ def test_a_policy_is_shown(
 def test_text_of_a_file_cannot_steer_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from acsar_gym.tools.cli.policies import run_policy_group
+    from acsar_gym.tools.cli import main
 
     path = relabelled(tmp_path / "p.onnx", env__worlds="\x1b[2J[red]a\nb")
     monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", "show", str(path)])
-    assert run_policy_group() == 0
+    with pytest.raises(SystemExit, match="0"):
+        main()
     shown = capsys.readouterr().out
     assert "\x1b" not in shown
     assert "[red]a" in shown

@@ -20,9 +20,9 @@ pytestmark = pytest.mark.xdist_group("serial")
 HOLDS_AN_EMULATOR = """
 import time
 import psutil
-from acsar_gym.tools.emulation.board import emulator
+from acsar_gym.tools.emulation.board import run_emulator
 
-with emulator("--body", "planar"):
+with run_emulator("--body", "planar"):
     print(*(child.pid for child in psutil.Process().children()), flush=True)
     time.sleep(600)
 """

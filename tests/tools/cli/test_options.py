@@ -16,6 +16,7 @@ from acsar_gym.tools.cli.options import ask_user, countdown
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
+
 COUNTING = """
 import sys
 from acsar_gym.tools.cli.options import countdown
@@ -71,7 +72,3 @@ def test_a_question_takes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ask_user("which wheel? ") == "bn"
     with pytest.raises(CancelledError):
         ask_user("and now? ")
-
-
-def test_a_cancelled_command_ends_like_an_interrupted_one() -> None:
-    assert CancelledError.exit_code == 130

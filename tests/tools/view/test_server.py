@@ -15,10 +15,9 @@ from recording_tools import begun
 
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.safety.estop import StopListener
-from acsar_gym.tools.cli import app
 from acsar_gym.tools.view import session
 from acsar_gym.tools.view.server import find_recording, serve_page
-from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopResult
+from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopAnswer
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
 
@@ -159,7 +158,7 @@ def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
 
 def test_a_second_click_does_not_take_back_what_was_confirmed(tape: Path) -> None:
     session = Session(tape)
-    session.stopped = StopResult("stopped", "zero is on the wire")
+    session.stopped = StopAnswer("stopped", "zero is on the wire")
     assert session.stop().state == "stopped"  # this process drives nothing any more
     assert session.state == STOPPED
 
@@ -186,28 +185,3 @@ def test_the_page_is_on_loopback_and_a_port_in_use_is_told(tape: Path) -> None:
     for port in (-1, 70_000):
         with pytest.raises(ConfigError, match=f"--port {port}: must be 0 to 65535"):
             serve_page(tape, port).__enter__()
-
-
-@pytest.mark.parametrize(
-    ("source", "code", "said"),
-    [
-        ("nothing.mcap", 2, "nothing.mcap: there is no such file"),
-        ("/dev/ttyNONE", 3, "no program of yours on this computer drives it"),
-        ("bullet", 2, "bullet is simulated"),
-    ],
-)
-def test_the_command_says_what_is_wrong_in_one_line(
-    source: str,
-    code: int,
-    said: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("sys.argv", ["acsar-gym", "view", source])
-    with pytest.raises(SystemExit) as ended:
-        app.main()
-    out, error = capsys.readouterr()
-    assert (ended.value.code, out) == (code, "")
-    assert error.startswith("acsar-gym: ")
-    assert said in error
-    assert error.count("\n") == 1

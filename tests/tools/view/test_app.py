@@ -13,12 +13,16 @@ import pytest
 from dash import no_update
 from recording_tools import begun
 
-from acsar_gym.errors import ConfigError
 from acsar_gym.tools.view import app as apps
-from acsar_gym.tools.view import drawing
-from acsar_gym.tools.view.app import PAGE_INPUTS, PAGE_OUTPUTS, PageInputs, PageUpdate
-from acsar_gym.tools.view.drawing import _format_milliseconds, find_world
-from acsar_gym.tools.view.layout import QUICK_UPDATE, SLOW_UPDATE
+from acsar_gym.tools.view.app import (
+    PAGE_INPUTS,
+    PAGE_OUTPUTS,
+    QUICK_UPDATE,
+    SLOW_UPDATE,
+    PageInputs,
+    update_page,
+)
+from acsar_gym.tools.view.drawing import COLOURS, find_world
 from acsar_gym.tools.view.session import Session
 
 BASE = "http://127.0.0.1:8050"
@@ -50,7 +54,7 @@ def page(**changes: Any) -> PageInputs:
 
 
 def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
-    return PageUpdate(session).answered(page(**changes), cause, now)
+    return update_page(session, page(**changes), cause, now)
 
 
 def test_everything_comes_from_this_server(client: Any) -> None:
@@ -180,20 +184,9 @@ def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
     assert (over["state"], over["playing"]) == ("ended", False)
 
 
-def test_lateness_keeps_its_digits_where_it_is_short() -> None:
-    found = [_format_milliseconds(value) for value in (0.000_123, 0.0123, 2.30734, float("nan"))]
-    assert found == ["0.12", "12.3", "2307", "\N{EN DASH}"]
-
-
 def test_unknown_episodes_show_a_known_one(session: Session) -> None:
     for number in (None, -3, 0, 7):
         assert answered(session, "episode", episode=number)["episode"] == 1
-
-
-def test_half_an_episode_is_a_whole_one(tape: Path) -> None:
-    several = Session(tape)
-    several.tail.episodes *= 3
-    assert answered(several, "episode", episode=2.5)["episode"] == 2
 
 
 def test_what_went_wrong_is_told_of_the_episode_that_is_shown(tape: Path) -> None:
@@ -250,20 +243,17 @@ def test_headers_of_strangers_have_no_world(session: Session, env: object) -> No
 
 
 def test_figures_hold_what_their_keys_name(session: Session) -> None:
-    frame = session.frame(0, session.tail.episodes[0].end)
-    names = [trace.get("name") for trace in frame.figures["top"]["data"]]
+    figures, _ = session.draw(0, session.tail.episodes[0].end)
+    names = [trace["name"] for trace in figures["top"]["data"]]
     assert {"path", "true path", "robot", "start", "LiDAR now"} <= set(names)
-    wheels = frame.figures["wheels"]["data"]
+    wheels = figures["wheels"]["data"]
     assert len(wheels) == 12
-    assert {one["line"]["color"] for one in wheels} == {
-        drawing.ASKED_COLOUR,
-        drawing.SENT_COLOUR,
-        drawing.MEASURED_COLOUR,
-    }
+    drawn = {one["line"]["color"] for one in wheels}
+    assert drawn == {COLOURS[name] for name in ("asked", "sent", "measured")}
     css = (apps.ASSETS / "dashboard.css").read_text(encoding="utf-8")
-    for name in ("ASKED", "SENT", "MEASURED", "GOAL", "SCAN", "SEEN", "TRUTH"):
-        assert f"--{name.lower()}: {getattr(drawing, name)};" in css
-    json.dumps(frame.figures)
+    for name in ("asked", "sent", "measured", "goal", "scan", "seen", "truth"):
+        assert f"--{name}: {COLOURS[name]};" in css
+    json.dumps(figures)
 
 
 def test_long_lines_have_few_points(session: Session) -> None:
@@ -274,9 +264,9 @@ def test_long_lines_have_few_points(session: Session) -> None:
         later = rows[:120].copy()
         later[:, 1] += 2.0 * turn
         episode.ticks.add(later)
-    frame = long.frame(0, episode.end)
-    assert len(json.dumps(frame.figures)) < 200_000
-    assert np.isfinite(float(frame.readings["time"]))
+    figures, values = long.draw(0, episode.end)
+    assert len(json.dumps(figures)) < 200_000
+    assert np.isfinite(float(values["time"]))
 
 
 def test_a_recording_without_an_episode_is_refused(tape: Path, tmp_path: Path) -> None:
@@ -287,10 +277,5 @@ def test_a_recording_without_an_episode_is_refused(tape: Path, tmp_path: Path) -
     path.write_bytes(data[:60_000])
     begun = Session(path)
     begun.tail.episodes.clear()
-    assert begun.frame(0, 0.0).readings == {}
+    assert begun.draw(0, 0.0) == ({}, {})
     assert answered(begun, None)["message"] == "waiting for the first episode"
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="there is no such file"):
-        Session(tmp_path / "nothing.mcap")

@@ -1,4 +1,4 @@
-"""`acsar-gym benchmark`: what it writes, and how it refuses."""
+"""`acsar-gym benchmark`: what it writes, and what it refuses to go on with."""
 
 from __future__ import annotations
 
@@ -71,30 +71,3 @@ def test_anybodys_policy_gets_a_row(call: Call, tmp_path: Path) -> None:
     code, _, error = call("benchmark", "--check", row)
     assert code == 2
     assert_one_line(error, "was changed after it was written")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--ids", "bran"), "--ids 'bran'; did you mean"),
-        (("--agents", "dwaa"), "--agents 'dwaa'; did you mean 'dwa'?"),
-        (("--links", "bulet"), "--links 'bulet'; did you mean 'bullet'?"),
-        (("--conditions", "husk"), "--conditions 'husk'; did you mean 'husky'?"),
-        (("--scenes", "1001"), "has 1,000 scenes, 1,001 were asked for"),
-        (("--trained", "nowhere"), "holds no NAME/SEED/policy.onnx"),
-        (("--policy", "nowhere.onnx"), "no such policy file"),
-        (("--policy", "barn", "--agents", "dwa"), "--policy: benchmarks one policy"),
-        (("--combine", "nowhere"), "no such file"),
-        (("--check", "nowhere.json"), "no such file"),
-        (("--table", "nowhere/table.md"), "can't be written"),
-        (("--out", "/proc/nowhere"), "can't be made a folder"),
-        (("--ids", "point_goal", "--agents", "turn_drive", "--workers", "0"), "--workers 0"),
-    ],
-)
-def test_one_line_for_every_mistake(
-    call: Call, tmp_path: Path, arguments: tuple[str, ...], said: str
-) -> None:
-    out = () if "--out" in arguments else ("--out", str(tmp_path / "run"))
-    code, _, error = call("benchmark", *arguments, *out)
-    assert code == 2
-    assert_one_line(error, said)

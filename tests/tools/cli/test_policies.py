@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cli_tools import Call, assert_one_line
 
-from acsar_gym.errors import BoardSilentError, EmergencyStopError, LinkError
+from acsar_gym.errors import BoardSilentError, EmergencyStopError
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
@@ -84,12 +84,6 @@ def test_ctrl_c_before_the_first_result_writes_the_json(
     assert (data["episodes"], data["ended_early"]) == (0, "interrupted")
 
 
-def test_an_error_before_the_first_episode_is_that_error(ending: Any) -> None:
-    ending(LinkError("no such device"), after=0)
-    with pytest.raises(LinkError, match="no such device"):
-        runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(3))
-
-
 def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = runs.make_env
 
@@ -149,12 +143,6 @@ def test_a_run_takes_goals_beyond_those_of_the_training(
     assert code == 2
     assert_one_line(error, "must lie 0.5 to 3 m from the start")
     assert "--goal-distance" in error
-
-
-def test_a_complete_evaluation_says_so() -> None:
-    run = runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(2))
-    assert (run.ended, run.faults, run.notes) == (None, [], [])
-    assert run.as_dict()["ended_early"] is None
 
 
 def test_time_to_goal_is_that_of_the_ticks() -> None:

@@ -1,10 +1,12 @@
-"""The command line: errors, exit codes, help, recording and replay."""
+"""The command line: help, completion, exit codes, recording and replay."""
 
 from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,58 +16,18 @@ from recording_tools import drive
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import PLACES, poison, save
 
+import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LateTicksError, RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
 
 pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
 
+
 MISSING = "/dev/acsar-missing"
 HUGE = str(10**400)
 RUN = ("run", "1", "0", "--link", "planar")
 SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("run", "1", "0", "--link", "bulet"), 2, "did you mean 'bullet'?"),
-        (("run", "1", "0", "--link", "serial", "--yes"), 2, "serial_port"),
-        ((*SOCKET, "--yes"), 3, "socket://127.0.0.1:1"),
-        (SOCKET, 2, "no terminal to ask on; add --yes"),
-        (("doctor", MISSING, "--spin"), 2, "no terminal to ask on; add --yes"),
-        (("run", "1", "0", "--link", "replay:missing.mcap"), 2, "missing.mcap"),
-        (("run", "50", "0", "--link", "planar"), 2, "0.5 to 3 m"),
-        (("run", "nan", "0", "--link", "planar"), 2, "goal"),
-        ((*RUN, "--robot", "acsr"), 2, "did you mean 'acsar'?"),
-        ((*RUN, "--robot", "missing.yaml"), 2, "missing.yaml"),
-        ((*RUN, "--policy", "missing.onnx"), 2, "missing.onnx: no such policy file"),
-        ((*RUN, "--record", "/missing/tape.mcap"), 2, "can't be written"),
-        ((*RUN, "--json", "/missing/figures.json"), 2, "can't be written"),
-        (("evaluate", "--link", "planar", "--episodes", "0"), 2, "--episodes"),
-        (("evaluate", "--link", "planar", "--episodes", HUGE), 2, "must be 1 to 1,000,000"),
-        (("evaluate", "--link", "planar", "--seed", HUGE), 2, "must be 0 to 2^63 - 1"),
-        (("evaluate", "--link", "planar", "--seed", "-1"), 2, "--seed -1"),
-        (("evaluate", "--link", MISSING, "--episodes", "1"), 3, f"{MISSING}: no such device"),
-        (("evaluate", "--policy", "pint_goal"), 2, "point_goal"),
-        (("evaluate", "--late-share", "2", "--link", "planar"), 2, "late_share = 2.0"),
-        (("evaluate", "--cores", "4095"), 2, "cores = 4095: this process may use"),
-        (("doctor", MISSING, "--timing"), 3, f"{MISSING}: no such device"),
-        (("doctor", "--timing"), 2, "--timing needs a device"),
-        (("doctor", MISSING, "--timing", "--duration", "0"), 2, "duration = 0.0"),
-        (("doctor", MISSING, "--timing", "--duration", "1e300"), 2, "duration = 1e+300"),
-        (("run", "1", "0", "--realtime", "99"), 2, "real-time priority = 99: must be 1 to 98"),
-        (("drive", "--link", "planar", "--linear", "nan"), 2, "finite"),
-        (("drive", "--link", MISSING, "--linear", "0.1"), 3, f"{MISSING}: no such device"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
-)
-def test_errors_are_one_line_and_an_exit_code(
-    arguments: tuple[str, ...], status: int, said: str, call: Call
-) -> None:
-    code, _, error = call(*arguments)
-    assert code == status, error
-    assert_one_line(error, said)
 
 
 @pytest.mark.parametrize(
@@ -98,32 +60,6 @@ def test_results_survive_a_full_disk(
     assert said in out
     assert figures.exists() == bool(more)
     assert_one_line(error, "tape.mcap: the recording isn't whole")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "said"),
-    [
-        (("run", "1", "0", "--link", MISSING, "--yes"), 3, f"{MISSING}: no such device"),
-        ((*RUN, "--policy", "missing.onnx"), 2, "missing.onnx: no such policy file"),
-        (("emulate", "--body", "balloon"), 2, "planar or bullet"),
-    ],
-    ids=["device", "policy", "body"],
-)
-def test_errors_of_a_real_process(arguments: tuple[str, ...], status: int, said: str) -> None:
-    done = subprocess.run(
-        [*CLI, *arguments], check=False, capture_output=True, text=True, timeout=TIMEOUT
-    )
-    assert done.returncode == status, done.stderr
-    assert_one_line(done.stderr, said)
-
-
-@pytest.mark.parametrize("content", [b"", b"not ONNX", bytes(range(256)) * 8])
-def test_a_broken_policy_file_is_one_line(content: bytes, tmp_path: Path, call: Call) -> None:
-    policy = tmp_path / "broken.onnx"
-    policy.write_bytes(content)
-    code, _, error = call(*RUN, "--policy", policy)
-    assert code == 2
-    assert_one_line(error, f"{policy}: ")
 
 
 @pytest.fixture(scope="module")
@@ -163,54 +99,11 @@ def test_a_trusted_zip_is_evaluated_run_and_exported(
     assert path_of[0] == pytest.approx(path_of[1], abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--env", "maze"), "Maze"),
-        (("--env", "path_follow"), "in acsar_gym/PathFollow-v0: train"),
-        (("--robot", "acsr"), "did you mean 'acsar'?"),
-    ],
-    ids=["environment", "observation", "robot"],
-)
-def test_a_zip_that_cannot_be_exported_is_one_line(
-    arguments: tuple[str, ...], said: str, model: Path, tmp_path: Path, call: Call
-) -> None:
-    code, _, error = call("export", model, tmp_path / "policy.onnx", "--trust", *arguments)
-    assert code == 2
-    assert_one_line(error, said)
-
-
-def test_export_says_where_it_cannot_write(model: Path, call: Call) -> None:
-    code, _, error = call("export", model, "/missing/policy.onnx", "--trust")
-    assert code == 2
-    assert_one_line(error, "can't be written")
-
-
-@pytest.mark.parametrize(
-    "content",
-    ["", "{}", "[]", "nonsense", '{"reset": "x"}', '{"reset": 0}\n{"t": 1}', "\xe9"],
-)
-def test_a_broken_recording_is_one_line(content: str, tmp_path: Path, call: Call) -> None:
-    tape = tmp_path / "tape.jsonl"
-    tape.write_text(content + "\n", encoding="utf-8")
-    code, _, error = call("run", "1", "0", "--link", f"replay:{tape}")
-    assert code == 2
-    assert_one_line(error, f"{tape}: ")
-
-
 def test_help_lists_all_subcommands() -> None:
     done = cli("--help")
     assert (done.returncode, done.stderr) == (0, "")
     listed = {line.split("•")[1].split()[0] for line in done.stdout.splitlines() if "•" in line}
     assert listed == set(COMMANDS)
-
-
-@pytest.mark.parametrize("arguments", [(), ("dance",), ("run", "1"), ("emulate", "--body")])
-def test_a_command_line_that_cannot_be_read(arguments: tuple[str, ...], call: Call) -> None:
-    code, _, error = call(*arguments)
-    assert code == 2
-    assert error
-    assert "Traceback" not in error
 
 
 def figures(path: Path) -> dict[str, Any]:
@@ -244,12 +137,6 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
     assert_one_line(error, f"{tape}: other commands than recorded, tick ")
-
-
-def test_a_disk_that_is_full_is_one_line(call: Call) -> None:
-    code, _, error = call(*RUN, "--record", "/dev/full")
-    assert code == 2
-    assert error.strip() == "acsar-gym: /dev/full: can't be written: No space left on device"
 
 
 def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
@@ -289,3 +176,62 @@ def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
     )
     assert done.stderr == ""
     assert done.returncode == 128 + 13
+
+
+TYPED = """
+source "$1"; shift
+COMP_WORDS=("$@")
+COMP_CWORD=$(($# - 1))
+_tyro_acsar_gym
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+HEAVY = """
+import sys
+from acsar_gym.tools.cli import app
+sys.argv = ["acsar-gym", "completion", "bash"]
+try:
+    app.main()
+finally:
+    found = {"torch", "ray", "dash", "pybullet"} & set(sys.modules)
+    print(sorted(found), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_script_for_each_shell_knows_every_command(call: Call, shell: str) -> None:
+    code, script, error = call("completion", shell)
+    assert (code, error) == (0, "")
+    assert [name for name in COMMANDS if name not in script] == []
+    assert "learning-rate" in script  # of train, which parses its own options
+    assert "difficulty" in script  # of worlds show
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        (("ev",), ["evaluate"]),
+        (("worlds", "ch"), ["check"]),
+        (("train", "--lear"), ["--learning-rate"]),
+        (("record", "export", "drive.mcap", "--to", "p"), ["parquet"]),
+        (("worlds", "show", "--diff"), ["--difficulty"]),
+        (("nosuch", "x"), []),
+    ],
+)
+def test_bash_completes(
+    call: Call, tmp_path: Path, words: tuple[str, ...], completed: list[str]
+) -> None:
+    file = tmp_path / "acsar-gym"
+    file.write_text(call("completion", "bash")[1])
+    command = ["bash", "-c", TYPED, "bash", str(file), "acsar-gym", *words]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert said.split() == completed
+
+
+def test_it_imports_nothing_heavy() -> None:
+    done = subprocess.run([sys.executable, "-c", HEAVY], check=True, capture_output=True, text=True)
+    assert done.stderr == "[]\n"
+
+
+def test_the_version(call: Call) -> None:
+    assert call("--version") == (0, f"acsar-gym {acsar_gym.__version__}\n", "")

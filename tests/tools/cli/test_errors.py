@@ -1,0 +1,174 @@
+"""A bad value of any command is one line that names it, and an exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_tools import Call, assert_one_line
+from recording_tools import drive
+from zip_tools import save
+
+from acsar_gym import RobotConfig
+from acsar_gym.tools.jobs import cluster
+from acsar_gym.tools.sysid.calibration_runs import write_runs
+
+pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
+
+MISSING = "/dev/acsar-missing"
+HUGE = str(10**400)
+ERRORS = [
+    ("run 1 0 --link bulet", 2, "did you mean 'bullet'?"),
+    ("run 1 0 --link serial --yes", 2, "serial_port"),
+    ("run 1 0 --link socket://127.0.0.1:1 --yes", 3, "socket://127.0.0.1:1"),
+    ("run 1 0 --link socket://127.0.0.1:1", 2, "add --yes"),
+    ("run 1 0 --link replay:missing.mcap", 2, "missing.mcap"),
+    ("run 1 0 --link replay:notes.txt", 2, "notes.txt: "),
+    ("run 1 0 --link replay:old.json", 2, "old.json: "),
+    ("run 50 0 --link planar", 2, "0.5 to 3 m"),
+    ("run nan 0 --link planar", 2, "goal"),
+    ("run 1 0 --link planar --robot acsr", 2, "did you mean 'acsar'?"),
+    ("run 1 0 --link planar --robot missing.yaml", 2, "missing.yaml"),
+    ("run 1 0 --link planar --policy missing.onnx", 2, "missing.onnx: "),
+    ("run 1 0 --link planar --policy notes.txt", 2, "notes.txt: "),
+    ("run 1 0 --link planar --policy empty.onnx", 2, "empty.onnx: "),
+    ("run 1 0 --link planar --policy odd.onnx", 2, "odd.onnx: "),
+    ("run 1 0 --link planar --record no/tape.mcap", 2, "no/tape.mcap: can't be written"),
+    ("run 1 0 --link planar --record /dev/full", 2, "/dev/full: can't be written: No space"),
+    ("run 1 0 --link planar --json no/figures.json", 2, "can't be written"),
+    ("run 1 0 --link planar --env maze", 2, "`Maze` doesn't exist"),
+    ("run 1 0 --realtime 99", 2, "real-time priority = 99"),
+    ("evaluate --link planar --episodes 0", 2, "--episodes"),
+    (f"evaluate --link planar --episodes {HUGE}", 2, "1 to 1,000,000"),
+    (f"evaluate --link planar --seed {HUGE}", 2, "0 to 2^63 - 1"),
+    ("evaluate --link planar --seed -1", 2, "--seed -1"),
+    (f"evaluate --link {MISSING} --episodes 1", 3, f"{MISSING}: "),
+    ("evaluate --policy pint_goal", 2, "point_goal"),
+    ("evaluate --late-share 2 --link planar", 2, "late_share = 2.0"),
+    ("evaluate --cores 4095", 2, "cores = 4095"),
+    ("evaluate --workers 0 --link planar", 2, "--workers 0"),
+    ("evaluate --workers 2 --link /dev/ttyUSB7", 2, "one process drives one robot"),
+    ("evaluate --address auto --link replay:old.mcap", 2, "one process drives one robot"),
+    ("evaluate --address nowhere --link planar", 2, "must be local, auto, host:port"),
+    ("evaluate --address 127.0.0.1:1 --link planar", 3, "'127.0.0.1:1': "),
+    ("evaluate --env maze --link planar", 2, "`Maze` doesn't exist"),
+    ("train --env maze", 2, "`Maze` doesn't exist"),
+    ("train --gamma 1.5", 2, "--gamma 1.5"),
+    ("train --learning-rate nan", 2, "--learning-rate nan"),
+    ("train --net 64 0", 2, "--net 0"),
+    ("export model.zip policy.onnx --trust --env maze", 2, "Maze"),
+    ("export model.zip policy.onnx --trust --env path_follow", 2, "acsar_gym/PathFollow-v0"),
+    ("export model.zip policy.onnx --trust --robot acsr", 2, "did you mean 'acsar'?"),
+    ("export model.zip no/policy.onnx --trust", 2, "can't be written"),
+    (f"doctor {MISSING} --spin", 2, "add --yes"),
+    (f"doctor {MISSING} --timing", 3, f"{MISSING}: "),
+    ("doctor --timing", 2, "--timing needs a device"),
+    (f"doctor {MISSING} --timing --duration 0", 2, "duration = 0.0"),
+    (f"doctor {MISSING} --timing --duration 1e300", 2, "duration = 1e+300"),
+    ("drive --link planar --linear nan", 2, "finite"),
+    (f"drive --link {MISSING} --linear 0.1", 3, f"{MISSING}: "),
+    ("view nothing.mcap", 2, "nothing.mcap: "),
+    ("view /dev/ttyNONE", 3, "/dev/ttyNONE: "),
+    ("view bullet", 2, "bullet is simulated"),
+    ("record info notes.txt", 2, "notes.txt: "),
+    ("benchmark --ids bran", 2, "--ids 'bran'; did you mean"),
+    ("benchmark --agents dwaa", 2, "did you mean 'dwa'?"),
+    ("benchmark --links bulet", 2, "did you mean 'bullet'?"),
+    ("benchmark --conditions husk", 2, "did you mean 'husky'?"),
+    ("benchmark --scenes 1001", 2, "1,000 scenes"),
+    ("benchmark --trained nowhere", 2, "NAME/SEED/policy.onnx"),
+    ("benchmark --policy nowhere.onnx", 2, "nowhere.onnx"),
+    ("benchmark --policy barn --agents dwa", 2, "--policy: "),
+    ("benchmark --combine nowhere", 2, "no such file"),
+    ("benchmark --check nowhere.json", 2, "no such file"),
+    ("benchmark --table nowhere/table.md", 2, "can't be written"),
+    ("benchmark --out /proc/nowhere", 2, "can't be made a folder"),
+    ("benchmark --ids point_goal --agents packaged --workers 0", 2, "--workers 0"),
+    ("identify", 2, "needs a device, or recordings"),
+    ("identify missing.mcap", 2, "missing.mcap"),
+    (f"identify {MISSING}", 2, "add --yes"),
+    (f"identify {MISSING} --yes", 3, f"{MISSING}: "),
+    (f"identify {MISSING} --yes --duration 1", 2, "12 to 600 s"),
+    (f"identify {MISSING} --yes --twin acsar", 2, "--twin is for simulated robots"),
+    ("identify planar --out no/robot.yaml", 2, "can't be written"),
+    (f"identify {MISSING} --yes --out x.txt", 2, "path = 'x.txt'"),
+    (f"identify one.mcap {MISSING}", 2, "isn't a recording"),
+    ("identify planer", 2, "did you mean 'planar'"),
+    ("identify rob --yes", 2, "'rob': for a device, write its full path"),
+    ("calibrate planar straight --space 1 1", 2, "too small"),
+    ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings for 3"),
+    ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
+    ("calibrate planar turn --radii 2", 2, "--speeds times --radii"),
+    ("calibrate planar straight --speed 0", 2, "--speed 0"),
+    ("calibrate planar straight --tape 0", 2, "--tape"),
+    ("calibrate planar straight --aside 0.1", 2, "--aside has 1 readings"),
+    ("calibrate /dev/ttyUSB9 straight --twin acsar", 2, "--twin is for simulated robots"),
+    ("calibrate /dev/ttyUSB9 straight --measured 2", 2, "--space is missing"),
+    ("calibrate /dev/ttyUSB9 straight --space 9 9", 2, "nobody would measure"),
+    (f"calibrate {MISSING} straight --space 9 9 --measured 2", 2, "add --yes"),
+    ("calibrate missing.json straight", 2, "missing.json"),
+    ("calibrate none.json straight", 2, "none.json: holds no runs"),
+    ("calibrate planar straight --out missing/my.yaml", 2, "can't be written"),
+    ("calibrate /dev/ttyUSB9 turn --yes --out x.txt", 2, "path = 'x.txt'"),
+    ("calibrate planar turn --measured-deg nan", 2, "--measured-deg nan"),
+    ("calibrate planar straight --measured inf", 2, "--measured inf"),
+    ("calibrate planar straight --repeats 0", 2, "--repeats 0"),
+    ("calibrate planar all --repeats -1", 2, "--repeats -1"),
+    ("gap --robot acsar", 2, "no recording is named"),
+    ("gap missing.mcap --robot acsar", 2, "missing.mcap"),
+    ("gap notes.txt --robot acsar", 2, "notes.txt:"),
+    ("gap cut.mcap --robot acsar", 2, "cut.mcap:"),
+    ("gap tape.mcap --robot acsr", 2, "did you mean 'acsar'?"),
+    ("gap tape.mcap tape.mcap --robot acsar", 2, "is the same recording as"),
+    ("gap tape.mcap part.mcap --robot acsar", 2, "is the same recording as"),
+    ("gap tape.mcap --robot acsar --body balloon", 2, "unknown body 'balloon'"),
+    ("gap tape.mcap --robot acsar --fail-over end=1", 2, "unknown metric 'end'"),
+    ("gap tape.mcap --robot acsar --html no/x.html", 2, "can't be written"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the files that the commands name."""
+    folder = tmp_path_factory.mktemp("files")
+    data = drive(folder / "tape.mcap", RobotConfig.of(None), 300).read_bytes()
+    (folder / "part.mcap").write_bytes(data[: len(data) * 2 // 3])
+    (folder / "cut.mcap").write_bytes(data[:100])
+    (folder / "notes.txt").write_text("not ONNX, nor a recording")
+    (folder / "old.json").write_text('{"reset": 0}\n{"t": 1}')
+    (folder / "empty.onnx").write_bytes(b"")
+    (folder / "odd.onnx").write_bytes(bytes(range(256)) * 8)
+    (folder / "rob").symlink_to(MISSING)
+    write_runs(folder / "none.json", [], RobotConfig.preset("acsar"))
+    save(folder / "model.zip")
+    return folder
+
+
+@pytest.mark.parametrize(("line", "status", "said"), ERRORS, ids=lambda value: str(value)[:60])
+def test_a_bad_value_is_one_line_and_an_exit_code(
+    line: str, status: int, said: str, folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(cluster, "CLUSTER_TIMEOUT", 0.1)
+    code, _, error = call(*line.split())
+    assert code == status, error
+    assert_one_line(error, said)
+
+
+@pytest.mark.parametrize("line", ["", "dance", "run 1", "emulate --body", "worlds", "record infos"])
+def test_a_command_line_that_cannot_be_read(line: str, call: Call) -> None:
+    code, _, error = call(*line.split())
+    assert code == 2
+    assert error
+    assert "Traceback" not in error
+
+
+def test_a_warning_of_this_package_is_one_line_too(
+    folder: Path, call: Call, tmp_path: Path
+) -> None:
+    """A cut recording is exported as far as it goes."""
+    code, out, _ = call("record", "info", folder / "part.mcap", "--json", tmp_path / "info.json")
+    assert code == 0
+    assert "cut: what followed is missing" in out
+    assert not json.loads((tmp_path / "info.json").read_text())["whole"]

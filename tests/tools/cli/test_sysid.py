@@ -1,0 +1,292 @@
+"""The commands identify, calibrate, gap and compare, on simulated robots and in files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+import yaml
+from cli_tools import Call, assert_one_line
+from rollout_tools import HIDDEN, random_steps
+from serial_tools import RobotFile, StartEmulator, cli
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.recording import Recorder
+from acsar_gym.tools.cli.sysid import describe_lateness
+from acsar_gym.worlds import World
+from acsar_gym.worlds.files import save_world
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+
+MISSING = "/dev/acsar-missing"
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 2 s."""
+    path = tmp_path_factory.mktemp("short") / "short.mcap"
+    config = RobotConfig.preset("acsar")
+    with Robot(open_link("planar", config), config, recorder=Recorder(path)) as robot:
+        for tick in range(200):
+            speed = 4.0 if tick % 50 < 25 else -4.0
+            robot.tick((speed, -speed, speed, -speed))
+    return path
+
+
+def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: Path) -> None:
+    out, figures = tmp_path / "mine.yaml", tmp_path / "found.json"
+    code, said, error = call("identify", str(short), "--out", str(out), "--json", str(figures))
+    assert code == 1
+    assert_one_line(error, "nothing to write: nothing new was found")
+    assert "can't tell: 2.0 s of log" in " ".join(said.split())
+    told = {one["name"] for one in json.loads(figures.read_text())["findings"] if one["told"]}
+    assert told == {"firmware.feedback_rate"}
+    assert not out.exists()
+
+
+def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
+    twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
+    RobotConfig(wheels={"a": {"motor": "b"}, "b": {"motor": "a"}}).save(twin)
+    options = ("--twin", twin, "--duration", "12", "--out", out)
+    code, _, error = call("identify", "planar", *options)
+    assert code == 1
+    assert_one_line(error, "front_right answers front_left's command: run 'acsar-gym doctor DEV")
+    assert not out.exists()
+
+
+def test_a_computer_that_was_late_is_told() -> None:
+    assert describe_lateness(19.6, 20.0, "/dev/ttyUSB0") == ""
+    said = describe_lateness(41.1, 20.0, "/dev/ttyUSB0")
+    assert "took 41.1 s instead of 20" in said
+    assert "acsar-gym doctor /dev/ttyUSB0 --timing" in said
+
+
+QUICK = ("--distance", "0.6", "--turns", "1", "--size", "0.4", "--repeats", "1")
+
+
+@pytest.fixture
+def twin(tmp_path: Path) -> Path:
+    """A robot that turns as one with a longer wheelbase, and has larger wheels."""
+    path = tmp_path / "twin.yaml"
+    RobotConfig.preset("acsar").with_(wheel_radius=0.051, wheelbase=0.27).save(path)
+    return path
+
+
+def test_in_simulation_truth_measures_and_the_result_is_a_robot_file(
+    call: Call, twin: Path, tmp_path: Path
+) -> None:
+    out, result = tmp_path / "my.yaml", tmp_path / "r.json"
+    code, said, _ = call(
+        "calibrate", "planar", "all", *QUICK, "--twin", twin, "--out", out, "--json", result
+    )
+    assert code == 0
+    assert "wheel_separation_multiplier" in said
+    found = RobotConfig.load(out)
+    assert found.wheel_radius == pytest.approx(0.051, rel=2e-3)
+    assert found.wheel_separation_multiplier == pytest.approx(1.81, rel=3e-3)
+    assert found.body.turn_factor == found.wheel_separation_multiplier
+    measured = found.measured["wheel_separation_multiplier"]
+    assert measured.low <= found.wheel_separation_multiplier <= measured.high
+    assert measured.method == "calibrate square straight turn"
+    assert len(measured.logs[0]) == 16
+    told = json.loads(result.read_text(encoding="utf-8"))
+    assert told["not_told"] == []
+    assert len(told["runs"]) == 5
+
+
+def test_runs_are_kept_and_readings_given_later(call: Call, twin: Path, tmp_path: Path) -> None:
+    runs, out = tmp_path / "cal.json", tmp_path / "my.yaml"
+    drive = ("--twin", twin, "--runs", runs, *QUICK)
+    assert call("calibrate", "planar", "turn", *drive, "--speeds", "1.2")[0] == 0
+    code, said, _ = call("calibrate", "planar", "straight", *drive, "--measured", "0.61")
+    assert code == 0
+    assert "distance 0.610 m" in said
+    assert "turn 1" in said
+    code, said, _ = call("calibrate", runs, "straight", "--measured", "0.62", "--out", out)
+    assert code == 0
+    assert "distance 0.620 m" in said
+    assert RobotConfig.load(out).wheel_radius == pytest.approx(0.0511, rel=0.02)
+
+
+def test_a_recording_holds_runs_that_readings_can_be_given_to(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "turns.mcap"
+    drive = ("--turns", "0.5", "--speeds", "1.2", "--record", path)
+    assert call("calibrate", "planar", "turn", *drive, "--measured-deg", "181")[0] == 0
+    code, said, _ = call("calibrate", path, "turn", "--measured-deg", "175")
+    assert code == 0
+    assert "turn 1 of turns.mcap" in said
+    assert "heading 175.0 deg" in said
+
+
+def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call, tmp_path: Path) -> None:
+    runs = tmp_path / "cal.json"
+    drive = ("--distance", "0.6", "--runs", runs, "--measured")
+    code, _, error = call("calibrate", "planar", "straight", *drive, "61.5")
+    assert code == 2
+    assert_one_line(error, "contradicts the odometry by more than 30%")
+    code, said, _ = call("calibrate", runs, "straight", "--measured", "0.615")
+    assert code == 0
+    assert "distance 0.615 m" in said
+
+
+def test_without_readings_the_runs_wait_in_their_file(call: Call, tmp_path: Path) -> None:
+    runs, result = tmp_path / "cal.json", tmp_path / "r.json"
+    call("calibrate", "planar", "straight", *QUICK, "--runs", runs, "--measured", "61")
+    code, said, _ = call("calibrate", runs, "straight", "--json", result)
+    assert code == 0
+    assert "1 runs kept in" in said
+    assert "--measured" in said
+    told = json.loads(result.read_text(encoding="utf-8"))
+    assert (told["found"], len(told["not_told"]), len(told["runs"])) == ({}, 3, 1)
+
+
+def test_over_a_serial_device(
+    start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
+) -> None:
+    emulated, out = start_emulator(), tmp_path / "my.yaml"
+    floor = ("--distance", "0.4", "--space", "2", "1", "--measured", "0.41")
+    asked = (*floor, "--robot", robot_file())
+    refused = cli("calibrate", emulated.device, "straight", *asked)
+    assert refused.returncode == 2
+    assert "--yes" in refused.stderr
+    done = cli("calibrate", emulated.device, "straight", *asked, "--yes", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert emulated.is_stopped()
+    assert RobotConfig.load(out).wheel_radius == pytest.approx(0.051, rel=0.04)
+
+
+def test_a_lidar_measures_in_a_world(call: Call, twin: Path, tmp_path: Path) -> None:
+    room, out = tmp_path / "room.yaml", tmp_path / "my.yaml"
+    walls = np.array([(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2)], np.float64)
+    save_world(World(segments=walls), room)
+    asked = ("--twin", twin, "--lidar", "simulated", "--world", room, "--out", out)
+    assert call("calibrate", "planar", "all", *QUICK, "--speeds", "1.2", *asked)[0] == 0
+    found = RobotConfig.load(out)
+    assert found.wheel_radius == pytest.approx(0.051, rel=0.01)
+    assert found.wheel_separation_multiplier == pytest.approx(1.81, rel=0.01)
+
+
+@pytest.mark.parametrize("kept", ["cal.json", "cal.mcap"])
+def test_readings_given_later_keep_what_is_known_of_the_robot(
+    call: Call, tmp_path: Path, kept: str
+) -> None:
+    mine, out = tmp_path / "my.yaml", tmp_path / "out.yaml"
+    known = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
+    known.save(mine)
+    options = ("--record", tmp_path / "cal.mcap", "--runs", tmp_path / "cal.json", "--robot", mine)
+    drive = ("--distance", "0.6", "--repeats", "1", "--measured", "0.6")
+    assert call("calibrate", "planar", "straight", *drive, *options)[0] == 0
+    later = (tmp_path / kept, "straight", "--measured", "0.61", "--out", out)
+    assert call("calibrate", *later)[0] == 0
+    assert RobotConfig.load(out).motor == known.motor
+
+
+ACSAR = RobotConfig.preset("acsar")
+ROBOT = ACSAR.with_(**HIDDEN)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with recordings of the hidden robot, its file, and both sides of a task."""
+    folder = tmp_path_factory.mktemp("files")
+    for seed in range(2):
+        with Robot(
+            open_link("planar", ROBOT), ACSAR, recorder=Recorder(folder / f"log{seed}.mcap")
+        ) as robot:
+            for speeds in random_steps(seed, 4.0, ACSAR):
+                robot.tick(speeds)
+    fitted = {**yaml.safe_load(ACSAR.model_dump_json()), **HIDDEN}
+    (folder / "robot.yaml").write_text(yaml.safe_dump(fitted), encoding="utf-8")
+    for name, config, seeds in (
+        ("sim", ACSAR, range(3)),
+        ("real", ROBOT, range(1, 4)),
+        ("late", ACSAR, range(9, 10)),
+    ):
+        env = gymnasium.make(
+            "acsar_gym/PointGoal-v0",
+            link=open_link("planar", config),
+            robot=ACSAR,
+            record=folder / f"{name}.mcap",
+        )
+        for seed in seeds:
+            observation, _ = env.reset(seed=seed)
+            done = False
+            while not done:
+                action = np.array([0.8 * max(observation[1], 0.0), observation[2]], np.float32)
+                observation, _, terminated, truncated, _ = env.step(action)
+                done = terminated or truncated
+        env.close()
+    return folder
+
+
+@pytest.fixture
+def inside(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(files)
+    return files
+
+
+def test_the_right_robot_has_nearly_no_gap(inside: Path, call: Call) -> None:
+    logs = ("log0.mcap", "log1.mcap", "--robot", "robot.yaml")
+    code, out, error = call("gap", *logs, "--json", "gap.json", "--html", "gap.html")
+    assert (code, error) == (0, "")
+    assert "2 held-out episodes, 8 s: wheel speeds from" in out
+    told = json.loads((inside / "gap.json").read_text())
+    before, after = (told[side]["figures"] for side in ("before", "after"))
+    assert after["wheel_speed_rms"] < 0.1 * before["wheel_speed_rms"]
+    assert after["end_pose"] < 0.1 * before["end_pose"]
+    assert "<title>Gap of robot.yaml</title>" in (inside / "gap.html").read_text()
+    assert call("gap", *logs, "--fail-over", "wheel_speed_rms=0.1", "end_pose=0.001")[0] == 0
+
+
+def test_a_limit_that_isnt_kept_is_exit_code_1(inside: Path, call: Call) -> None:
+    limit = ("--fail-over", "wheel_speed_rms=0.1")
+    code, _, error = call("gap", "--robot", "acsar", "log0.mcap", *limit)
+    assert code == 1
+    assert_one_line(error, "wheel_speed_rms = ")
+    assert "over the limit of 0.1" in error
+
+
+def test_two_sides_of_a_task(inside: Path, call: Call) -> None:
+    outputs = ("--json", "compare.json", "--html", "compare.html")
+    code, out, error = call("compare", "sim.mcap", "real.mcap", "--sim", "late.mcap", *outputs)
+    assert (code, error) == (0, "")
+    assert "sim: 2 of 4 episodes have no partner" in out
+    told = json.loads((inside / "compare.json").read_text())
+    assert [pair["seed"] for pair in told["pairs"]] == [1, 2]
+    assert told["metrics"]["success_rate"]["values"] == [1.0, 1.0]
+    assert told["metrics"]["odometry_error"]["pairs"] == 2
+    html = (inside / "compare.html").read_text(encoding="utf-8")
+    assert '"text":"goal_distance, D = ' in html
+    limit = ("--fail-over", "success_rate=0.0", "time_to_goal=0.0")
+    code, _, error = call("compare", "sim.mcap", "real.mcap", *limit)
+    assert code == 1
+    assert_one_line(error, "time_to_goal = ")
+
+
+def test_a_cut_recording_is_used_as_far_as_it_goes(inside: Path, call: Call) -> None:
+    whole = (inside / "log0.mcap").read_bytes()
+    (inside / "half.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    code, out, error = call("gap", "half.mcap", "--robot", "robot.yaml")
+    assert code == 0, error
+    assert "half.mcap: its end is missing" in out
+
+
+def test_a_preset_before_fitting_has_the_recorded_wiring(inside: Path, call: Call) -> None:
+    wires = ("a", "b"), ("b", "a")
+    wheels = {one: {"motor": other, "encoder": other} for one, other in wires}
+    wired = ROBOT.with_(wheels={**ACSAR.wheels.model_dump(), **wheels})
+    recorder = Recorder(inside / "wired.mcap")
+    with Robot(open_link("planar", wired), ACSAR.with_(wheels=wired.wheels), (), recorder) as robot:
+        for speeds in random_steps(3, 3.0, ACSAR):
+            robot.tick(speeds)
+    wired.save(inside / "wired.yaml")
+    found = {}
+    for before in ("acsar", "recorded"):
+        logs = ("gap", "wired.mcap", "--robot", "wired.yaml", "--json", "gap.json")
+        assert call(*logs, "--before", before)[0] == 0
+        found[before] = json.loads((inside / "gap.json").read_text())["before"]["figures"]
+    assert found["acsar"] == found["recorded"]
