@@ -62,9 +62,7 @@ class BenchmarkOutput:
     json: Json = None
     """Also write the JSON to this file."""
     html: Json = None
-    """Also write an HTML report with films of the worst episodes, which are driven again."""
-    worst: int = 10
-    """How many of these episodes."""
+    """Also write an HTML report."""
 
 
 _flat = tyro.conf.arg(name="")
@@ -75,7 +73,6 @@ def run_benchmark(
     how: Annotated[BenchmarkOutput, _flat],
     policy: str = "",
     combine: Folders = (),
-    cards: Folder = None,
     check: Json = None,
 ) -> int:
     """Compare agents over fixed scenes: success, scores and intervals.
@@ -87,11 +84,9 @@ def run_benchmark(
         how: folder, processes and output.
         policy: benchmark this policy alone: an ONNX file, or a function such as mine.py:act.
         combine: write tables from these folders; runs nothing.
-        cards: also write a page for each packaged policy into this folder.
         check: check such a row of --policy, and run nothing.
     """
     from acsar_gym.tools.benchmark import result  # noqa: PLC0415
-    from acsar_gym.tools.benchmark.result import BenchmarkOutput  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     if check is not None:
@@ -103,11 +98,20 @@ def run_benchmark(
         raise ConfigError(
             "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
         )
-    command = BenchmarkOutput(how.out, how.table, how.json, cards, how.html, how.worst)
+    report.make_folder(how.out)
     if combine:
-        command.combine(combine, what.trained, what.seeds)
+        told = result.make_result(*result.combine_folders(combine))
     else:
-        command.run(_plan(what, policy), policy, how.workers, how.address, resume=how.resume)
+        plan, submit = _plan(what, policy), bool(policy)
+        told = result.run_benchmark(
+            plan,
+            how.out,
+            workers=how.workers,
+            address=how.address,
+            resume=how.resume,
+            submit=submit,
+        )
+    result.write_outputs(told, how.out, how.table, how.json, how.html)
     return 0
 
 

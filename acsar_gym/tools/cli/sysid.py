@@ -262,7 +262,7 @@ class GapOutputs:
         report.check_writable(self.json)
         report.check_writable(self.html)
         if self.html is not None:
-            page.plotly_source()
+            page.check_report_extra()
 
 
 OutputArgs = Annotated[GapOutputs, tyro.conf.arg(name="")]
