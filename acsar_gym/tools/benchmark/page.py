@@ -236,6 +236,7 @@ def _robustness(
                     colors[name],
                     width=_line_width(own[found[0]]),
                     mode="lines+markers",
+                    marker={"size": 9},
                     text=[conditions[condition]["words"] for condition in found],
                     hovertemplate="%{y:.1f} %, %{text}",
                 )

@@ -153,7 +153,7 @@ def episode_records(table: Mapping[str, Sequence[Any]]) -> list[EpisodeRecord]:
     """Return the episodes of `episode_columns`; None becomes NaN."""
     names = [each.name for each in fields(EpisodeRecord)]
     rows = zip(*(table[name] for name in names), strict=True)
-    known: Iterator[list[Any]] = ([math.nan if v is None else v for v in row] for row in rows)
+    known: list[list[Any]] = [[math.nan if v is None else v for v in row] for row in rows]
     return [EpisodeRecord(*row) for row in known]
 
 
