@@ -167,11 +167,14 @@ def quiet(command: Callable[..., Any]) -> Callable[..., int]:
 def parsed(words: list[str]) -> None:
     """Check a command's name and options; it isn't run."""
     with pytest.MonkeyPatch.context() as patch:
-        for table in (app.COMMANDS, policies.POLICY_COMMANDS, world_commands.WORLD_COMMANDS):
+        for table in (
+            app.COMMANDS,
+            policies.POLICY_COMMANDS,
+            recording.RECORD_COMMANDS,
+            world_commands.WORLD_COMMANDS,
+        ):
             for name in [name for name in table if name not in app.COMMAND_GROUPS]:
                 patch.setitem(table, name, quiet(table[name]))
-        for name in ("info", "export"):
-            patch.setattr(recording, name, quiet(getattr(recording, name)))
         patch.setitem(
             app.COMMAND_GROUPS, "train", lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1
         )
