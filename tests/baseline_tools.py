@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +16,6 @@ from acsar_gym.worlds.geometry import RaySpec
 PERIOD = 0.1
 CONFIG = RobotConfig.preset("acsar")
 ANGLES = RaySpec(CONFIG.lidar.rays).angles()
-
-
-def module(name: str) -> Any:
-    """A module of acsar_gym.tools.baselines."""
-    return import_module(f"acsar_gym.tools.baselines.{name}")
 
 
 def equipped(name: str) -> BaselinePolicy:

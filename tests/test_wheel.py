@@ -33,8 +33,8 @@ import acsar_gym
 from acsar_gym.tools.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
-from acsar_gym import baselines
-law = sys.modules[type(baselines.load("navfn", "acsar_gym/Barn-v1")).__module__]
+from acsar_gym.tools import baselines
+law = sys.modules[type(baselines.load_baseline("navfn", "acsar_gym/Barn-v1")).__module__]
 print(acsar_gym.__file__, resolve("point_goal"), law.__file__, sep="\\n")
 """
 Command = Callable[..., str]

@@ -1,4 +1,8 @@
-"""How fast it all is: environments, batches, rays, pictures, codec, recordings and policies."""
+"""How fast it all is: environments, batches, rays, pictures, codec, recordings and policies.
+
+The speed of a machine drifts. So things that are compared run in alternating blocks, figures are
+medians over the blocks, and ratios are medians of the ratios of neighbouring blocks.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +24,8 @@ from rich.table import Table
 from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
-from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import AcsarError, MissingExtraError
+from acsar_gym.errors import MissingExtraError
 from acsar_gym.links import open_link
-from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
@@ -35,6 +37,91 @@ from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region, Scene, World
 from acsar_gym.worlds.geometry import Obstacles, cast_rays, make_surroundings
+
+ENV_BLOCKS = 25
+ENV_STEPS = 100
+"""Env steps in one block."""
+BATCH_ROBOTS = 1024
+BATCH_WORLDS = 64
+"""Number of worlds in the batch with obstacles."""
+PATH_POINTS = 500
+"""Points of each path in the pictures."""
+RECORDING_TICKS = 100
+"""Ticks of one block, after which the writer catches up for RECORDING_BREAK [s]."""
+RECORDING_BREAK = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured number."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def measure_all() -> list[Figure]:
+    """Run all benchmarks; figures in the order of the table."""
+    bullet = _measure_bullet()
+    single = next(figure.value for figure in bullet if figure.unit == "steps/s")
+    return [
+        *bullet,
+        *_measure_planar(),
+        *_measure_rays(),
+        *_measure_obstacles(),
+        *_measure_pictures(),
+        *_measure_batches(single),
+        *_measure_wire(),
+        *_measure_recording(),
+        *_measure_policies(),
+    ]
+
+
+def figure_table(figures: list[Figure]) -> Table:
+    """Format figures as a table."""
+    drawn = Table(title="acsar-gym bench: medians", title_justify="left")
+    drawn.add_column("what")
+    drawn.add_column("figure", justify="right")
+    drawn.add_column("unit")
+    for figure in figures:
+        digits = 0 if figure.value >= 100 else 2
+        drawn.add_row(figure.name, f"{figure.value:,.{digits}f}", figure.unit)
+    return drawn
+
+
+def mean_duration(call: Callable[[], object], times: int) -> float:
+    """Return the mean duration of `times` calls [s]."""
+    begin = time.perf_counter()
+    for _ in range(times):
+        call()
+    return (time.perf_counter() - begin) / times
+
+
+def median_duration(call: Callable[[], object], times: int) -> float:
+    """Return the median over blocks of the mean duration of `times` calls [s]."""
+    return statistics.median(mean_duration(call, times) for _ in range(ENV_BLOCKS))
+
+
+def measure_alternating(
+    one: Callable[[], float], other: Callable[[], float], blocks: int, *, of_first: bool = False
+) -> tuple[float, float, float]:
+    """Run two measurements alternately.
+
+    Args:
+        one: the first measurement, returns seconds.
+        other: the second one.
+        blocks: number of pairs, after a warm-up.
+        of_first: return the ratio first / second instead of second / first.
+
+    Returns:
+        Medians of both, and the median of the ratios.
+    """
+    one()
+    other()
+    pairs = [(one(), other()) for _ in range(blocks)]
+    first, second = (statistics.median(column) for column in zip(*pairs, strict=True))
+    ratios = [a / b if of_first else b / a for a, b in pairs]
+    return first, second, statistics.median(ratios)
 
 
 @dataclass(frozen=True)
@@ -84,98 +171,6 @@ class PlainSmoothGoal(SmoothGoal):
     compiled = False
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """One measured number."""
-
-    name: str
-    value: float
-    unit: str
-
-
-def mean_duration(call: Callable[[], object], times: int) -> float:
-    """Return the mean duration of `times` calls [s]."""
-    begin = time.perf_counter()
-    for _ in range(times):
-        call()
-    return (time.perf_counter() - begin) / times
-
-
-def measure_alternating(
-    one: Callable[[], float], other: Callable[[], float], blocks: int, *, of_first: bool = False
-) -> tuple[float, float, float]:
-    """Run two measurements alternately.
-
-    Args:
-        one: the first measurement, returns seconds.
-        other: the second one.
-        blocks: number of pairs, after a warm-up.
-        of_first: return the ratio first / second instead of second / first.
-
-    Returns:
-        Medians of both, and the median of the ratios.
-    """
-    one()
-    other()
-    pairs = [(one(), other()) for _ in range(blocks)]
-    first, second = (statistics.median(column) for column in zip(*pairs, strict=True))
-    ratios = [a / b if of_first else b / a for a, b in pairs]
-    return first, second, statistics.median(ratios)
-
-
-RECORDING_BLOCKS = 25
-RECORDING_TICKS = 100
-"""Ticks of one block."""
-RECORDING_BREAK = 0.05
-"""Between two blocks, in which the writer catches up [s]."""
-FAST_LIDAR = {"rays": 360, "rate": 100.0}
-"""A scan in every tick."""
-
-
-def measure_recording() -> list[Figure]:
-    """Compare ticks of the planar robot with a LiDAR at 100 Hz, with and without recording.
-
-    Time of the thread's processor, in blocks that take turns, so that other threads and programs
-    don't count.
-    """
-    config = RobotConfig.of(None).with_(lidar=FAST_LIDAR)
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            bare, recorded = _robot(config), _robot(config, Recorder(Path(folder) / "bench.mcap"))
-            with bare, recorded:
-                pairs = [
-                    (_recording_tick(bare), _recording_tick(recorded))
-                    for _ in range(RECORDING_BLOCKS)
-                ]
-        except MissingExtraError:
-            return []
-    without, with_it = (min(times) for times in zip(*pairs, strict=True))
-    cost = max(with_it - without, 1e-9)
-    return [Figure("recording, per tick, on the loop's thread", cost * 1e6, "us")]
-
-
-def _robot(config: RobotConfig, recorder: Recorder | None = None) -> Robot:
-    """Make a planar robot with a LiDAR."""
-    return Robot(open_link("planar", config), config, ["lidar"], recorder)
-
-
-def _recording_tick(robot: Robot) -> float:
-    """Return the thread's time for a tick [s]."""
-    begin = time.thread_time()
-    for _ in range(RECORDING_TICKS):
-        robot.drive(0.3, 0.2)
-    took = (time.thread_time() - begin) / RECORDING_TICKS
-    time.sleep(RECORDING_BREAK)
-    return took
-
-
-WORLD_BLOCKS = 15
-WORLD_STEPS = 60
-"""Env steps in one block."""
-PATH_POINTS = 500
-"""Points of each path in the pictures."""
-
-
 def crowd_world(circles: int, segments: int, seed: int = 0) -> World:
     """Make a world with obstacles all around its start, at least 1.5 m away."""
     rng = np.random.default_rng(seed)
@@ -194,12 +189,67 @@ def crowd_world(circles: int, segments: int, seed: int = 0) -> World:
     )
 
 
-def measure_worlds() -> list[Figure]:
-    """Run the benchmarks of this module; figures in the order of the table."""
-    return [*_rays(), *_bullet_obstacles(), *_pictures()]
+def make_simulated(env_id: str, link: str, **options: Any) -> gymnasium.Env[Any, Any]:
+    """Make an env and reset it."""
+    env = gymnasium.make(f"acsar_gym/{env_id}", link=link, **options)
+    env.reset(seed=0)
+    return env
 
 
-def _rays() -> list[Figure]:
+def _drive_randomly(env: gymnasium.Env[Any, Any]) -> float:
+    """Measure a tick of a block of random driving, resets included [s]."""
+    inner: Any = env.unwrapped
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (ENV_STEPS, 2)).astype(np.float32)
+    begin = time.perf_counter()
+    for action in actions:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+    took: float = (time.perf_counter() - begin) / (ENV_STEPS * inner.ticks_per_step)
+    return took
+
+
+def _measure_bullet() -> list[Figure]:
+    """Compare the whole PyBullet env with the bare stepSimulation calls that it makes."""
+    env, other = (make_simulated("PointGoal-v0", "bullet") for _ in range(2))
+    inner: Any = other.unwrapped
+    config = RobotConfig.of(None)
+    calls = round(config.firmware.loop_rate / config.control_rate)
+    bare = inner.robot.link.body.engine_step
+
+    def drive_bare() -> float:
+        other.reset()
+        other.step(np.array([1.0, 0.3], np.float32))  # so that the bare robot moves, too
+        return calls * mean_duration(bare, 10 * ENV_STEPS)
+
+    tick, engine, ratio = measure_alternating(
+        lambda: _drive_randomly(env), drive_bare, ENV_BLOCKS, of_first=True
+    )
+    env.close()
+    other.close()
+    return [
+        Figure("PyBullet: bare stepSimulation calls of a tick", engine * 1e6, "us"),
+        Figure("PyBullet: env, wire included, per tick", tick * 1e6, "us"),
+        Figure("PyBullet: env against the bare calls", ratio, "x the time"),
+        Figure("PyBullet: env speed", config.period / tick, "x real time"),
+        Figure("PyBullet: env steps", 1.0 / (tick * inner.ticks_per_step), "steps/s"),
+    ]
+
+
+def _measure_planar() -> list[Figure]:
+    """Measure the single planar env."""
+    env = make_simulated("PointGoal-v0", "planar")
+    tick = statistics.median(_drive_randomly(env) for _ in range(ENV_BLOCKS))
+    resets = median_duration(env.reset, 20)
+    env.close()
+    return [
+        Figure("planar: env, wire included, per tick", tick * 1e6, "us"),
+        Figure("planar: env speed", RobotConfig.of(None).period / tick, "x real time"),
+        Figure("planar: reset", resets * 1e6, "us"),
+    ]
+
+
+def _measure_rays() -> list[Figure]:
     """Compare 64 rays among 100 obstacles with PyBullet's."""
     from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415 - optional
 
@@ -213,7 +263,7 @@ def _rays() -> list[Figure]:
     ours, theirs, ratio = measure_alternating(
         lambda: mean_duration(lambda: cast_rays(0.0, 0.0, 1.0, 0.0, 0, around, ranges), 200),
         lambda: mean_duration(lambda: body.rays((0.0, 0.0), angles, reach), 20),
-        WORLD_BLOCKS,
+        ENV_BLOCKS,
     )
     body.close()
     return [
@@ -223,54 +273,38 @@ def _rays() -> list[Figure]:
     ]
 
 
-def _obstacle_env(world: World) -> gymnasium.Env[Any, Any]:
-    """Make an ObstacleGoal env in PyBullet and reset it."""
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="bullet", worlds=world)
-    env.reset(seed=0)
-    return env
+def _measure_obstacles() -> list[Figure]:
+    """Measure the whole PyBullet env among obstacles, serial protocol and LiDAR included."""
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2)).astype(np.float32)
+    envs = [
+        make_simulated("ObstacleGoal-v1", "bullet", worlds=crowd_world(*counts))
+        for counts in ((0, 0), (50, 10), (250, 50))
+    ]
 
-
-def _obstacle_tick(env: gymnasium.Env[Any, Any]) -> Callable[[], float]:
-    """Return a function that measures a tick of random driving near the start [s]."""
-    inner = env.unwrapped
-    ticks = inner.ticks_per_step if isinstance(inner, RobotEnv) else 1
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (WORLD_STEPS, 2)).astype(np.float32)
-
-    def block() -> float:
-        """Measure one block."""
+    def drive_near_start(env: gymnasium.Env[Any, Any]) -> float:
+        """Measure a tick of a block of random driving near the start [s]."""
+        inner: Any = env.unwrapped
         env.reset(seed=0)
         begin = time.perf_counter()
         for action in actions:
             inner.step(action)
-        return (time.perf_counter() - begin) / (WORLD_STEPS * ticks)
+        took: float = (time.perf_counter() - begin) / (len(actions) * inner.ticks_per_step)
+        return took
 
-    return block
-
-
-def _bullet_obstacles() -> list[Figure]:
-    """Measure the whole PyBullet env among obstacles, serial protocol and LiDAR included."""
-    period = RobotConfig.of(None).period
-    envs = [
-        _obstacle_env(crowd_world(0, 0)),
-        _obstacle_env(crowd_world(50, 10)),
-        _obstacle_env(crowd_world(250, 50)),
-    ]
-    empty, some, _ = measure_alternating(
-        _obstacle_tick(envs[0]), _obstacle_tick(envs[1]), WORLD_BLOCKS
-    )
-    _, _, ratio = measure_alternating(
-        _obstacle_tick(envs[2]), _obstacle_tick(envs[0]), WORLD_BLOCKS, of_first=True
-    )
+    bare, some, many = (partial(drive_near_start, env) for env in envs)
+    empty, crowded, _ = measure_alternating(bare, some, ENV_BLOCKS)
+    _, _, ratio = measure_alternating(many, bare, ENV_BLOCKS, of_first=True)
     for env in envs:
         env.close()
+    period = RobotConfig.of(None).period
     return [
         Figure("PyBullet ObstacleGoal, empty world", period / empty, "x real time"),
-        Figure("PyBullet ObstacleGoal, 64 rays, 60 obstacles", period / some, "x real time"),
+        Figure("PyBullet ObstacleGoal, 64 rays, 60 obstacles", period / crowded, "x real time"),
         Figure("PyBullet ObstacleGoal, 300 obstacles against none", ratio, "x the time"),
     ]
 
 
-def _pictures() -> list[Figure]:
+def _measure_pictures() -> list[Figure]:
     """Measure top views of 480 x 480 pixels with all elements."""
     config, world = RobotConfig.of(None), crowd_world(250, 50)
     view, turns = TopView(config, (480, 480)), np.linspace(0.0, 6.0, PATH_POINTS)
@@ -286,139 +320,49 @@ def _pictures() -> list[Figure]:
         reach=config.lidar.max_range,
     )
     view.draw(frame)
-    seconds = statistics.median(
-        mean_duration(lambda: view.draw(frame), 20) for _ in range(WORLD_BLOCKS)
-    )
+    seconds = median_duration(lambda: view.draw(frame), 20)
     return [Figure("top view of 480 x 480 pixels", 1.0 / seconds, "frames/s")]
 
 
-ENV_BLOCKS = 25
-BATCH_ROBOTS = 1024
-BATCH_WORLDS = 64
-"""Number of worlds in the batch with obstacles."""
-ENV_STEPS = 100
-"""Env steps in one block."""
-
-
-OWN_TASKS = (SmoothGoal, PlainSmoothGoal)
-
-
-def measure_all(policy: str | None = None) -> list[Figure]:
-    """Run all benchmarks.
-
-    Args:
-        policy: ONNX policy to measure; None for the packaged one.
-
-    Returns:
-        The figures in the order of the table.
-    """
-    bullet = _bullet()
-    single = next(figure.value for figure in bullet if figure.unit == "steps/s")
-    return [
-        *bullet,
-        *_planar(),
-        *measure_worlds(),
-        *_batch(single),
-        *_wire(),
-        *measure_recording(),
-        *_policy(policy),
-    ]
-
-
-def _env(link: str) -> gymnasium.Env[Any, Any]:
-    """Make a PointGoal env and reset it."""
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
-    env.reset(seed=0)
-    return env
-
-
-def _steps(env: gymnasium.Env[Any, Any], actions: np.ndarray[Any, Any]) -> float:
-    """Measure a tick of random driving, resets included [s]."""
-    begin = time.perf_counter()
-    for action in actions:
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset()
-    ticks = len(actions) * _ticks_per_step(env)
-    return (time.perf_counter() - begin) / ticks
-
-
-def _ticks_per_step(env: gymnasium.Env[Any, Any]) -> int:
-    inner = env.unwrapped
-    return inner.ticks_per_step if isinstance(inner, RobotEnv) else 1
-
-
-def _bullet() -> list[Figure]:
-    """Compare the whole PyBullet env with the bare stepSimulation calls that it makes."""
-    env, other = _env("bullet"), _env("bullet")
-    config = RobotConfig.of(None)
-    calls = round(config.firmware.loop_rate / config.control_rate)
-    bare = _engine(other)
-    whole, alone = [], []
-    rng = np.random.default_rng(0)
-    for _ in range(ENV_BLOCKS):
-        other.reset()
-        other.step(np.array([1.0, 0.3], np.float32))  # so that the bare robot moves, too
-        whole.append(_steps(env, rng.uniform(-1.0, 1.0, (ENV_STEPS, 2)).astype(np.float32)))
-        alone.append(calls * mean_duration(bare, 10 * ENV_STEPS))
-    env.close()
-    other.close()
-    tick, engine = statistics.median(whole), statistics.median(alone)
-    ratio = statistics.median(w / a for w, a in zip(whole, alone, strict=True))
-    return [
-        Figure("PyBullet: bare stepSimulation calls of a tick", engine * 1e6, "us"),
-        Figure("PyBullet: env, wire included, per tick", tick * 1e6, "us"),
-        Figure("PyBullet: env against the bare calls", ratio, "x the time"),
-        Figure("PyBullet: env speed", config.period / tick, "x real time"),
-        Figure("PyBullet: env steps", 1.0 / (tick * _ticks_per_step(env)), "steps/s"),
-    ]
-
-
-def _engine(env: gymnasium.Env[Any, Any]) -> Callable[[], None]:
-    """Return a function that makes one bare stepSimulation call."""
-    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415 - optional
-
-    inner = env.unwrapped
-    link = inner.robot.link if isinstance(inner, RobotEnv) else None
-    if not (isinstance(link, SimulatedLink) and isinstance(link.body, BulletBody)):
-        raise AcsarError("the bare engine can only be measured behind link='bullet'")
-    return link.body.engine_step
-
-
-def _planar() -> list[Figure]:
-    """Measure the single planar env."""
-    env = _env("planar")
-    rng = np.random.default_rng(0)
-    blocks = [
-        _steps(env, rng.uniform(-1.0, 1.0, (ENV_STEPS, 2)).astype(np.float32))
-        for _ in range(ENV_BLOCKS)
-    ]
-    tick = statistics.median(blocks)
-    period = RobotConfig.of(None).period
-    resets = _median(env.reset, 20)
-    env.close()
-    return [
-        Figure("planar: env, wire included, per tick", tick * 1e6, "us"),
-        Figure("planar: env speed", period / tick, "x real time"),
-        Figure("planar: reset", resets * 1e6, "us"),
-    ]
-
-
-def _batch(single: float) -> list[Figure]:
+def _measure_batches(single: float) -> list[Figure]:
     """Measure batches: against the PyBullet env (`single` [steps/s]), by cores, and by size."""
     if not compiled.COMPILED:
         return []
+
+    def make_stepper(
+        kind: Callable[..., RobotVectorEnv], robots: int, threads: int = 1, **options: Any
+    ) -> Callable[[], object]:
+        """Return a function that steps a new batch with random actions."""
+        env = kind(robots, max_episode_steps=200, threads=threads, **options)
+        env.reset(seed=0)
+        actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
+        return lambda: env.step(actions)
+
+    def measure_cores(kind: Callable[..., RobotVectorEnv], **options: Any) -> tuple[float, float]:
+        """Return env steps/s on one core, and the speed-up on all cores."""
+        one = make_stepper(kind, BATCH_ROBOTS, **options)
+        every = make_stepper(kind, BATCH_ROBOTS, cores, **options)
+        alone, _, gain = measure_alternating(
+            lambda: mean_duration(one, 10),
+            lambda: mean_duration(every, 10),
+            ENV_BLOCKS,
+            of_first=True,
+        )
+        return BATCH_ROBOTS / alone, gain
+
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     blind, seeing = PointGoalVectorEnv, ObstacleGoalVectorEnv
     worlds = [crowd_world(50, 10, seed) for seed in range(BATCH_WORLDS)]
-    among = {"worlds": worlds, "robot": RobotConfig.of(None).with_(lidar={"noise": 0.0})}
-    speed, gain = _cores(_stepper(blind, BATCH_ROBOTS, 1), _stepper(blind, BATCH_ROBOTS, cores))
-    rays, gain_rays = _cores(
-        _stepper(seeing, BATCH_ROBOTS, 1, **among), _stepper(seeing, BATCH_ROBOTS, cores, **among)
+    speed, gain = measure_cores(blind)
+    rays, gain_rays = measure_cores(
+        seeing, worlds=worlds, robot=RobotConfig.of(None).with_(lidar={"noise": 0.0})
     )
-    few, many = _stepper(blind, 16, 1), _stepper(blind, 16384, 1)
-    own = [_stepper(partial(RobotVectorEnv, task), BATCH_ROBOTS, 1) for task in OWN_TASKS]
-    compiled_task, plain_task = (BATCH_ROBOTS / _median(step, 20) for step in own)
+    few, many = make_stepper(blind, 16), make_stepper(blind, 16384)
+    compiled_task, plain_task = (
+        BATCH_ROBOTS
+        / median_duration(make_stepper(partial(RobotVectorEnv, task), BATCH_ROBOTS), 20)
+        for task in (SmoothGoal, PlainSmoothGoal)
+    )
     return [
         Figure(f"batch of {BATCH_ROBOTS} planar robots, one core", speed, "steps/s"),
         Figure("batch against the PyBullet env", speed / single, "x the steps"),
@@ -427,81 +371,71 @@ def _batch(single: float) -> list[Figure]:
         Figure(f"that batch on {cores} cores against one", gain_rays, "x the steps"),
         Figure("batch with a user's compiled task, one core", compiled_task, "steps/s"),
         Figure("batch with that task in plain Python", plain_task, "steps/s"),
-        Figure("batch of 16 robots: one step call", _median(few, 20) * 1e6, "us"),
+        Figure("batch of 16 robots: one step call", median_duration(few, 20) * 1e6, "us"),
         Figure("batch of 16,384 robots, a robot", mean_duration(many, 5) / 16384 * 1e6, "us"),
     ]
 
 
-def _cores(one: Callable[[], object], every: Callable[[], object]) -> tuple[float, float]:
-    """Return env steps/s on one core, and the speed-up on all cores."""
-    alone, together = [], []
-    for _ in range(ENV_BLOCKS):
-        alone.append(mean_duration(one, 10) / BATCH_ROBOTS)
-        together.append(mean_duration(every, 10) / BATCH_ROBOTS)
-    gain = statistics.median(a / t for a, t in zip(alone, together, strict=True))
-    return 1.0 / statistics.median(alone), gain
-
-
-def _stepper(kind: Callable[..., RobotVectorEnv], robots: int, threads: int, **options: Any) -> Any:
-    """Return a function that steps a new batch with random actions."""
-    env = kind(robots, max_episode_steps=200, threads=threads, **options)
-    env.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
-    return lambda: env.step(actions)
-
-
-def _wire() -> list[Figure]:
+def _measure_wire() -> list[Figure]:
     """Measure codec and odometry, with wheel speeds that change in every line."""
     speeds = [tuple(row) for row in np.random.default_rng(0).uniform(-9, 9, (2000, 4)).tolist()]
-    lines = [encode(row) for row in speeds]
     decoder, odometry = Decoder(), Odometry(0.05, 0.3)
-    return [
-        Figure("encode one line", _over(encode, speeds) * 1e6, "us"),
-        Figure("decode one line", _over(decoder.feed, lines) * 1e6, "us"),
-        Figure(
-            "odometry update", _over(lambda row: odometry.update(row, 0.01), speeds) * 1e6, "us"
-        ),
+    measured: list[tuple[str, Callable[[Any], object], list[Any]]] = [
+        ("encode one line", encode, speeds),
+        ("decode one line", decoder.feed, [encode(row) for row in speeds]),
+        ("odometry update", lambda row: odometry.update(row, 0.01), speeds),
     ]
 
-
-def _policy(policy: str | None) -> list[Figure]:
-    """Measure one decision of an ONNX policy."""
-    try:
-        actor = OnnxPolicy(policy or "point_goal")
-    except MissingExtraError:
-        return []
-    return [_deciding(actor, "")] + ([] if policy else [_deciding(OnnxPolicy("barn"), ", barn")])
-
-
-def _deciding(actor: OnnxPolicy, name: str) -> Figure:
-    """Measure one decision of a policy."""
-    observation = np.zeros(actor.width, np.float32)
-    took = _median(lambda: actor(observation), 1000)
-    return Figure(f"ONNX policy{name}, one decision", took * 1e6, "us")
-
-
-def _median(call: Callable[[], object], times: int) -> float:
-    """Return the median over blocks of the mean duration of a call [s]."""
-    return statistics.median(mean_duration(call, times) for _ in range(ENV_BLOCKS))
-
-
-def _over(call: Callable[[Any], object], items: list[Any]) -> float:
-    """Return the median over blocks of the mean duration of `call` over the items [s]."""
-
-    def once() -> None:
+    def over(call: Callable[[Any], object], items: list[Any]) -> None:
         for item in items:
             call(item)
 
-    return _median(once, 1) / len(items)
+    return [
+        Figure(name, median_duration(partial(over, call, items), 1) / len(items) * 1e6, "us")
+        for name, call, items in measured
+    ]
 
 
-def figure_table(figures: list[Figure]) -> Table:
-    """Format figures as a table."""
-    drawn = Table(title="acsar-gym bench: medians", title_justify="left")
-    drawn.add_column("what")
-    drawn.add_column("figure", justify="right")
-    drawn.add_column("unit")
-    for figure in figures:
-        digits = 0 if figure.value >= 100 else 2
-        drawn.add_row(figure.name, f"{figure.value:,.{digits}f}", figure.unit)
-    return drawn
+def _measure_recording() -> list[Figure]:
+    """Compare ticks of the planar robot with a LiDAR at 100 Hz, with and without recording.
+
+    Time of the thread's processor, in blocks that take turns, so that other threads and programs
+    don't count: what a tick costs the control loop's own thread.
+    """
+    config = RobotConfig.of(None).with_(lidar={"rays": 360, "rate": 100.0})  # a scan in every tick
+
+    def measure_tick(robot: Robot) -> float:
+        begin = time.thread_time()
+        for _ in range(RECORDING_TICKS):
+            robot.drive(0.3, 0.2)
+        took = (time.thread_time() - begin) / RECORDING_TICKS
+        time.sleep(RECORDING_BREAK)
+        return took
+
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            bare, recorded = (
+                Robot(open_link("planar", config), config, ["lidar"], recorder)
+                for recorder in (None, Recorder(Path(folder) / "bench.mcap"))
+            )
+            with bare, recorded:
+                pairs = [(measure_tick(bare), measure_tick(recorded)) for _ in range(ENV_BLOCKS)]
+        except MissingExtraError:
+            return []
+    without, with_it = (min(times) for times in zip(*pairs, strict=True))
+    cost = max(with_it - without, 1e-9)
+    return [Figure("recording, per tick, on the loop's thread", cost * 1e6, "us")]
+
+
+def _measure_policies() -> list[Figure]:
+    """Measure one decision of packaged policies."""
+    figures = []
+    for name, title in (("point_goal", ""), ("barn", ", barn")):
+        try:
+            actor = OnnxPolicy(name)
+        except MissingExtraError:
+            return []
+        observation = np.zeros(actor.width, np.float32)
+        took = median_duration(partial(actor, observation), 1000)
+        figures.append(Figure(f"ONNX policy{title}, one decision", took * 1e6, "us"))
+    return figures

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError
@@ -119,22 +118,18 @@ def plot_drives(folder: Path, config: RobotConfig) -> list[Path]:
     for name, drive in COMPARED_DRIVES.items():
         figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), layout="constrained")
         for link, style in (("bullet", "-"), ("planar", "--")):
-            _draw(axes, record_trace(link, drive, config), link, style, config.period)
+            drawn = record_trace(link, drive, config)
+            x, y, theta = zip(*drawn.poses, strict=True)
+            axes[0].plot(x, y, style, label=link)
+            times = [tick * config.period for tick in range(len(theta))]
+            axes[1].plot(times, theta, style, label=link)
+        axes[0].set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
+        axes[1].set(xlabel="time [s]", ylabel="heading [rad]")
+        for axis in axes:
+            axis.grid(visible=True, alpha=0.3)
+            axis.legend()
         figure.suptitle(f"{name}: PyBullet against the planar robot, {DRIVE_SECONDS:g} s")
         files.append(folder / f"{name.replace(' ', '_')}.png")
         figure.savefig(files[-1], dpi=110)
         plt.close(figure)
     return files
-
-
-def _draw(axes: Any, drawn: DriveTrace, label: str, style: str, period: float) -> None:
-    """Draw the path and heading of one robot."""
-    path, heading = axes
-    path.plot([p[0] for p in drawn.poses], [p[1] for p in drawn.poses], style, label=label)
-    path.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", adjustable="datalim")
-    times = [tick * period for tick in range(len(drawn.poses))]
-    heading.plot(times, [p[2] for p in drawn.poses], style, label=label)
-    heading.set(xlabel="time [s]", ylabel="heading [rad]")
-    for axis in axes:
-        axis.grid(visible=True, alpha=0.3)
-        axis.legend()

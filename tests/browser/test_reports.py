@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from benchmark_tools import cell, part, plan
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.render.canvas import encode_png
-from acsar_gym.tools.benchmark import page as benchmark_page
 from acsar_gym.tools.benchmark import result
-from acsar_gym.tools.evaluation.page import Film, ReportPage
+from acsar_gym.tools.benchmark.page import benchmark_page
+from acsar_gym.tools.evaluation.page import ReportPage
 from acsar_gym.tools.sysid import pages as sysid_pages
 from acsar_gym.tools.sysid.sim_real import compare_sides
 from acsar_gym.tools.sysid.twin_gap import measure_gap
@@ -36,8 +34,6 @@ TIMEOUT = 120.0
 SCHEMES = {"dark": (0, (20, 22, 26)), "light": (1, (251, 251, 250))}
 """Blink's number of each scheme, and the background in page.css."""
 ACSAR = RobotConfig.preset("acsar")
-DOT = encode_png(np.full((64, 64, 3), 200, np.uint8))
-"""A picture."""
 PAGES = ("gap", "compare", "benchmark")
 
 
@@ -67,7 +63,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made: dict[str, ReportPage] = {
         "gap": sysid_pages.gap_page(gap),
         "compare": sysid_pages.compare_page(compare_sides(sim, real)),
-        "benchmark": benchmark_page.page(benchmark(), [Film("an episode", DOT, b"")]),
+        "benchmark": benchmark_page(benchmark()),
     }
     for name, page in made.items():
         page.write(folder / f"{name}.html")

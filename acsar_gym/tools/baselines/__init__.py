@@ -14,11 +14,11 @@ from acsar_gym.tools.baselines.base import BaselinePolicy
 
 __all__ = ["BASELINES", "BaselinePolicy", "is_baseline", "load_baseline"]
 BASELINES = {
-    "random": "random_actions:RandomActions",
-    "turn_drive": "turn_drive:TurnDrive",
-    "smooth": "smooth:Smooth",
-    "pure_pursuit": "pure_pursuit:PurePursuit",
-    "stanley": "stanley:Stanley",
+    "random": "goal_laws:RandomActions",
+    "turn_drive": "goal_laws:TurnDrive",
+    "smooth": "goal_laws:Smooth",
+    "pure_pursuit": "path_laws:PurePursuit",
+    "stanley": "path_laws:Stanley",
     "follow_gap": "follow_gap:FollowGap",
     "dwa": "dwa:Dwa",
     "mppi": "mppi:Mppi",

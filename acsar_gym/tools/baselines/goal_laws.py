@@ -33,7 +33,20 @@ MIN_DISTANCE = 0.1
 
 
 class Smooth(BaselinePolicy):
-    """Drives a smooth curve to the goal, slower where it is narrow."""
+    """Drives a smooth curve to the goal, slower where it is narrow.
+
+    Park & Kuipers, "A smooth control law for graceful motion of differential wheeled mobile robots
+    in 2D environment", ICRA 2011.
+
+    In polar coordinates around the goal, with the distance r, the line of sight's direction theta
+    relative to the wanted heading at the goal, and the robot's heading delta relative to the line
+    of sight, the path's curvature is (their equation 15)
+
+        kappa = -(k2 (delta - atan(-k1 theta)) + (1 + k1 / (1 + (k1 theta)^2)) sin delta) / r
+
+    and the speed v = v_max / (1 + beta |kappa|^lambda) (equation 16). These goals have no wanted
+    heading, so theta = 0; delta is minus the goal's bearing.
+    """
 
     name = "smooth"
     needs = GOAL_NUMBERS

@@ -39,12 +39,6 @@ def scan_points(ranges: Floats | None, angles: Floats, config: RobotConfig) -> F
     return np.column_stack([x, config.lidar_y_offset + far * np.sin(angle)])
 
 
-def footprint_sides(config: RobotConfig) -> Floats:
-    """(sides, 4): the footprint's sides, from (x, y) to (x, y) in the base frame [m]."""
-    corners = np.array(config.outline)
-    return np.hstack([corners, np.roll(corners, -1, axis=0)])
-
-
 @loop
 def polygon_distance(x: float, y: float, sides: Floats) -> float:
     """Distance of a point from a polygon, (sides, 4); 0 inside [m]."""
@@ -98,7 +92,12 @@ OPEN_DISTANCE = 0.1
 
 
 class Costmap:
-    """Occupied cells in the odometry frame.
+    """Occupied cells in the odometry frame, kept from the scans: what a ROS user's costmap holds.
+
+    Log odds of each cell: a ray's end makes a cell likelier to be occupied, its way makes those
+    that it crosses less so (Moravec & Elfes 1985; Nav2's obstacle layer marks and clears likewise).
+    Each cell also keeps the mean place of what was met in it, so that the map is finer than its
+    cells.
 
     Attributes: `odds`, (nx, ny), log odds of cells; `x`, `y`, centre of cell (0, 0) [m].
 
@@ -175,7 +174,16 @@ VELOCITY_WEIGHT = 1e-4
 
 
 class DeadReckoning:
-    """Dead reckoning from observations; the first pose is the origin.
+    """The robot's pose by odometry, from observations alone; the first pose is the origin.
+
+    An observation has the goal in the base frame, exactly, and the velocity at its end. Between two
+    of them the robot moves by a length s along an arc that turns by w. What is unknown are these
+    two numbers; the goal's two coordinates before and after the step give two equations,
+
+        goal' = R(-w) (goal - s (cos w/2, sin w/2)),
+
+    which are solved by least squares (Gauss-Newton) together with the velocities' own estimate,
+    which counts little: it decides where the goal can't, as s does for a goal abeam.
 
     Attributes: `pose`, x [m], y [m] and theta [rad]; `goal`, in the same frame [m].
 
@@ -250,7 +258,11 @@ FIELD_COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
 
 @dataclass(frozen=True, slots=True)
 class Potential:
-    """Cost of the cheapest way to the goal, as equivalent metres, on a grid."""
+    """Cost of the cheapest way to the goal, as equivalent metres, on a grid.
+
+    Each cell costs 1 a metre, and more near obstacles. The cost of the cheapest way to the goal, T,
+    solves |grad T| = cost, see `acsar_gym.worlds.search`. Nav2's NavFn planner interpolates it too.
+    """
 
     values: Floats
     """(nx, ny), at the cells' centres."""
@@ -289,9 +301,17 @@ def compute_potential(
         from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
 
     occupied = known.odds > 0.0
-    part = _window(occupied, known, (robot, goal))
-    x, y = known.x + part[0].start * CELL_SIZE, known.y + part[1].start * CELL_SIZE
-    occupied = occupied[part]
+    more = math.ceil(FIELD_MARGIN / CELL_SIZE)
+    window = []  # of the map around what is occupied, the robot and the goal
+    for axis, first in ((0, known.x), (1, known.y)):
+        filled = np.flatnonzero(occupied.any(axis=1 - axis))
+        cells = [round((end[axis] - first) / CELL_SIZE) for end in (robot, goal)]
+        cells += [int(filled[0]), int(filled[-1])] if len(filled) else []
+        size = occupied.shape[axis]
+        low, high = min(max(min(cells) - more, 0), size - 2), max(min(max(cells) + more, size), 2)
+        window.append(slice(low, high))
+    x, y = known.x + window[0].start * CELL_SIZE, known.y + window[1].start * CELL_SIZE
+    occupied = occupied[window[0], window[1]]
     distances = np.full(occupied.shape, 1e3)
     if occupied.any():
         distances = distance_transform_edt(~occupied, sampling=CELL_SIZE)
@@ -299,24 +319,6 @@ def compute_potential(
     i, j = round((goal[0] - x) / CELL_SIZE), round((goal[1] - y) / CELL_SIZE)
     sweep_distances(values, clearance_costs(distances, radii, FIELD_COSTS) * CELL_SIZE, i, j)
     return Potential(values, distances, x, y)
-
-
-def _window(
-    occupied: np.ndarray[tuple[int, int], np.dtype[np.bool_]],
-    known: Costmap,
-    ends: tuple[tuple[float, float], tuple[float, float]],
-) -> tuple[slice, slice]:
-    """The part of the map around what is occupied, the robot and the goal."""
-    more = math.ceil(FIELD_MARGIN / CELL_SIZE)
-    parts = []
-    for axis, first in ((0, known.x), (1, known.y)):
-        filled = np.flatnonzero(occupied.any(axis=1 - axis))
-        cells = [round((end[axis] - first) / CELL_SIZE) for end in ends]
-        cells += [int(filled[0]), int(filled[-1])] if len(filled) else []
-        size = occupied.shape[axis]
-        low, high = min(max(min(cells) - more, 0), size - 2), max(min(max(cells) + more, size), 2)
-        parts.append(slice(low, high))
-    return parts[0], parts[1]
 
 
 @loop
@@ -417,7 +419,8 @@ class MappedPolicy(BaselinePolicy):
         """Prepare for a robot and a task."""
         super().equip(setting)
         config = setting.config
-        self.sides = footprint_sides(config)
+        corners = np.array(config.outline)
+        self.sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
         self.outer = footprint.outline_radius(config.outline)
         self.radii = (footprint.border_distance(config.outline, 0.0, 0.0), self.outer)
         self._angles = ray_spec(config).angles()
@@ -439,7 +442,18 @@ class MappedPolicy(BaselinePolicy):
         farthest = OBSERVATION_LIMIT * (self.setting.scale or 1.0) - 1e-3
         motion = self._motion
         pose = motion.update(seen.goal, (seen.linear, seen.angular), farthest)
-        self._enter(pose, seen)
+        if seen.ranges is not None:
+            config, (x, y, theta) = self.setting.config, pose
+            cos, sin = math.cos(theta), math.sin(theta)
+            origin = (
+                x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
+                y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
+            )
+            along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
+            met = seen.ranges < config.lidar.max_range - 1e-3
+            ends = origin + seen.ranges[:, None] * along
+            self.known.update(origin, ends, met.astype(np.float64))
+            self._scan = ends[met]
         if self._steps % REPLAN_STEPS == 0:
             self.plan: Potential = compute_potential(self.known, pose[:2], motion.goal, self.radii)
         self._steps += 1
@@ -460,24 +474,6 @@ class MappedPolicy(BaselinePolicy):
         Returns:
             Linear [m/s] and angular velocity [rad/s].
         """
-
-    def _enter(self, pose: Pose, seen: DecodedObservation) -> None:
-        """Enter the newest scan into the map."""
-        config, (x, y, theta) = self.setting.config, pose
-        if seen.ranges is None:
-            return
-        cos, sin = math.cos(theta), math.sin(theta)
-        origin = (
-            x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
-            y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
-        )
-        along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
-        met, ends = (
-            seen.ranges < config.lidar.max_range - 1e-3,
-            origin + seen.ranges[:, None] * along,
-        )
-        self.known.update(origin, ends, met.astype(np.float64))
-        self._scan = ends[met]
 
     def obstacles(self, pose: Pose, reach: float) -> Floats:
         """(n, 2): what is known within a square around the robot, in the odometry frame [m].

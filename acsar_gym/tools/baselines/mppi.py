@@ -125,7 +125,11 @@ class Mppi(MappedPolicy):
         reach = config.max_linear * PLAN_STEPS * self.setting.period
         around = self.around(pose, reach, goal, self.setting.tolerance)
         self._actions = np.vstack([self._actions[1:], self._actions[-1:]])
-        tried = np.clip(self._actions + self._noise(), -1.0, 1.0)
+        noise = self.rng.standard_normal((ROLLOUTS, PLAN_STEPS, 2))
+        for step in range(1, PLAN_STEPS):
+            fresh = math.sqrt(1.0 - NOISE_CORRELATION**2) * noise[:, step]
+            noise[:, step] = NOISE_CORRELATION * noise[:, step - 1] + fresh
+        tried = np.clip(self._actions + noise * ACTION_NOISE, -1.0, 1.0)
         tried[0] = self._actions
         tried[1] = 0.0
         state = (*pose, seen.linear, seen.angular, *self.sent)
@@ -134,14 +138,6 @@ class Mppi(MappedPolicy):
         self._actions = np.einsum("n,nsa->sa", weights / weights.sum(), tried)
         linear, angular = self._actions[0].tolist()
         return linear * config.max_linear, angular * config.max_angular
-
-    def _noise(self) -> Floats:
-        """(ROLLOUTS, STEPS, 2): noise on actions, correlated in time."""
-        noise = self.rng.standard_normal((ROLLOUTS, PLAN_STEPS, 2))
-        for step in range(1, PLAN_STEPS):
-            fresh = math.sqrt(1.0 - NOISE_CORRELATION**2) * noise[:, step]
-            noise[:, step] = NOISE_CORRELATION * noise[:, step - 1] + fresh
-        return noise * ACTION_NOISE
 
 
 WheelState = tuple[float, float, float, float]

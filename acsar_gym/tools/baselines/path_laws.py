@@ -24,7 +24,12 @@ class PathPolicy(BaselinePolicy):
 
 
 class PurePursuit(PathPolicy):
-    """Drives to a point of the path a fixed distance ahead, slower in narrow curves."""
+    """Drives to a point of the path a fixed distance ahead, slower in narrow curves.
+
+    Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992. The robot drives
+    the arc that leads through that point: its curvature is 2 y / L^2 for a point L away and y to
+    the left.
+    """
 
     name = "pure_pursuit"
 
@@ -83,7 +88,16 @@ MAX_STEERING = 1.2
 
 
 class Stanley(PathPolicy):
-    """Steers by the path's direction and distance at a front axle."""
+    """Steers by the path's direction and distance at a front axle.
+
+    Hoffmann, Tomlin, Montemerlo & Thrun, "Autonomous automobile trajectory tracking for off-road
+    driving", ACC 2007.
+
+    A bicycle steers its front wheel by delta = psi + atan(k e / (k_soft + v)), in which psi is the
+    path's direction relative to the heading, and e the distance of the path from the front axle,
+    positive to the left. This robot drives the twist of a bicycle whose front axle lies
+    AXLE_DISTANCE ahead of its base: angular = v tan(delta) / AXLE_DISTANCE.
+    """
 
     name = "stanley"
 

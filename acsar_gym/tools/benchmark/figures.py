@@ -1,13 +1,12 @@
-"""Statistics over few training seeds and many scenes, after Agarwal et al. 2021.
+"""The figures of episodes, of an agent's rows over few training seeds, and comparisons of agents.
 
-"Deep Reinforcement Learning at the Edge of the Statistical Precipice", NeurIPS 2021. Scores are
-matrices (seeds, scenes): a row for each trained policy of an agent, a column for each scene. An
-agent without training has one row.
+After Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice",
+NeurIPS 2021. Scores are matrices (seeds, scenes): a row for each trained policy of an agent, a
+column for each scene. An agent without training has one row.
 
-The bootstrap is stratified: every matrix of a list, one for each id, is resampled on its own. In
-each, seeds are resampled, and scenes too (their `task_bootstrap`), because the scenes are a sample
-of what a generator makes. A drawn seed keeps its scores in all drawn scenes: one trained policy
-drove them all, so its scores aren't independent of each other.
+In the bootstrap seeds are resampled, and scenes too (their `task_bootstrap`), because the scenes
+are a sample of what a generator makes. A drawn seed keeps its scores in all drawn scenes: one
+trained policy drove them all, so its scores aren't independent of each other.
 """
 
 from __future__ import annotations
@@ -18,152 +17,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
 from acsar_gym.tools.benchmark.store import Cell, EpisodeRecord, Part
 from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.evaluation.metrics import Floats, Interval, row_means, stratified_interval
 
-Floats = NDArray[np.float64]
-Interval = tuple[float, float]
-Statistic = Callable[[Floats], Floats]
-"""Maps rows of scores (..., n) to one figure a row (...)."""
-
-CONFIDENCE = 0.95
-RESAMPLES = 2000
-"""Bootstrap samples of an interval; their seed is fixed, so equal scores give equal intervals."""
-MAX_RESAMPLED = 4_000_000
-"""Scores that are resampled at once, at most; limits the memory."""
 TAUS = tuple(np.linspace(0.0, 1.0, 21).round(2).tolist())
 """Thresholds of performance profiles."""
-
-
-def interquartile_mean(rows: Floats) -> Floats:
-    """Return the mean of the middle half of each row, a 25 % trimmed mean.
-
-    Args:
-        rows: (..., n), with n of at least one.
-    """
-    count = rows.shape[-1]
-    cut = count // 4
-    trimmed: Floats = np.sort(rows, axis=-1)[..., cut : count - cut].mean(axis=-1)
-    return trimmed
-
-
-def row_means(rows: Floats) -> Floats:
-    """Return the mean of each row (..., n)."""
-    means: Floats = rows.mean(axis=-1)
-    return means
-
-
-def overall_figure(scores: Sequence[Floats], statistic: Statistic = interquartile_mean) -> float:
-    """Return a statistic of all scores of some matrices, put together.
-
-    Args:
-        scores: a matrix (seeds, scenes) for each id.
-        statistic: `iqm` or `mean`.
-    """
-    return float(statistic(np.concatenate([np.ravel(each) for each in scores])))
-
-
-def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
-    """Return the probability that a run of X scores more than a run of Y in the same scene.
-
-    The mean over scenes of the Mann-Whitney U statistic divided by the number of pairs; equal
-    scores count half.
-
-    Args:
-        x: (seeds of X, scenes).
-        y: (seeds of Y, scenes), of the same scenes.
-    """
-    return float(_better(x, y).mean())
-
-
-def _better(x: ArrayLike, y: ArrayLike) -> Floats:
-    """(seeds of X, seeds of Y, scenes): 1 where X scores more, 0.5 where both are equal."""
-    ours, others = np.asarray(x, np.float64)[:, None], np.asarray(y, np.float64)[None]
-    better: Floats = (ours > others) + 0.5 * (ours == others)
-    return better
-
-
-def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list[float]:
-    """Return the share of runs, over seeds and scenes, whose score is above each threshold."""
-    flat = np.asarray(scores, np.float64).ravel()
-    return [float((flat > tau).mean()) for tau in taus]
-
-
-def stratified_interval(
-    scores: Sequence[Floats],
-    statistic: Statistic = interquartile_mean,
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Interval:
-    """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
-
-    Args:
-        scores: a matrix (seeds, scenes) for each id.
-        statistic: of rows with all scores.
-        resamples: bootstrap samples.
-        seed: of the resampling.
-
-    Returns:
-        Low and high end.
-    """
-    rng = np.random.default_rng(seed)
-    chunk = max(1, MAX_RESAMPLED // sum(each.size for each in scores))
-    found = [
-        statistic(np.concatenate([_resampled(each, count, rng) for each in scores], axis=1))
-        for count in _chunks(resamples, chunk)
-    ]
-    return _percentiles(np.concatenate(found))
-
-
-def _chunks(total: int, most: int) -> list[int]:
-    """Cut a number into parts of at most `most`."""
-    whole, rest = divmod(total, most)
-    return [most] * whole + ([rest] if rest else [])
-
-
-def _resampled(scores: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """(count, seeds * scenes): draw as many seeds and scenes as there are, with replacement."""
-    seeds, scenes = (rng.integers(size, size=(count, size)) for size in scores.shape)
-    return scores[seeds[:, :, None], scenes[:, None, :]].reshape(count, -1)
-
-
-def improvement_interval(
-    x: Floats, y: Floats, *, resamples: int = RESAMPLES, seed: int = 0
-) -> Interval:
-    """Return the 95 % interval of `probability_of_improvement`.
-
-    Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
-    """
-    rng = np.random.default_rng(seed)
-    better = _better(x, y)
-    ours, others, scenes = (
-        rng.multinomial(size, np.full(size, 1.0 / size), resamples) / size for size in better.shape
-    )  # how often each was drawn, as shares
-    return _percentiles(np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True))
-
-
-def _percentiles(values: Floats) -> Interval:
-    """The middle 95 % of some values."""
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(values, [tail, 100.0 - tail])
-    return float(low), float(high)
-
-
-def intervals_apart(one: Interval, other: Interval) -> bool:
-    """Whether two intervals have no point in common."""
-    return one[1] < other[0] or other[1] < one[0]
-
-
-# The figures of an episode and of many: what each id is scored by, and means over episodes.
-
 WORST_CROSS_TRACK = 0.1
 """Mean cross-track error at which following a path scores nothing [m]."""
+Place = tuple[str, str, str, str]
+"""Id, set of scenes, link and condition, which the rows to be compared share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,11 +97,6 @@ def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
     return fastest / max(result.ended - result.started, fastest, 1e-9)
 
 
-def _won(value: Callable[[EpisodeRecord], float]) -> Callable[[EpisodeRecord], float]:
-    """Count successful episodes only."""
-    return lambda episode: value(episode) if episode.success else math.nan
-
-
 EPISODE_FIGURES: dict[str, Callable[[EpisodeRecord], float]] = {
     "success_rate": lambda e: float(e.success),
     "collision_rate": lambda e: float(e.collision),
@@ -243,25 +106,23 @@ EPISODE_FIGURES: dict[str, Callable[[EpisodeRecord], float]] = {
     "soft_spl": lambda e: e.soft_spl,
     "barn_score": lambda e: e.barn_score,
     "barn_score_own": lambda e: e.barn_score_own,
-    "time_to_goal": _won(lambda e: e.time),
-    "path": _won(lambda e: e.path),
+    "time_to_goal": lambda e: e.time if e.success else math.nan,
+    "path": lambda e: e.path if e.success else math.nan,
     "clearance": lambda e: e.clearance,
     "smoothness": lambda e: e.turning / max(e.path, 1e-9),
     "jerk": lambda e: e.jerk,
-    "energy": _won(lambda e: e.energy),
+    "energy": lambda e: e.energy if e.success else math.nan,
     "odometry_error": lambda e: e.odometry_error,
-    "odometry_drift": lambda e: e.odometry_error / max(_longer(e), 1e-9),
+    "odometry_drift": lambda e: (
+        e.odometry_error / max(e.path if math.isnan(e.driven) else e.driven, 1e-9)
+    ),
     "cross_track": lambda e: e.cross_track,
     "episode_return": lambda e: e.episode_return,
     "late_ticks": lambda e: float(e.late_ticks),
 }
-"""Values whose means over episodes are given; NaN where an episode has none. Units as in `Episode`;
-smoothness is the heading change per metre [rad/m], odometry_drift the error per metre driven."""
-
-
-def _longer(episode: EpisodeRecord) -> float:
-    """Length driven [m], by ground truth if known."""
-    return episode.path if math.isnan(episode.driven) else episode.driven
+"""Values whose means over episodes are given; NaN where an episode has none. Units as in
+`EpisodeRecord`; smoothness is the heading change per metre [rad/m], odometry_drift the error per
+metre driven."""
 
 
 def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
@@ -270,25 +131,13 @@ def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
     `success_interval` is Wilson's.
     """
     means = {
-        name: _mean([value(each) for each in episodes]) for name, value in EPISODE_FIGURES.items()
+        name: metrics.finite_mean(map(value, episodes)) for name, value in EPISODE_FIGURES.items()
     }
     wins = sum(each.success for each in episodes)
     interval = metrics.wilson_interval(wins, len(episodes))
     told = {"episodes": len(episodes), **means, "success_interval": interval}
     cleaned: dict[str, Any] = metrics.replace_nonfinite(told)
     return cleaned
-
-
-def _mean(values: Sequence[float]) -> float:
-    """Mean of the finite values, or NaN."""
-    known = [value for value in values if math.isfinite(value)]
-    return math.fsum(known) / len(known) if known else math.nan
-
-
-# Rows of the table: an agent's figures on an id over all its training seeds.
-
-Place = tuple[str, str, str, str]
-"""Id, set of scenes, link and condition, which the rows to be compared share."""
 
 
 @dataclass
@@ -303,7 +152,7 @@ class CellResult:
 
 @dataclass
 class AgentRow:
-    """An agent behind one link, with all its training seeds."""
+    """A row of the table: an agent's figures at a place, over all its training seeds."""
 
     agent: str
     kind: str
@@ -311,38 +160,26 @@ class AgentRow:
     seeds: list[CellResult] = field(default_factory=list)
 
     @property
-    def refused(self) -> str:
-        """Why none of its seeds could drive here; empty if one could."""
-        return "" if self.driven else self.seeds[0].refused
-
-    @property
     def driven(self) -> list[CellResult]:
         """The seeds that drove."""
         return [each for each in self.seeds if each.episodes]
 
-    @property
-    def episodes(self) -> list[EpisodeRecord]:
-        """Episodes of all seeds."""
-        return [episode for each in self.driven for episode in each.episodes]
-
     def matrix(self, figure: str) -> Floats:
-        """(seeds, scenes) of a field of `Episode`; as many scenes as all seeds have."""
+        """(seeds, scenes) of a field of `EpisodeRecord`; as many scenes as all seeds have."""
         every = [[float(getattr(e, figure)) for e in each.episodes] for each in self.driven]
         common = min(map(len, every), default=0)
         return np.array([row[:common] for row in every]).reshape(len(every), common)
 
-    @property
-    def worst_seed(self) -> float:
-        """Least success rate of a seed."""
-        return float(self.matrix("success").mean(axis=1).min())
-
-    @property
-    def median_seed(self) -> float:
-        """Median success rate of the seeds."""
-        return float(np.median(self.matrix("success").mean(axis=1)))
+    def overall_figure(self, name: str) -> float:
+        """A figure of COMPARED_FIGURES over all seeds and scenes."""
+        figure, statistic = COMPARED_FIGURES[name]
+        return float(statistic(self.matrix(figure).ravel()))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures with their intervals, for JSON."""
+        """Return the figures with their intervals, for JSON.
+
+        Stratified bootstrap intervals; of all but the score under nominal conditions only.
+        """
         env_id, scenes, link, condition = self.place
         told: dict[str, Any] = {
             "agent": self.agent,
@@ -351,31 +188,27 @@ class AgentRow:
             "scenes": scenes,
             "link": link,
             "condition": condition,
-            "refused": self.refused,
+            "refused": "" if self.driven else self.seeds[0].refused,
         }
-        if self.refused:
+        if not self.driven:
             return told
-        score = self.matrix("score")
-        return told | {
-            "training_seeds": [each.cell.training_seed for each in self.driven],
-            "scene_count": score.shape[1],
-            **summarise_records(self.episodes),
-            "success_worst_seed": self.worst_seed,
-            "success_median_seed": self.median_seed,
-            "score_iqm": overall_figure([score]),
-            "intervals": self._intervals(score),
-            "profile": performance_profile(score),
-        }
-
-    def _intervals(self, score: Floats) -> dict[str, Any]:
-        """Stratified bootstrap intervals; of all but the score under nominal conditions only."""
-        found: dict[str, Any] = {"score_iqm": stratified_interval([score])}
+        score, rates = self.matrix("score"), self.matrix("success").mean(axis=1)
+        intervals = {"score_iqm": stratified_interval([score], interquartile_mean)}
         fields = {"success_rate": "success", "spl": "spl", "barn_score_own": "barn_score_own"}
         for name, figure in fields.items():
             values = self.matrix(figure)
-            if self.place[3] == NOMINAL and np.isfinite(values).all():
-                found[name] = stratified_interval([values], row_means)
-        return found
+            if condition == NOMINAL and np.isfinite(values).all():
+                intervals[name] = stratified_interval([values], row_means)
+        return told | {
+            "training_seeds": [each.cell.training_seed for each in self.driven],
+            "scene_count": score.shape[1],
+            **summarise_records([episode for each in self.driven for episode in each.episodes]),
+            "success_worst_seed": float(rates.min()),
+            "success_median_seed": float(np.median(rates)),
+            "score_iqm": self.overall_figure("score_iqm"),
+            "intervals": intervals,
+            "profile": performance_profile(score),
+        }
 
 
 def group_cells(parts: Iterable[Part]) -> list[CellResult]:
@@ -390,12 +223,7 @@ def group_cells(parts: Iterable[Part]) -> list[CellResult]:
 
 
 def group_rows(found: Sequence[CellResult], kinds: Mapping[str, str]) -> list[AgentRow]:
-    """Group cells by agent and place.
-
-    Args:
-        found: the cells.
-        kinds: "learned" or "baseline" by agent.
-    """
+    """Group cells by agent and place; `kinds` is "learned" or "baseline" by agent."""
     grouped: dict[tuple[str, Place], AgentRow] = {}
     for each in found:
         cell = each.cell
@@ -405,80 +233,109 @@ def group_rows(found: Sequence[CellResult], kinds: Mapping[str, str]) -> list[Ag
     return list(grouped.values())
 
 
-# Comparisons between agents in the same scenes: who is better, and how surely.
+def interquartile_mean(rows: Floats) -> Floats:
+    """Return the mean of the middle half of each row (..., n), a 25 % trimmed mean."""
+    count = rows.shape[-1]
+    cut = count // 4
+    trimmed: Floats = np.sort(rows, axis=-1)[..., cut : count - cut].mean(axis=-1)
+    return trimmed
 
 
-def group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:
-    """Group the rows that drove by place, the best score first."""
-    found: dict[Place, list[AgentRow]] = {}
-    for row in some:
-        if row.driven:
-            found.setdefault(row.place, []).append(row)
-    for group in found.values():
-        group.sort(key=lambda row: -overall_figure([row.matrix("score")]))
-    return found
+def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list[float]:
+    """Return the share of runs, over seeds and scenes, whose score is above each threshold."""
+    flat = np.asarray(scores, np.float64).ravel()
+    return [float((flat > tau).mean()) for tau in taus]
+
+
+def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
+    """Return the probability that a run of X scores more than a run of Y in the same scene.
+
+    The mean over scenes of the Mann-Whitney U statistic divided by the number of pairs; equal
+    scores count half.
+
+    Args:
+        x: (seeds of X, scenes).
+        y: (seeds of Y, scenes), of the same scenes.
+    """
+    return float(_compare_scores(x, y).mean())
+
+
+def _compare_scores(x: ArrayLike, y: ArrayLike) -> Floats:
+    """(seeds of X, seeds of Y, scenes): 1 where X scores more, 0.5 where both are equal."""
+    ours, others = np.asarray(x, np.float64)[:, None], np.asarray(y, np.float64)[None]
+    better: Floats = (ours > others) + 0.5 * (ours == others)
+    return better
+
+
+def improvement_interval(
+    x: Floats, y: Floats, *, resamples: int = metrics.BOOTSTRAP_SAMPLES
+) -> Interval:
+    """Return the 95 % interval of `probability_of_improvement`.
+
+    Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
+    """
+    rng = np.random.default_rng(0)
+    better = _compare_scores(x, y)
+    ours, others, scenes = (
+        rng.multinomial(size, np.full(size, 1.0 / size), resamples) / size for size in better.shape
+    )  # how often each was drawn, as shares
+    drawn = np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True)
+    return metrics.percentile_interval(drawn)
 
 
 COMPARED_FIGURES = {
     "success_rate": ("success", row_means),
     "score_iqm": ("score", interquartile_mean),
 }
-"""The figures that the best are compared by: a field of `Episode`, and the statistic of it."""
+"""The figures that the best are compared by: a field of `EpisodeRecord`, and its statistic."""
 
 
-def compare_best(some: Sequence[AgentRow]) -> list[dict[str, Any]]:
+def compare_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
     """Compare the best learned agent with the best baseline of each nominal place.
 
     Each figure has its own best agents: the baseline with the highest score may not be the one that
     succeeds most often.
     """
     found = []
-    for place, group in group_by_place(some).items():
-        for figure in COMPARED_FIGURES if place[3] == NOMINAL else ():
-            ours, other = (_first(group, kind, figure) for kind in (LEARNED, BASELINE))
-            if ours is not None and other is not None:
-                found.append(_compared(figure, ours, other))
+    for place, group in _group_by_place(some).items():
+        for name, (figure, statistic) in COMPARED_FIGURES.items():
+            best = [
+                max(
+                    (row for row in group if row.kind == kind),
+                    key=lambda row: row.overall_figure(name),
+                    default=None,
+                )
+                for kind in (LEARNED, BASELINE)
+            ]
+            if best[0] is None or best[1] is None:
+                continue
+            ours, other = best[0], best[1]
+            values = [row.overall_figure(name) for row in (ours, other)]
+            ends = [stratified_interval([row.matrix(figure)], statistic) for row in (ours, other)]
+            found.append(
+                {
+                    "id": place[0],
+                    "scenes": place[1],
+                    "link": place[2],
+                    "figure": name,
+                    "learned": ours.agent,
+                    "baseline": other.agent,
+                    "learned_value": values[0],
+                    "baseline_value": values[1],
+                    "better": values[0] > values[1],
+                    "learned_interval": ends[0],
+                    "baseline_interval": ends[1],
+                    "apart": ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0],
+                }
+            )
     return found
 
 
-def _first(group: Iterable[AgentRow], kind: str, figure: str) -> AgentRow | None:
-    """The row of a kind with the highest figure; None where there is none."""
-    own = (row for row in group if row.kind == kind)
-    return max(own, key=lambda row: _value(row, figure), default=None)
-
-
-def _value(row: AgentRow, figure: str) -> float:
-    """A figure of COMPARED over all seeds and scenes of a row."""
-    name, statistic = COMPARED_FIGURES[figure]
-    return overall_figure([row.matrix(name)], statistic)
-
-
-def _compared(figure: str, ours: AgentRow, other: AgentRow) -> dict[str, Any]:
-    """Compare two rows of one place by a figure."""
-    name, statistic = COMPARED_FIGURES[figure]
-    values = [_value(row, figure) for row in (ours, other)]
-    ends = [stratified_interval([row.matrix(name)], statistic) for row in (ours, other)]
-    return {
-        "id": ours.place[0],
-        "scenes": ours.place[1],
-        "link": ours.place[2],
-        "figure": figure,
-        "learned": ours.agent,
-        "baseline": other.agent,
-        "learned_value": values[0],
-        "baseline_value": values[1],
-        "better": values[0] > values[1],
-        "learned_interval": ends[0],
-        "baseline_interval": ends[1],
-        "apart": intervals_apart(*ends),
-    }
-
-
-def compare_pairs(some: Sequence[AgentRow]) -> list[dict[str, Any]]:
+def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
     """Return the probability that each learned agent improves on each other agent, by score."""
     found = []
-    for place, group in group_by_place(some).items():
-        for ours in (row for row in group if row.kind == LEARNED and place[3] == NOMINAL):
+    for place, group in _group_by_place(some).items():
+        for ours in (row for row in group if row.kind == LEARNED):
             for other in (row for row in group if row is not ours):
                 x, y = ours.matrix("score"), other.matrix("score")
                 common = min(x.shape[1], y.shape[1])
@@ -494,4 +351,15 @@ def compare_pairs(some: Sequence[AgentRow]) -> list[dict[str, Any]]:
                         "interval": improvement_interval(x, y),
                     }
                 )
+    return found
+
+
+def _group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:
+    """Group the rows that drove under nominal conditions by place, the best score first."""
+    found: dict[Place, list[AgentRow]] = {}
+    for row in some:
+        if row.driven and row.place[3] == NOMINAL:
+            found.setdefault(row.place, []).append(row)
+    for group in found.values():
+        group.sort(key=lambda row: -row.overall_figure("score_iqm"))
     return found

@@ -33,7 +33,6 @@ PACKAGED = "packaged"
 LEARNED, BASELINE = "learned", "baseline"
 MAX_NAME_LENGTH = 60
 """Most characters of an agent's name."""
-_NUMBER = re.compile(r"(\d+)\D*$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +72,6 @@ def short_id(env_id: str) -> str:
     return name
 
 
-def baseline_names() -> tuple[str, ...]:
-    """Names of the baselines that come with the package."""
-    return tuple(BASELINES)
-
-
 def choose_agents(
     names: Sequence[str], ids: Sequence[str], trained: Path | None, seeds: int
 ) -> list[Agent]:
@@ -93,24 +87,23 @@ def choose_agents(
         ConfigError: a name is unknown, or the folder holds no policy.
         PolicyError: a policy can't be used.
     """
-    learned = [*packaged_agents(), *(() if trained is None else trained_agents(trained, seeds))]
+    learned = [
+        agent
+        for file in sorted((AGENTS / "policies").glob("*.onnx"))
+        for agent in _read_agent(PACKAGED, file, None)
+    ]
+    learned += [] if trained is None else trained_agents(trained, seeds)
     found = [each for each in (*learned, *baseline_agents(ids)) if each.id in ids]
-    known = list(dict.fromkeys([*(each.name for each in learned), *baseline_names()]))
+    known = list(dict.fromkeys([*(each.name for each in learned), *BASELINES]))
     for name in names:
         if name not in known:
             raise ConfigError(f"--agents {show_value(name)}{suggest_name(name[:40], known)}")
     return [each for each in found if not names or each.name in names]
 
 
-def packaged_agents() -> Iterator[Agent]:
-    """Yield the policies that come with the package."""
-    for file in sorted((AGENTS / "policies").glob("*.onnx")):
-        yield from _of_file(PACKAGED, file, None)
-
-
 def baseline_agents(ids: Iterable[str]) -> list[Agent]:
     """Return every baseline on every id; those that can't drive there are refused later."""
-    return [Agent(name, BASELINE, each, name) for name in baseline_names() for each in ids]
+    return [Agent(name, BASELINE, each, name) for name in BASELINES for each in ids]
 
 
 def trained_agents(folder: Path, seeds: int) -> list[Agent]:
@@ -123,23 +116,22 @@ def trained_agents(folder: Path, seeds: int) -> list[Agent]:
     Raises:
         ConfigError: there is none.
     """
-    files = list(folder.glob("*/*/policy.onnx"))
+    files: dict[str, list[tuple[int, Path]]] = {}
+    for file in folder.glob("*/*/policy.onnx"):
+        match = re.search(r"(\d+)\D*$", file.parent.name)
+        if match is None:
+            raise ConfigError(
+                f"{file}: its folder must be named after the seed, such as 0 or seed-0"
+            )
+        files.setdefault(file.parts[-3], []).append((int(match[1]), file))
     if not files:
         raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
-    found: list[Agent] = []
-    for name in sorted({file.parts[-3] for file in files}):
-        own = sorted((_seed(file), file) for file in files if file.parts[-3] == name)
-        for seed, file in own[:seeds]:
-            found.extend(_of_file(name, file, seed))
-    return found
-
-
-def _seed(file: Path) -> int:
-    """The number at the end of the name of a policy's folder."""
-    match = _NUMBER.search(file.parent.name)
-    if match is None:
-        raise ConfigError(f"{file}: its folder must be named after the seed, such as 0 or seed-0")
-    return int(match[1])
+    return [
+        agent
+        for name in sorted(files)
+        for seed, file in sorted(files[name])[:seeds]
+        for agent in _read_agent(name, file, seed)
+    ]
 
 
 def submitted_agent(policy: str) -> Agent:
@@ -151,13 +143,13 @@ def submitted_agent(policy: str) -> Agent:
     Raises:
         PolicyError: it can't be used, or is for an id without scenes.
     """
-    (found,) = _of_file(
+    (found,) = _read_agent(
         Path(policy.rpartition(":")[0] or policy).stem[:MAX_NAME_LENGTH], policy, None
     )
     return found
 
 
-def _of_file(name: str, file: str | Path, seed: int | None) -> list[Agent]:
+def _read_agent(name: str, file: str | Path, seed: int | None) -> list[Agent]:
     """Read what a policy says about itself."""
     loaded = runs.load_policy(str(file), trust=False)
     env_id = loaded.env_id.removeprefix("acsar_gym/")
@@ -358,28 +350,21 @@ class BenchmarkPlan:
         Raises:
             PolicyError: a policy's file can't be read any more.
         """
-        policies = {each: _sent(each) for each in self.agents}
+        policies = {
+            each: PortablePolicy.of(
+                runs.load_policy(each.policy, trust=False, env=f"acsar_gym/{each.id}")
+            )
+            for each in self.agents
+        }
         for env_id, condition, link in product(self.ids, self.conditions, self.links):
             for some, count in self.sets(env_id):
                 used = min(count, self.port_count) if link == PORT else count
-                for each in self.agents:
-                    if each.id == env_id:
-                        cell = Cell(
-                            each.name, each.training_seed, env_id, link, condition, some.name
-                        )
-                        yield from _cut(cell, policies[each], some, used)
-
-
-def _sent(one: Agent) -> PortablePolicy:
-    """Read an agent's policy."""
-    return PortablePolicy.of(runs.load_policy(one.policy, trust=False, env=f"acsar_gym/{one.id}"))
-
-
-def _cut(cell: Cell, policy: PortablePolicy, some: SceneSet, count: int) -> Iterator[BenchmarkJob]:
-    """Yield the jobs of a cell."""
-    chunk = CHUNK_SIZES[cell.link]
-    for first in range(0, count, chunk):
-        yield BenchmarkJob(cell, policy, some, first, min(chunk, count - first))
+                chunk = CHUNK_SIZES[link]
+                for each in (each for each in self.agents if each.id == env_id):
+                    cell = Cell(each.name, each.training_seed, env_id, link, condition, some.name)
+                    for first in range(0, used, chunk):
+                        size = min(chunk, used - first)
+                        yield BenchmarkJob(cell, policies[each], some, first, size)
 
 
 def condition_fields(condition: Condition) -> dict[str, Any]:

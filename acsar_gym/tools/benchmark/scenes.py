@@ -15,17 +15,17 @@ come along, and nothing is trained on them.
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path where there is nothing else). Where the generator, or the footprint of the robot that
 worlds are made for, has changed, the hashes differ and the set is refused: results from it couldn't
-be compared. A change that is wanted has to count VERSION up and write the hashes anew: `record()`.
+be compared. A change that is wanted has to count SCENES_VERSION up and write the hashes anew:
+`record_hashes()`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -60,11 +60,8 @@ OPEN_FLOOR_SEEDS = {
     TEST: range(2**33, 2**33 + 1000),
 }
 """Seeds of the scenes on an open floor."""
-_SPLITS = {TRAIN: registry.TRAIN, VALIDATION: registry.VALIDATION, TEST: registry.BENCHMARK}
+WORLD_SPLITS = {TRAIN: registry.TRAIN, VALIDATION: registry.VALIDATION, TEST: registry.BENCHMARK}
 _FILE = Path(__file__).with_name("scenes.json")
-_MICROMETRE = 1e6
-"""Coordinates are rounded to this part of a metre before they are hashed: sums of floats differ in
-the last digits between machines."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +110,9 @@ class SceneSet:
     def blocks(self) -> list[str]:
         """Recorded hash of every 100 scenes; of a folder, the hashes of what it holds."""
         if self.name == PUBLISHED:
-            return _hashes(self, len(self))
-        return list(_recorded().get(self.source or "open", {}).get(self.name, []))
+            return hash_scenes(self, len(self))
+        recorded: dict[str, Any] = json.loads(_FILE.read_text())
+        return list(recorded.get(self.source or "open", {}).get(self.name, []))
 
     @property
     def sha256(self) -> str:
@@ -125,9 +123,7 @@ class SceneSet:
     @property
     def about(self) -> dict[str, Any]:
         """What results say about their scenes."""
-        kind = "seeds" if not self.source else self.source
-        if self.name == PUBLISHED:
-            kind = "folder"
+        kind = "folder" if self.name == PUBLISHED else self.source or "seeds"
         return {
             "set": self.name,
             "kind": kind,
@@ -150,7 +146,8 @@ class SceneSet:
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
         if self.name == PUBLISHED:
             return
-        for place, (now, before) in enumerate(zip(_hashes(self, count), self.blocks, strict=False)):
+        hashes = zip(hash_scenes(self, count), self.blocks, strict=False)
+        for place, (now, before) in enumerate(hashes):
             if now != before:
                 first = self.numbers[place * SCENES_PER_HASH]
                 raise ConfigError(
@@ -180,7 +177,7 @@ class Scenes:
             source: generator of the worlds; "" for an open floor.
         """
         sets = {
-            name: SceneSet(env_id, name, source, registry.split_numbers(source, _SPLITS[name]))
+            name: SceneSet(env_id, name, source, registry.split_numbers(source, WORLD_SPLITS[name]))
             if source
             else SceneSet(env_id, name, source, OPEN_FLOOR_SEEDS[name])
             for name in (TRAIN, VALIDATION, TEST)
@@ -204,70 +201,60 @@ def published_scenes(env_id: str, folder: Path) -> SceneSet:
     Raises:
         WorldError: they can't be read.
     """
-    return SceneSet(env_id, PUBLISHED, str(folder), range(len(_pool(str(folder)))))
+    return SceneSet(env_id, PUBLISHED, str(folder), range(len(read_pool(str(folder)))))
 
 
 def record_hashes() -> None:
     """Write the hashes of all generated sets to `scenes.json`; takes a minute."""
     told: dict[str, Any] = {}
     for scenes in SCENES.values():
-        sets = [one for one in (scenes.train, scenes.validation, scenes.test) if _listed(one)]
-        told[scenes.test.source or "open"] = {one.name: _hashes(one, len(one)) for one in sets}
+        sets = [
+            one for one in (scenes.train, scenes.validation, scenes.test) if len(one) <= 100_000
+        ]
+        told[scenes.test.source or "open"] = {one.name: hash_scenes(one, len(one)) for one in sets}
     _FILE.write_text(json.dumps({"version": SCENES_VERSION, **told}, indent=1) + "\n")
 
 
-def _listed(scenes: SceneSet) -> bool:
-    """Whether a set has few enough scenes for a list of hashes."""
-    return len(scenes) <= 100_000
-
-
 @cache
-def _recorded() -> dict[str, Any]:
-    """Read `scenes.json`."""
-    told: dict[str, Any] = json.loads(_FILE.read_text())
-    return told
-
-
-@cache
-def _hashes(scenes: SceneSet, count: int) -> list[str]:
+def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
     """Hash every 100 scenes as far as `count` needs; the last block may be a short one."""
-    needed = min(-(-count // SCENES_PER_HASH) * SCENES_PER_HASH, len(scenes))
+    numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
     with keep_worlds():
-        rows = iter([_digest(row) for row in islice(_rows(scenes), needed)])
-        blocks = iter(lambda: b"".join(islice(rows, SCENES_PER_HASH)), b"")
-        return [hashlib.sha256(block).hexdigest() for block in blocks]
-
-
-def _rows(scenes: SceneSet) -> Iterator[Sequence[Any]]:
-    """The numbers that define each scene [m, rad]."""
-    if scenes.source:
-        pool = _pool(scenes.worlds or "")
-        yield from (_defining(pool[number]) for number in scenes.numbers)
-        return
-    spawn = Spawn(PointGoal(), None, None, RobotConfig.of(None))
-    for seed in scenes.numbers:
-        yield [spawn.draw(seeding.np_random(seed)[0], {}).goal]
+        if scenes.source:
+            pool = read_pool(scenes.worlds or "")
+            hashes = [hash_world(pool[number]) for number in numbers]
+        else:
+            spawn = Spawn(PointGoal(), None, None, RobotConfig.of(None))
+            goals = (spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers)
+            hashes = [_hash_numbers([goal]) for goal in goals]
+    return [
+        hashlib.sha256(b"".join(hashes[first : first + SCENES_PER_HASH])).hexdigest()
+        for first in range(0, len(hashes), SCENES_PER_HASH)
+    ]
 
 
 @cache
-def _pool(source: str) -> Pool:
+def read_pool(source: str) -> Pool:
     """Worlds for the footprint of the default robot."""
     return Pool.of(source, None, footprint_radius(RobotConfig.of(None)))
 
 
-def _defining(world: World) -> list[Any]:
-    """The numbers that define a world; its path only where it is all that there is."""
+def hash_world(world: World) -> bytes:
+    """Hash the numbers that define a world; its path only where it is all that there is."""
     start, goal = world.start, world.goal
     theta = -10.0 if start.theta is None else start.theta
     path = world.path if world.path is not None and not world.obstacles else ()
     ends = (start.x, start.y, start.radius, theta), (goal.x, goal.y, goal.radius)
-    return [world.circles, world.segments, *ends, path]
+    return _hash_numbers([world.circles, world.segments, *ends, path])
 
 
-def _digest(row: Sequence[Any]) -> bytes:
-    """Hash numbers rounded to micrometres, and their shapes."""
+def _hash_numbers(parts: Sequence[Any]) -> bytes:
+    """Hash numbers and their shapes, rounded to micrometres.
+
+    Sums of floats differ in the last digits between machines.
+    """
     said = hashlib.sha256()
-    for part in row:
-        whole = np.rint(np.asarray(part, np.float64) * _MICROMETRE).astype("<i8")
+    for part in parts:
+        whole = np.rint(np.asarray(part, np.float64) * 1e6).astype("<i8")
         said.update(repr(whole.shape).encode() + whole.tobytes())
     return said.digest()

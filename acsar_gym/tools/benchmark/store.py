@@ -4,7 +4,7 @@ A benchmark's folder holds
 
 | file | content |
 |---|---|
-| `plan.json` | what was asked for: agents, ids, links, conditions, scenes; see `plan.Plan` |
+| `plan.json` | what was asked for: agents, ids, links, conditions, scenes; see `BenchmarkPlan` |
 | `results.jsonl` | one line for each finished part of a cell; see `Part` |
 | `benchmark.json` | the result: see below |
 | `benchmark.md` | its tables |
@@ -13,16 +13,16 @@ A benchmark's folder holds
 
 | key | content |
 |---|---|
-| `schema` | `SCHEMA` |
+| `schema` | `BENCHMARK_SCHEMA` |
 | `header` | `versions`; `scenes`, by id and set (`version`, `sha256`, `count`, ...); `agents`, by |
 | | name (`kind` "learned" or "baseline", and `policies` with file and sha256); `conditions`, by |
 | | name; `links`; `port_scenes`, how many scenes are driven over the port |
 | `cells` | a list: the fields of `Cell`, `refused` (why it couldn't be run, else ""), `seconds`, |
-| | `summary` (figures of this cell, see `figures.FIGURES`), `episodes`: for each field of |
-| | `Episode` a list with an entry for each episode, null for NaN |
+| | `summary` (figures of this cell, see `figures`), `episodes`: for each field of |
+| | `EpisodeRecord` a list with an entry for each episode, null for NaN |
 | `rows` | figures over all training seeds of an agent, for each id, link and condition, with |
 | | `intervals` and `profile`, the share of runs whose score is above each of `taus`; see |
-| | `rows.Row` |
+| | `figures.AgentRow` |
 | `improvements` | probability of improvement between pairs of agents on one id and link |
 | `best` | best learned agent and best baseline of each id and link, by success and by score, and |
 | | whether their intervals lie apart |
@@ -34,7 +34,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,7 @@ class EpisodeRecord:
     success: bool
     collision: bool
     score: float
-    """0 to 1, the id's own figure of merit; see `figures.score`."""
+    """0 to 1, the id's own figure of merit; see `figures.score_episode`."""
     spl: float
     soft_spl: float
     time: float
@@ -126,11 +126,6 @@ class Part:
     refused: str = ""
     """Why the agent couldn't be run here; empty if it was."""
 
-    def line(self) -> str:
-        """Return the line of JSON, with its line end."""
-        told = asdict(self) | {"episodes": episode_columns(self.episodes)}
-        return json.dumps(told, allow_nan=False, separators=(",", ":")) + "\n"
-
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> Part:
         """Make a part from the object of its line; ValueError, TypeError or KeyError if broken."""
@@ -141,30 +136,25 @@ class Part:
 
 
 def episode_columns(some: Sequence[EpisodeRecord]) -> dict[str, list[Any]]:
-    """Return episodes as lists by field, for JSON: NaN and infinity become None."""
+    """Return episodes as lists by field, for JSON: floats of 6 digits, NaN and infinity as None."""
+
+    def plain(value: Any) -> Any:
+        if not isinstance(value, float):
+            return value
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+
     return {
-        each.name: [_plain(getattr(episode, each.name)) for episode in some]
+        each.name: [plain(getattr(episode, each.name)) for episode in some]
         for each in fields(EpisodeRecord)
     }
 
 
-def _plain(value: Any) -> Any:
-    """Round a float to 6 digits; None where it isn't finite."""
-    if not isinstance(value, float):
-        return value
-    return float(f"{value:.6g}") if math.isfinite(value) else None
-
-
 def episode_records(table: Mapping[str, Sequence[Any]]) -> list[EpisodeRecord]:
-    """Return the episodes of `columns`; None becomes NaN."""
+    """Return the episodes of `episode_columns`; None becomes NaN."""
     names = [each.name for each in fields(EpisodeRecord)]
     rows = zip(*(table[name] for name in names), strict=True)
-    return [EpisodeRecord(*map(_known, row)) for row in rows]
-
-
-def _known(value: Any) -> Any:
-    """Return a value as JSON has it, NaN for None."""
-    return math.nan if value is None else value
+    known: list[list[Any]] = [[math.nan if v is None else v for v in row] for row in rows]
+    return [EpisodeRecord(*row) for row in known]
 
 
 class Store:
@@ -191,34 +181,28 @@ class Store:
             ConfigError: the folder has another plan, or can't be read or written.
         """
         noted = self.folder / PLAN_FILE
-        said = (json.dumps(plan, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
         if noted.exists():
-            _same(noted, plan)
+            _check_plan(noted, plan)
         elif self.file.exists():
             raise ConfigError(f"{self.file}: has no {PLAN_FILE} beside it: use another folder")
         else:
-            reading.write_atomically(noted, said)
-        return self._finished()
-
-    def _finished(self) -> list[Part]:
-        """Read the finished parts, and remove a last line that was cut."""
+            said = json.dumps(plan, indent=2, sort_keys=True, allow_nan=False) + "\n"
+            reading.write_atomically(noted, said.encode())
         if not self.file.exists():
             return []
         data = reading.read_file(self.file, MAX_STORE_BYTES)
         whole = data[: data.rfind(b"\n") + 1]
         if len(whole) < len(data):
-            _shortened(self.file, len(whole))
-        return list(self._parts(whole))
-
-    def _parts(self, data: bytes) -> Iterator[Part]:
-        """Parse lines; ConfigError names the one that is broken."""
-        for number, line in enumerate(data.splitlines(), start=1):
+            self._truncate(len(whole))
+        parts = []
+        for number, line in enumerate(whole.splitlines(), start=1):
             try:
-                yield Part.of(reading.parse_json(line))
+                parts.append(Part.of(reading.parse_json(line)))
             except (ConfigError, ValueError, TypeError, LookupError, AttributeError):
                 raise ConfigError(
                     f"{self.file}: line {number} isn't a benchmark's: use another folder"
                 ) from None
+        return parts
 
     def add(self, part: Part) -> Part:
         """Append a part as one line, flushed to the disk; returns it as it will be read.
@@ -226,7 +210,8 @@ class Store:
         Raises:
             ConfigError: it can't be written, as on a full disk; what was there before is kept.
         """
-        data = part.line().encode()
+        told = asdict(part) | {"episodes": episode_columns(part.episodes)}
+        data = (json.dumps(told, allow_nan=False, separators=(",", ":")) + "\n").encode()
         before = self.file.stat().st_size if self.file.exists() else 0
         try:
             with open(self.file, "ab") as file:
@@ -234,16 +219,25 @@ class Store:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            _shortened(self.file, before)
+            self._truncate(before)
             raise ConfigError(
-                f"{self.file}: can't be written: {reading.explain_error(error)}; what was "
-                "finished is "
-                "kept: make room and give the same command again"
+                f"{self.file}: can't be written: {reading.explain_error(error)}; what was finished "
+                "is kept: make room and give the same command again"
             ) from None
         return Part.of(json.loads(data))
 
+    def _truncate(self, size: int) -> None:
+        """Cut the file of results after `size` bytes; ConfigError where that fails."""
+        try:
+            if self.file.exists():
+                os.truncate(self.file, size)
+        except OSError as error:
+            raise ConfigError(
+                f"{self.file}: can't be written: {reading.explain_error(error)}"
+            ) from None
 
-def _same(noted: Path, plan: Mapping[str, Any]) -> None:
+
+def _check_plan(noted: Path, plan: Mapping[str, Any]) -> None:
     """Check that a plan is the noted one; ConfigError names the first key that differs."""
     content = reading.read_file(noted, MAX_STORE_BYTES)
     try:
@@ -258,12 +252,3 @@ def _same(noted: Path, plan: Mapping[str, Any]) -> None:
             f"{noted.parent}: holds a benchmark with another plan ({differing} differs): give it "
             "the same options, or another --out"
         )
-
-
-def _shortened(path: Path, size: int) -> None:
-    """Cut a file after `size` bytes; ConfigError where that fails."""
-    try:
-        if path.exists():
-            os.truncate(path, size)
-    except OSError as error:
-        raise ConfigError(f"{path}: can't be written: {reading.explain_error(error)}") from None

@@ -62,9 +62,7 @@ class BenchmarkOutputs:
     json: File = None
     """Also write the JSON to this file."""
     html: File = None
-    """Also write an HTML report with films of the worst episodes, which are driven again."""
-    worst: int = 10
-    """How many of these episodes."""
+    """Also write an HTML report."""
 
 
 def run_benchmark(
@@ -72,7 +70,6 @@ def run_benchmark(
     how: BenchmarkOutputs,
     policy: str = "",
     combine: Folders = (),
-    cards: Folder = None,
     check: File = None,
 ) -> int:
     """Compare agents over fixed scenes: success, scores and intervals.
@@ -84,25 +81,33 @@ def run_benchmark(
         how: folder, processes and output.
         policy: benchmark this policy alone: an ONNX file, or a function such as mine.py:act.
         combine: write tables from these folders; runs nothing.
-        cards: also write a page for each packaged policy into this folder.
         check: check such a row of --policy, and run nothing.
     """
     from acsar_gym.tools.benchmark import result  # noqa: PLC0415
-    from acsar_gym.tools.benchmark.result import BenchmarkOutput  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     if check is not None:
         print(result.check_row(check))
         return 0
     check_writable(how.table, how.json, how.html)
     if policy and (what.agents or what.trained or combine):
-        alone = "benchmarks one policy; leave out --agents, --trained, --combine"
-        raise ConfigError(f"--policy: {alone}")
-    command = BenchmarkOutput(how.out, how.table, how.json, cards, how.html, how.worst)
+        raise ConfigError(
+            "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
+        )
+    report.make_folder(how.out)
     if combine:
-        command.combine(combine, what.trained, what.seeds)
+        told = result.make_result(*result.combine_folders(combine))
     else:
-        plan = _make_plan(what, policy)
-        command.run(plan, policy, how.workers, how.address, resume=how.resume)
+        plan, submit = _make_plan(what, policy), bool(policy)
+        told = result.run_benchmark(
+            plan,
+            how.out,
+            workers=how.workers,
+            address=how.address,
+            resume=how.resume,
+            submit=submit,
+        )
+    result.write_outputs(told, how.out, how.table, how.json, how.html)
     return 0
 
 

@@ -309,7 +309,7 @@ class GapOutputs:
         limits = twin_gap.parse_limits(self.fail_over, metrics)
         check_writable(self.json, self.html)
         if self.html is not None:
-            page.plotly_source()
+            page.check_report_extra()
         return limits
 
     def write(self, table: Sequence[Table], lines: Sequence[str], data: Any, page: Any) -> None:

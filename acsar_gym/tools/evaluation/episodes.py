@@ -1,4 +1,7 @@
-"""Runs a policy for single episodes, and computes the result of each from its steps."""
+"""Runs a policy for single episodes, and computes the result of each from its steps.
+
+`steps` are the infos of the reset and of every env step.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import contextlib
 import json
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -34,113 +37,16 @@ from acsar_gym.worlds.world import point_in_world, to_world
 
 Steps = Sequence[dict[str, Any]]
 Floats = NDArray[np.float64]
-
-
-def stack_poses(steps: Steps, frame: str) -> Floats:
-    """Return the poses (N, 3) by odometry ("odom") or ground truth ("true") [m, m, rad].
-
-    Both are in the odometry frame.
-    """
-    names = (f"{frame}_x", f"{frame}_y", f"{frame}_theta")
-    return np.array([[step[name] for name in names] for step in steps], np.float64)
-
-
-def path_driven(steps: Steps, frame: str) -> float:
-    """Return the length of the path driven in `frame` ("odom" or "true") [m]."""
-    return path_length(stack_poses(steps, frame)[:, :2])
-
-
-def total_turning(steps: Steps) -> float:
-    """Return the sum of absolute heading changes by odometry [rad]."""
-    turns = np.diff(np.unwrap(stack_poses(steps, "odom")[:, 2]))
-    return float(np.abs(turns).sum())
-
-
-def mean_jerk(steps: Steps, period: float) -> float:
-    """Compute the mean absolute jerk of the speed driven, by odometry.
-
-    The average of |d^2 v / dt^2|, as in the metrics of Francis et al. 2023 (Principles and
-    Guidelines for Evaluating Social Robot Navigation), by second differences of the speed. The
-    speed of a step is its displacement along the mean heading, over the period.
-
-    Args:
-        steps: infos of the episode.
-        period: duration of an env step [s].
-
-    Returns:
-        The jerk [m/s^3]; NaN for episodes of fewer than three steps.
-    """
-    if len(steps) < 4:
-        return math.nan
-    x, y, theta = stack_poses(steps, "odom").T
-    theta = np.unwrap(theta)
-    middle = (theta[1:] + theta[:-1]) / 2.0
-    speeds = (np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)) / period
-    return float(np.abs(np.diff(speeds, 2)).mean()) / period**2
-
-
-def measure_ways(env: RobotEnv, steps: Steps) -> dict[str, float]:
-    """Return lengths of the shortest, remaining and driven path [m], by ground truth if known."""
-    frame = "odom" if math.isnan(steps[-1]["true_x"]) else "true"
-    assignment = env.episode.assignment
-    if assignment.path is not None:
-        return {"driven": path_driven(steps, frame)}
-    if frame == "odom" and assignment.world is not None:
-        return {"driven": path_driven(steps, frame)}  # a real robot's surroundings aren't known
-    radius, world = footprint_radius(env.robot.config), assignment.world or World()
-    places = [(step[f"{frame}_x"], step[f"{frame}_y"]) for step in (steps[0], steps[-1])]
-    *ends, goal = (
-        Region(*point_in_world(assignment.start, place)) for place in (*places, assignment.goal)
-    )
-    shortest, left = (remaining_distance(world, radius, end, goal) for end in ends)
-    return {"shortest": shortest, "left": left, "driven": path_driven(steps, frame)}
-
-
-def least_clearance(env: RobotEnv, steps: Steps) -> float:
-    """Return the least distance of the footprint to an obstacle at any step [m].
-
-    By ground truth; 0 where the robot touched one, NaN without ground truth or obstacles.
-    """
-    assignment, last = env.episode.assignment, steps[-1]
-    world = assignment.world
-    if world is None or not world.obstacles or math.isnan(last["true_x"]):
-        return math.nan
-    if last["true_contact"] == 1.0:
-        return 0.0
-    places = np.array(
-        [to_world(assignment.start, pose) for pose in stack_poses(steps, "true").tolist()]
-    )
-    return max(0.0, footprint_clearance(places, env.robot.config.outline, world))
-
-
-def footprint_clearance(places: Floats, outline: Outline, world: World) -> float:
-    """Compute the least distance of a footprint, at any of several poses, to any obstacle.
-
-    Args:
-        places: poses of the base in the frame of the world, (N, 3) [m, m, rad].
-        outline: corners of the footprint in the base frame [m].
-        world: with the obstacles.
-
-    Returns:
-        The distance of the footprint's sides [m]: negative inside a circle, inf without obstacles.
-    """
-    corners = np.array(outline)
-    outer, centres = float(np.hypot(*corners.T).max()), point_clearance(places[:, :2], world)
-    near = places[centres <= centres.min() + outer]  # elsewhere the footprint is farther away
-    x, y, theta = near.T[..., None]
-    cos, sin = np.cos(theta), np.sin(theta)
-    ahead, left = corners.T
-    placed = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
-    ends = np.roll(placed, -1, axis=1)
-    return float(segment_clearance(placed.reshape(-1, 2), ends.reshape(-1, 2), world).min())
-
-
 Floats32 = NDArray[np.float32]
+MAX_LOG_BYTES = 1_000_000_000
+"""Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
+MAX_LATE_SHARE = 0.01
+"""Largest share of late ticks in a valid episode."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnTrack:
-    """Poses and scans of an episode at the reset and after every env step.
+    """Poses and scans of an episode at the reset and after every env step, to draw it afterwards.
 
     In the frame of the world; on an open floor that of the odometry.
     """
@@ -161,76 +67,16 @@ class DrawnTrack:
 
 
 class TrackedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Notes the robot's pose and scan at the reset and at every step.
+    """Asks for a track of every episode that `run_episodes` runs in it.
 
     Args:
         env: an env of this package, wrapped or not.
-
-    Raises:
-        ConfigError: it is one of another package.
     """
-
-    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
-        super().__init__(env)
-        if not isinstance(env.unwrapped, RobotEnv):
-            raise ConfigError(f"{env}: only environments of acsar_gym can be drawn")
-        self._robot_env: RobotEnv = env.unwrapped
-        self._rows: list[tuple[float, ...]] = []
-        self._scans: list[NDArray[np.float32]] = []
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]  # read only, as Gymnasium's wrappers
         """The spec of the env, without this wrapper."""
         return self.env.spec
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode and its track."""
-        told = self.env.reset(seed=seed, options=options)
-        self._rows, self._scans = [], []
-        self._note(told[1])
-        return told
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and note where the robot is."""
-        told = self.env.step(action)
-        self._note(told[4])
-        return told
-
-    def _note(self, info: dict[str, Any]) -> None:
-        names = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
-        self._rows.append(tuple(info[name] for name in names))
-        scan = newest_scan(self._robot_env.sensors)
-        if scan is not None:
-            self._scans.append(scan.ranges.astype(np.float32))
-
-    def track(self) -> DrawnTrack:
-        """Return the track of the newest episode."""
-        env = self._robot_env
-        assignment = env.episode.assignment
-        start, rows = assignment.start, np.array(self._rows)
-        placed = [
-            np.array([to_world(start, pose) for pose in part.tolist()], np.float32)
-            for part in (rows[:, :3], rows[:, 3:])
-            if np.isfinite(part).all()
-        ]
-        return DrawnTrack(
-            odometry=placed[0],
-            truth=placed[1] if len(placed) > 1 else None,
-            scans=np.array(self._scans) if len(self._scans) == len(rows) else None,
-            goal=point_in_world(start, assignment.goal),
-            goal_radius=env.task.goal_tolerance,
-            period=env.ticks_per_step * env.robot.config.period,
-            robot=env.robot.config,
-            world=assignment.world,
-        )
-
-
-MAX_LOG_BYTES = 1_000_000_000
-"""Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
-MAX_LATE_SHARE = 0.01
-"""Largest share of late ticks in a valid episode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,11 +132,11 @@ class EpisodeResult:
     """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
     P of `dynamics.power`; NaN on hardware."""
     jerk: float = math.nan
-    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `driven.jerk`."""
+    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
     told: dict[str, float] = field(default_factory=dict)
     """What the task told in info at the end, by name: its `told`."""
     track: DrawnTrack | None = None
-    """Poses and scans of every step, where the env is a `tracks.TrackedEnv`."""
+    """Poses and scans of every step, where the env is a `TrackedEnv`."""
 
 
 def run_episodes(
@@ -329,79 +175,69 @@ def run_episodes(
     """
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
-    worlds = _in_order(env, skip + count)[skip:] if in_order else None
-    for number in range(count):
-        place = {"world": worlds[number]} if worlds else {}
-        yield _episode(env, policy, seed + number, options | place, late_share)
-
-
-def _in_order(env: gymnasium.Env[Any, Any], count: int) -> range:
-    """Return the numbers of the env's worlds; ConfigError if there are fewer than `count`."""
-    pool = getattr(env.unwrapped, "pool", None)
-    numbers: range = range(0) if pool is None else pool.numbers
-    if len(numbers) < count:
+    inner = env.unwrapped
+    if not isinstance(inner, RobotEnv):
+        raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
+    worlds = range(0) if inner.pool is None else inner.pool.numbers
+    if in_order and len(worlds) < skip + count:
         raise ConfigError(
-            f"{count} episodes in order need as many worlds, but there are {len(numbers)}"
+            f"{skip + count} episodes in order need as many worlds, but there are {len(worlds)}"
         )
-    return numbers
+    for number in range(count):
+        place = {"world": worlds[skip + number]} if in_order else {}
+        yield _run_episode(env, inner, policy, seed + number, options | place, late_share)
 
 
-def _episode(
+def _run_episode(
     env: gymnasium.Env[Any, Any],
+    inner: RobotEnv,
     policy: Policy,
     seed: int,
     options: dict[str, Any],
     late_share: float,
 ) -> EpisodeResult:
-    """Run one episode and stop the robot."""
-    unwrapped = env.unwrapped
-    if not isinstance(unwrapped, RobotEnv):
-        raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
-    if (meter := meter_of(unwrapped.robot.link)) is not None:
+    """Run one episode, stop the robot, and compute the result."""
+    robot = inner.robot
+    if (meter := meter_of(robot.link)) is not None:
         meter.metered = True
     observation, info = env.reset(seed=seed, options=options)
     if isinstance(policy, FilePolicy):
         policy.reset()
-    steps, rewards, done = [info], 0.0, False
+    steps, scans, rewards, done = [info], [newest_scan(inner.sensors)], 0.0, False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
         steps.append(info)
+        if isinstance(env, TrackedEnv):
+            scans.append(newest_scan(inner.sensors))
         rewards += float(reward)
-        if unwrapped.robot.safety.reason is Reason.EMERGENCY_STOP:
+        if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         done = terminated or truncated
     with contextlib.suppress(LinkError):  # the next reset reports it
-        unwrapped.robot.stop()  # the TimeLimit wrapper doesn't stop the robot
-    result = _result(unwrapped, seed, steps, rewards, late_share)
-    return replace(result, track=env.track()) if isinstance(env, TrackedEnv) else result
-
-
-def _result(
-    env: RobotEnv,
-    seed: int,
-    steps: Sequence[dict[str, Any]],
-    rewards: float,
-    late_share: float,
-) -> EpisodeResult:
-    """Compute the result of an episode from its infos, one per step and the reset's first."""
-    info, timing, meter = steps[-1], env.robot.timing, meter_of(env.robot.link)
+        robot.stop()  # the TimeLimit wrapper doesn't stop the robot
+    odom, true = stack_poses(steps, "odom"), stack_poses(steps, "true")
+    timing, meter = robot.timing, meter_of(robot.link)
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
-    ways: dict[str, Any] = measure_ways(env, steps)
+    track = None
+    if isinstance(env, TrackedEnv):
+        ranges = [scan.ranges for scan in scans if scan is not None]
+        seen = np.array(ranges, np.float32) if len(ranges) == len(steps) else None
+        track = _make_track(inner, odom, true, seen)
     return EpisodeResult(
         success=info["is_success"] == 1.0,
         collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
-        started=env.robot.wire.began,
-        ended=env.robot.wire.stamp,
-        path=path_driven(steps, "odom"),
+        started=robot.wire.began,
+        ended=robot.wire.stamp,
+        path=path_length(odom[:, :2]),
         pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
         odometry_error=info["odometry_error"],
-        ticks=(len(steps) - 1) * env.ticks_per_step,
+        ticks=(len(steps) - 1) * inner.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
-        **ways,
-        turning=total_turning(steps),
-        jerk=mean_jerk(steps, env.ticks_per_step * env.robot.config.period),
-        clearance=least_clearance(env, steps),
+        **_measure_ways(inner, odom, true),
+        turning=total_turning(odom),
+        jerk=mean_jerk(odom, inner.ticks_per_step * robot.config.period),
+        clearance=_least_clearance(inner, true, touched=info["true_contact"] == 1.0),
         energy=math.nan if meter is None else meter.work,
         scores=tuple(info[name] for name in BARN_SCORES if name in info),
         cross_track=info.get("mean_cross_track_error", math.nan),
@@ -412,7 +248,117 @@ def _result(
         world=int(info["world"]) if "world" in info else None,
         episode_return=rewards,
         length=len(steps) - 1,
-        told={name: float(info[name]) for name in info_names(env.task)},
+        told={name: float(info[name]) for name in info_names(inner.task)},
+        track=track,
+    )
+
+
+def stack_poses(steps: Steps, frame: str) -> Floats:
+    """Return the poses (N, 3) by odometry ("odom") or ground truth ("true") [m, m, rad].
+
+    Both are in the odometry frame.
+    """
+    names = (f"{frame}_x", f"{frame}_y", f"{frame}_theta")
+    return np.array([[step[name] for name in names] for step in steps], np.float64)
+
+
+def total_turning(poses: Floats) -> float:
+    """Return the sum of absolute heading changes of poses (N, 3) [rad]."""
+    return float(np.abs(np.diff(np.unwrap(poses[:, 2]))).sum())
+
+
+def mean_jerk(poses: Floats, period: float) -> float:
+    """Compute the mean absolute jerk of the speed driven.
+
+    The average of |d^2 v / dt^2|, as in the metrics of Francis et al. 2023 (Principles and
+    Guidelines for Evaluating Social Robot Navigation), by second differences of the speed. The
+    speed of a step is its displacement along the mean heading, over the period.
+
+    Args:
+        poses: (N, 3), one for each env step.
+        period: duration of an env step [s].
+
+    Returns:
+        The jerk [m/s^3]; NaN for episodes of fewer than three steps.
+    """
+    if len(poses) < 4:
+        return math.nan
+    x, y, theta = poses.T
+    theta = np.unwrap(theta)
+    middle = (theta[1:] + theta[:-1]) / 2.0
+    speeds = (np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)) / period
+    return float(np.abs(np.diff(speeds, 2)).mean()) / period**2
+
+
+def _measure_ways(env: RobotEnv, odom: Floats, true: Floats) -> dict[str, Any]:
+    """Return lengths of the shortest, remaining and driven path [m], by ground truth if known."""
+    known, assignment = not math.isnan(true[-1, 0]), env.episode.assignment
+    poses = true if known else odom
+    driven = path_length(poses[:, :2])
+    if assignment.path is not None or (assignment.world is not None and not known):
+        return {"driven": driven}  # a real robot's surroundings aren't known
+    radius, world = footprint_radius(env.robot.config), assignment.world or World()
+    places = [(x, y) for x, y, _ in poses[[0, -1]].tolist()]
+    *ends, goal = (
+        Region(*point_in_world(assignment.start, place)) for place in (*places, assignment.goal)
+    )
+    shortest, left = (remaining_distance(world, radius, end, goal) for end in ends)
+    return {"shortest": shortest, "left": left, "driven": driven}
+
+
+def _least_clearance(env: RobotEnv, true: Floats, *, touched: bool) -> float:
+    """Return the least distance of the footprint to an obstacle at any step [m].
+
+    By ground truth; 0 where the robot touched one, NaN without ground truth or obstacles.
+    """
+    assignment = env.episode.assignment
+    world = assignment.world
+    if world is None or not world.obstacles or math.isnan(true[-1, 0]):
+        return math.nan
+    if touched:
+        return 0.0
+    places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
+    return max(0.0, footprint_clearance(places, env.robot.config.outline, world))
+
+
+def footprint_clearance(places: Floats, outline: Outline, world: World) -> float:
+    """Compute the least distance of a footprint, at any of several poses, to any obstacle.
+
+    Args:
+        places: poses of the base in the frame of the world, (N, 3) [m, m, rad].
+        outline: corners of the footprint in the base frame [m].
+        world: with the obstacles.
+
+    Returns:
+        The distance of the footprint's sides [m]: negative inside a circle, inf without obstacles.
+    """
+    corners = np.array(outline)
+    outer, centres = float(np.hypot(*corners.T).max()), point_clearance(places[:, :2], world)
+    near = places[centres <= centres.min() + outer]  # elsewhere the footprint is farther away
+    x, y, theta = near.T[..., None]
+    cos, sin = np.cos(theta), np.sin(theta)
+    ahead, left = corners.T
+    placed = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
+    ends = np.roll(placed, -1, axis=1)
+    return float(segment_clearance(placed.reshape(-1, 2), ends.reshape(-1, 2), world).min())
+
+
+def _make_track(env: RobotEnv, odom: Floats, true: Floats, scans: Floats32 | None) -> DrawnTrack:
+    """Put the poses of an episode into the frame of its world."""
+    assignment, config = env.episode.assignment, env.robot.config
+    odometry, truth = (
+        np.array([to_world(assignment.start, pose) for pose in poses.tolist()], np.float32)
+        for poses in (odom, true)
+    )
+    return DrawnTrack(
+        odometry=odometry,
+        truth=truth if np.isfinite(true).all() else None,
+        scans=scans,
+        goal=point_in_world(assignment.start, assignment.goal),
+        goal_radius=env.task.goal_tolerance,
+        period=env.ticks_per_step * config.period,
+        robot=config,
+        world=assignment.world,
     )
 
 
@@ -435,9 +381,11 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
     stamps, poses = read_true_poses(log)
     errors = []
     for result in results:
-        start = poses[_latest(stamps, result.started)]
-        end = poses[_latest(stamps, result.ended)]
-        x, y = _relative(start, end)
+        newest = np.searchsorted(stamps, (result.started, result.ended), side="right") - 1
+        start, end = (poses[max(0, int(number))] for number in newest)
+        dx, dy = end[0] - start[0], end[1] - start[1]
+        c, s = math.cos(start[2]), math.sin(start[2])
+        x, y = c * dx + s * dy, c * dy - s * dx
         errors.append(math.hypot(x - result.pose[0], y - result.pose[1]))
     return errors
 
@@ -458,15 +406,3 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
     return [stamp for stamp, _ in truths], poses
-
-
-def _latest(stamps: list[float], time: float) -> int:
-    """Return the index of the newest entry at or before `time`."""
-    return max(0, int(np.searchsorted(stamps, time, side="right")) - 1)
-
-
-def _relative(start: Pose, end: Pose) -> tuple[float, float]:
-    """Return the position of `end` in the frame of `start` [m]."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    c, s = math.cos(start[2]), math.sin(start[2])
-    return c * dx + s * dy, c * dy - s * dx

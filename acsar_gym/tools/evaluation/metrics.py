@@ -7,25 +7,29 @@ SPL is success weighted by path length (Anderson et al. 2018); SoftSPL replaces 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.errors import require_extra
-from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
 
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000
 """Number of bootstrap samples. Their seed is fixed, so equal results give equal intervals."""
-
+MAX_RESAMPLED = 4_000_000
+"""Values that are resampled at once, at most; limits the memory."""
 TOLD_PREFIX = "told."
 """Begins the names of intervals of what the task tells, which may be named like other figures."""
 
+Floats = NDArray[np.float64]
 Interval = tuple[float, float]
+Statistic = Callable[[Floats], Floats]
+"""Maps rows of values (..., n) to one figure a row (...)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +99,10 @@ class Summary:
 def describe_episodes(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
     """Return the results for JSON, one dict per episode, timing included, tracks left out."""
     told = [asdict(replace(result, track=None)) for result in results]
-    return [
-        {name: replace_nonfinite(value) for name, value in one.items() if name != "track"}
-        for one in told
-    ]
+    for one in told:
+        del one["track"]
+    cleaned: list[dict[str, Any]] = replace_nonfinite(told)
+    return cleaned
 
 
 def replace_nonfinite(value: Any) -> Any:
@@ -112,7 +116,7 @@ def replace_nonfinite(value: Any) -> Any:
 
 def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
-    samples = _samples(results)
+    wins = [result for result in results if result.success]
     rates = {
         "success_rate": [result.success for result in results],
         "collision_rate": [result.collision for result in results],
@@ -121,30 +125,6 @@ def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
         ],
         "fault_rate": [bool(result.fault) for result in results],
     }
-    intervals = {name: wilson_interval(sum(hits), len(hits)) for name, hits in rates.items()}
-    intervals |= {name: bootstrap_interval(values) for name, values in samples.items()}
-    names = [name for name in BARN_SCORES if name in samples]
-    told = {f"{TOLD_PREFIX}{name}": name for name in (results[0].told if results else ())}
-    means: dict[str, Any] = {name: _mean([float(hit) for hit in rates[name]]) for name in rates}
-    own = {*names, *told}
-    means |= {name: _mean(values) for name, values in samples.items() if name not in own}
-    return Summary(
-        episodes=len(results),
-        **means,
-        ticks=sum(result.ticks for result in results),
-        late_ticks=sum(result.late_ticks for result in results),
-        **_timing([result.timing for result in results if result.timing]),
-        invalid=sum(not result.valid for result in results),
-        scores={name: _mean(samples[name]) for name in names},
-        told={name: _mean(samples[key]) for key, name in told.items()},
-        intervals=intervals,
-    )
-
-
-def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
-    """Return the values that are averaged, by name; NaN if an episode has none."""
-    wins = [result for result in results if result.success]
-    drifts = [result.odometry_error / max(_driven(result), 1e-9) for result in results]
     samples = {
         "episode_return": [result.episode_return for result in results],
         "length": [float(result.length) for result in results],
@@ -157,42 +137,61 @@ def _samples(results: Sequence[EpisodeResult]) -> dict[str, list[float]]:
         "clearance": [result.clearance for result in results],
         "energy": [result.energy for result in wins],
         "odometry_error": [result.odometry_error for result in results],
-        "odometry_drift": drifts,
+        "odometry_drift": [
+            result.odometry_error / max(_length_driven(result), 1e-9) for result in results
+        ],
         "cross_track": [result.cross_track for result in results],
     }
+    scores: dict[str, list[float]] = {}
     if results and all(result.scores for result in results):
         for number, name in enumerate(BARN_SCORES):
-            samples[name] = [result.scores[number] for result in results]
-    for name in results[0].told if results else ():
-        samples[f"{TOLD_PREFIX}{name}"] = [result.told[name] for result in results]
-    return samples
-
-
-def _timing(timings: Sequence[EpisodeTiming]) -> dict[str, Any]:
-    """Compute the timing metrics of all episodes."""
-    latest = [timing.lateness for timing in timings]
-    return {
-        "missed_ticks": sum(lateness.missed_ticks for lateness in latest),
-        "lateness_p99": _largest([lateness.p99 for lateness in latest]),
-        "worst_lateness": _largest([lateness.worst for lateness in latest]),
-        "worst_feedback_age": _largest([timing.feedback_age.worst for timing in timings]),
-        "round_trip": _mean([timing.round_trip.p50 for timing in timings]),
+            scores[name] = [result.scores[number] for result in results]
+    names = results[0].told if results else ()
+    told = {name: [result.told[name] for result in results] for name in names}
+    intervals = {name: wilson_interval(sum(hits), len(hits)) for name, hits in rates.items()}
+    prefixed = {f"{TOLD_PREFIX}{name}": values for name, values in told.items()}
+    for name, values in (samples | scores | prefixed).items():
+        intervals[name] = bootstrap_interval(values)
+    means: dict[str, Any] = {
+        name: finite_mean(map(float, values)) for name, values in (rates | samples).items()
     }
+    timings = [result.timing for result in results if result.timing]
+    latest = [timing.lateness for timing in timings]
+    return Summary(
+        episodes=len(results),
+        **means,
+        ticks=sum(result.ticks for result in results),
+        late_ticks=sum(result.late_ticks for result in results),
+        missed_ticks=sum(lateness.missed_ticks for lateness in latest),
+        lateness_p99=_largest(lateness.p99 for lateness in latest),
+        worst_lateness=_largest(lateness.worst for lateness in latest),
+        worst_feedback_age=_largest(timing.feedback_age.worst for timing in timings),
+        round_trip=finite_mean(timing.round_trip.p50 for timing in timings),
+        invalid=sum(not result.valid for result in results),
+        scores={name: finite_mean(values) for name, values in scores.items()},
+        told={name: finite_mean(values) for name, values in told.items()},
+        intervals=intervals,
+    )
 
 
-def _largest(values: Sequence[float]) -> float:
-    """Return the largest finite value, or NaN."""
-    return max((value for value in values if math.isfinite(value)), default=math.nan)
+def finite_mean(values: Iterable[float]) -> float:
+    """Return the mean of the finite values, or NaN."""
+    known = [value for value in values if math.isfinite(value)]
+    return math.fsum(known) / len(known) if known else math.nan
 
 
-def _driven(result: EpisodeResult) -> float:
+def _largest(values: Iterable[float]) -> float:
+    return max(filter(math.isfinite, values), default=math.nan)
+
+
+def _length_driven(result: EpisodeResult) -> float:
     """Return the length of the path driven [m], by ground truth if known."""
     return result.path if math.isnan(result.driven) else result.driven
 
 
 def episode_spl(result: EpisodeResult) -> float:
     """Return SPL of one episode, 0 to 1: success * shortest / max(driven, shortest)."""
-    longest = max(_driven(result), result.shortest)
+    longest = max(_length_driven(result), result.shortest)
     return float(result.success) * _share(result.shortest, longest)
 
 
@@ -202,7 +201,7 @@ def episode_soft_spl(result: EpisodeResult) -> float:
     SPL with the progress max(0, 1 - left / shortest) in place of success.
     """
     progress = max(0.0, 1.0 - _share(result.left, result.shortest))
-    return progress * _share(result.shortest, max(_driven(result), result.shortest))
+    return progress * _share(result.shortest, max(_length_driven(result), result.shortest))
 
 
 def _share(part: float, whole: float) -> float:
@@ -230,24 +229,48 @@ def bootstrap_interval(values: Sequence[float]) -> Interval:
     Returns:
         Low and high end; NaN if there are fewer than two samples.
     """
-    with require_extra("an evaluation", "scipy"):
-        from scipy.stats import bootstrap as resample  # noqa: PLC0415 - slow to import
-
     known = [value for value in values if math.isfinite(value)]
     if len(known) < 2:
         return (math.nan, math.nan)
-    interval = resample(
-        (known,),
-        np.mean,
-        n_resamples=BOOTSTRAP_SAMPLES,
-        confidence_level=CONFIDENCE_LEVEL,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return float(interval.low), float(interval.high)
+    return stratified_interval([np.array([known])], row_means)
 
 
-def _mean(values: Sequence[float]) -> float:
-    """Return the mean of the finite values, or NaN."""
-    known = [value for value in values if math.isfinite(value)]
-    return sum(known) / len(known) if known else math.nan
+def row_means(rows: Floats) -> Floats:
+    """Return the mean of each row (..., n)."""
+    means: Floats = rows.mean(axis=-1)
+    return means
+
+
+def stratified_interval(
+    strata: Sequence[Floats], statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES
+) -> Interval:
+    """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
+
+    Every matrix is resampled on its own: its rows and its columns, with replacement. A drawn row
+    keeps its values in all drawn columns.
+
+    Args:
+        strata: matrices (rows, columns).
+        statistic: of all resampled values together.
+        resamples: bootstrap samples.
+
+    Returns:
+        Low and high end.
+    """
+    rng, found = np.random.default_rng(0), []
+    chunk = max(1, MAX_RESAMPLED // sum(each.size for each in strata))
+    for first in range(0, resamples, chunk):
+        count = min(chunk, resamples - first)
+        drawn = []
+        for each in strata:
+            rows, columns = (rng.integers(size, size=(count, size)) for size in each.shape)
+            drawn.append(each[rows[:, :, None], columns[:, None, :]].reshape(count, -1))
+        found.append(statistic(np.concatenate(drawn, axis=1)))
+    return percentile_interval(np.concatenate(found))
+
+
+def percentile_interval(values: Floats) -> Interval:
+    """Return the middle 95 % of resampled values."""
+    tail = 50.0 * (1.0 - CONFIDENCE_LEVEL)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)

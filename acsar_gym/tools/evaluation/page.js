@@ -46,12 +46,6 @@ async function draw() {
   root.dataset.drawn = String(plots.length);
 }
 
-for (const video of document.querySelectorAll("video")) {
-  video.addEventListener("click", () => {
-    if (!video.controls) video.play();  // later clicks are the controls' own
-    video.controls = true;
-  });
-}
 document.getElementById("theme").addEventListener("click", () => {
   const now = root.dataset.theme || (dark.matches ? "dark" : "light");
   root.dataset.theme = now === "dark" ? "light" : "dark";

@@ -15,6 +15,7 @@ from acsar_gym.render.top_view import RgbImage, TopView, TopViewFrame
 from acsar_gym.sensors.lidar import ray_spec
 from acsar_gym.tools.evaluation import metrics, report
 from acsar_gym.tools.evaluation.episodes import DrawnTrack, EpisodeResult
+from acsar_gym.worlds import Pose
 from acsar_gym.worlds.geometry import point_clearance
 
 PICTURE_SIZE = (480, 480)
@@ -35,31 +36,13 @@ def worst_episodes(results: Sequence[EpisodeResult], count: int | None) -> list[
         results: all episodes.
         count: most episodes to return; None for all.
     """
-    return sorted(results, key=_merit)[:count]
 
+    def merit(result: EpisodeResult) -> tuple[bool, float]:
+        progress = metrics.episode_soft_spl(result)
+        error = 0.0 if math.isnan(result.cross_track) else result.cross_track
+        return result.success, -error if math.isnan(progress) else progress
 
-def _merit(result: EpisodeResult) -> tuple[bool, float]:
-    progress = metrics.episode_soft_spl(result)
-    error = 0.0 if math.isnan(result.cross_track) else result.cross_track
-    return result.success, -error if math.isnan(progress) else progress
-
-
-def name_outcome(result: EpisodeResult) -> str:
-    """Return how an episode ended, in a few words."""
-    if result.fault:
-        return "fault"
-    if result.success:
-        return "goal reached"
-    return "collision" if result.collision else "time-out"
-
-
-def picture_title(result: EpisodeResult) -> str:
-    """Return what a picture is of, such as "seed 7, world 7: collision after 6.2 s"."""
-    world = "" if result.world is None or result.world < 0 else f", world {result.world}"
-    return (
-        f"seed {result.seed}{world}: {name_outcome(result)} after "
-        f"{result.ended - result.started:.1f} s"
-    )
+    return sorted(results, key=merit)[:count]
 
 
 def draw_episode(result: EpisodeResult, view: TopView | None = None) -> RgbImage:
@@ -73,7 +56,13 @@ def draw_episode(result: EpisodeResult, view: TopView | None = None) -> RgbImage
         MissingExtraError: Pillow isn't installed.
     """
     track = require_track(result)
-    frame = _frame(track, len(track.odometry) - 1, picture_title(result), result)
+    world = "" if result.world is None or result.world < 0 else f", world {result.world}"
+    outcome = "collision" if result.collision else "time-out"
+    if result.fault or result.success:
+        outcome = "fault" if result.fault else "goal reached"
+    caption = f"seed {result.seed}{world}: {outcome} after {result.ended - result.started:.1f} s"
+    touched = collision_point(track) if result.collision else None
+    frame = _make_frame(track, len(track.odometry) - 1, caption, touched)
     return (view or TopView(track.robot, PICTURE_SIZE)).draw(frame)
 
 
@@ -84,10 +73,10 @@ def draw_frames(result: EpisodeResult) -> Iterator[RgbImage]:
         MissingExtraError: Pillow isn't installed.
     """
     track = require_track(result)
-    view, count = TopView(track.robot, PICTURE_SIZE), len(track.odometry)
-    name = f"seed {result.seed}"
-    for step in range(count - 1):
-        yield view.draw(_frame(track, step, f"{name}, {step * track.period:.1f} s"))
+    view = TopView(track.robot, PICTURE_SIZE)
+    for step in range(len(track.odometry) - 1):
+        caption = f"seed {result.seed}, {step * track.period:.1f} s"
+        yield view.draw(_make_frame(track, step, caption))
     last = draw_episode(result, view)
     for _ in range(max(1, round(END_SECONDS / track.period))):
         yield last
@@ -100,30 +89,28 @@ def require_track(result: EpisodeResult) -> DrawnTrack:
     return result.track
 
 
-def _frame(
-    track: DrawnTrack, step: int, caption: str, end: EpisodeResult | None = None
+def _make_frame(
+    track: DrawnTrack, step: int, caption: str, hit: tuple[float, float] | None = None
 ) -> TopViewFrame:
-    """Make the picture of a step; `end` is the result at the last one."""
-    odometry, truth = track.odometry[: step + 1], track.truth
-    scan = None if track.scans is None else track.scans[step].astype(float)
+    """Make the picture of a step."""
+    odometry = track.odometry[: step + 1].tolist()
+    truth = [] if track.truth is None else track.truth[: step + 1].tolist()
+    rays = None
+    if track.scans is not None:
+        rays = ray_spec(track.robot).angles(), track.scans[step].astype(float)
     return TopViewFrame(
         world=track.world,
-        odom=_pose(odometry[-1]),
-        truth=None if truth is None else _pose(truth[step]),
+        odom=tuple(odometry[-1]),
+        truth=tuple(truth[-1]) if truth else None,
         goal=track.goal,
         goal_radius=track.goal_radius,
-        odom_path=[(x, y) for x, y, _ in odometry.tolist()],
-        true_path=[] if truth is None else [(x, y) for x, y, _ in truth[: step + 1].tolist()],
-        rays=None if scan is None else (ray_spec(track.robot).angles(), scan),
+        odom_path=[(x, y) for x, y, _ in odometry],
+        true_path=[(x, y) for x, y, _ in truth],
+        rays=rays,
         reach=track.robot.lidar.max_range,
         caption=caption,
-        hit=collision_point(track) if end is not None and end.collision else None,
+        hit=hit,
     )
-
-
-def _pose(row: np.ndarray[tuple[int], np.dtype[np.float32]]) -> tuple[float, float, float]:
-    x, y, theta = row.tolist()
-    return x, y, theta
 
 
 def collision_point(track: DrawnTrack) -> tuple[float, float] | None:
@@ -136,9 +123,9 @@ def collision_point(track: DrawnTrack) -> tuple[float, float] | None:
     corners, share = np.array(track.robot.outline), np.linspace(0.0, 1.0, 41)[:-1, None]
     sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
     border = np.concatenate([a + share * (b - a) for a, b in sides])
-    x, y, theta = _pose(track.truth[-1])
-    cos, sin = math.cos(theta), math.sin(theta)
-    placed = border @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+    pose: Pose = tuple(track.truth[-1].tolist())
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    placed = border @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
     apart = point_clearance(placed, track.world)
     nearest = int(apart.argmin())
     return tuple(placed[nearest].tolist()) if apart[nearest] < TOUCH_DISTANCE else None
@@ -148,14 +135,14 @@ def check_video_output(where: Path) -> None:
     """Check before a long run that pictures and videos can be written; makes a folder.
 
     Args:
-        where: as for `write`.
+        where: as for `write_videos`.
 
     Raises:
         ConfigError: there is no such folder, and it can't be made.
         MissingExtraError: moviepy isn't installed, which brings Pillow.
     """
     renderer.import_moviepy()
-    if is_video_file(where):
+    if _is_video(where):
         report.check_writable(where)
     else:
         report.make_folder(where)
@@ -175,27 +162,25 @@ def write_videos(results: Iterable[EpisodeResult], where: Path) -> list[Path]:
         ConfigError: a file can't be written, as on a full disk.
         MissingExtraError: moviepy or Pillow isn't installed.
     """
-    every, one = list(results), is_video_file(where)
+    every, one = list(results), _is_video(where)
     if not every:
         return []
-    rate = 1.0 / require_track(every[0]).period
-    written = [where] if one else []
+    rate, written = 1.0 / require_track(every[0]).period, []
     if one:
-        renderer.write_video(
-            where, (image for result in every for image in draw_frames(result)), rate
-        )
+        images = (image for result in every for image in draw_frames(result))
+        renderer.write_video(where, images, rate)
+        written.append(where)
     for number, result in enumerate(every, start=1):
         name = f"{number:02d}_seed_{result.seed}"
         base = where.with_name(f"{where.stem}_{name}") if one else where / name
         if not one:
             renderer.write_video(base.with_suffix(".mp4"), draw_frames(result), rate)
             written.append(base.with_suffix(".mp4"))
-        picture = base.with_suffix(".png")
-        reading.write_atomically(picture, encode_png(draw_episode(result)))
-        written.append(picture)
+        reading.write_atomically(base.with_suffix(".png"), encode_png(draw_episode(result)))
+        written.append(base.with_suffix(".png"))
     return written
 
 
-def is_video_file(where: Path) -> bool:
-    """Return whether this is the name of a video file, rather than of a folder."""
+def _is_video(where: Path) -> bool:
+    """Whether this is the name of a video file, rather than of a folder."""
     return where.suffix.lower() in renderer.VIDEO_SUFFIXES

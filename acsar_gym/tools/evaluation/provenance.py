@@ -40,10 +40,8 @@ import numpy as np
 
 import acsar_gym
 from acsar_gym.config.robot import hash_config
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.tasks.factory import to_plain
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.worlds import World
 from acsar_gym.worlds.cache import hash_source
 from acsar_gym.worlds.pool import Pool
 
@@ -76,10 +74,10 @@ def make_header(
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
         "policy": policy.about | {"differences": list(policy.differences)},
-        "env": _env(env),
+        "env": _describe_env(env),
         "robot": {"sha256": hash_config(inner.robot.config)},
         "link": link,
-        "worlds": _worlds(worlds_of(inner)),
+        "worlds": _describe_worlds(inner.pool),
         "seeds": {"first": seeds[0], "last": seeds[-1]},
         "options": to_plain(options),
         "workers": 1,
@@ -105,32 +103,23 @@ def library_versions(*libraries: str) -> dict[str, str]:
     return versions
 
 
-def worlds_of(env: RobotEnv) -> Pool | None:
-    """Return the worlds of an env; None on an open floor."""
-    return env.pool
-
-
-def _env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
-    """Describe the env by its spec."""
+def _describe_env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
+    """Describe the env by its spec; values that JSON can't hold by their repr()."""
     spec = env.spec
     if spec is None:
         return {"id": None, "kwargs": {}, "max_episode_steps": None}
-    kwargs = {
-        name: _shown(value) for name, value in spec.kwargs.items() if name not in HIDDEN_ARGUMENTS
-    }
+    kwargs = {}
+    for name, value in spec.kwargs.items():
+        if name not in HIDDEN_ARGUMENTS:
+            kwargs[name] = value
+            try:
+                json.dumps(value, allow_nan=False)
+            except (TypeError, ValueError):
+                kwargs[name] = repr(value)
     return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
 
 
-def _shown(value: Any) -> Any:
-    """Return the value if JSON can hold it, otherwise its repr()."""
-    try:
-        json.dumps(value, allow_nan=False)
-    except (TypeError, ValueError):
-        return repr(value)
-    return value
-
-
-def _worlds(pool: Pool | None) -> dict[str, Any]:
+def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
     """Describe the worlds; their hash changes whenever any of them does."""
     if pool is None:
         keys = ("split", "first", "last", "difficulty", "radius", "sha256")
@@ -145,21 +134,13 @@ def _worlds(pool: Pool | None) -> dict[str, Any]:
     }
     known: list[Any] = [told, hash_source(pool.kind)]
     if not (pool.generated and hash_source(pool.kind)):
-        known = [_contents(world) for world in pool]
-    return told | {"sha256": _sha256(json.dumps(known, sort_keys=True))}
-
-
-def _contents(world: World) -> list[Any]:
-    """Return what defines a world, as lists."""
-    path = None if world.path is None else world.path.tolist()
-    return [
-        world.circles.tolist(),
-        world.segments.tolist(),
-        repr(world.start),
-        repr(world.goal),
-        path,
-    ]
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+        known = [
+            [
+                *(world.circles.tolist(), world.segments.tolist()),
+                *(repr(world.start), repr(world.goal)),
+                None if world.path is None else world.path.tolist(),
+            ]
+            for world in pool
+        ]
+    text = json.dumps(known, sort_keys=True)
+    return told | {"sha256": hashlib.sha256(text.encode()).hexdigest()}

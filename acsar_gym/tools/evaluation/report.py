@@ -37,17 +37,14 @@ class SafeConsole(Console):
     ) -> Iterable[Segment]:
         """Render with control characters escaped, as they are in source code."""
         for text, style, control in super().render(renderable, options):
-            yield Segment(text if control else _lines(text), style, control)
+            if not (control or text.isprintable()):  # line breaks are kept
+                text = "\n".join(map(escape_unprintable, text.split("\n")))  # noqa: PLW2901
+            yield Segment(text, style, control)
 
 
 def escape_text(text: str) -> str:
     """Escape markup and control characters, for text from files in a cell or a title."""
     return escape(escape_unprintable(text))
-
-
-def _lines(text: str) -> str:
-    """Escape control characters, but keep line breaks."""
-    return text if text.isprintable() else "\n".join(map(escape_unprintable, text.split("\n")))
 
 
 def print_tables(*tables: Table) -> None:
@@ -60,7 +57,7 @@ def print_tables(*tables: Table) -> None:
 
 
 def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
-    """Yield items, with a progress bar on stderr once it takes longer than PATIENCE.
+    """Yield items, with a progress bar on stderr once it takes longer than PROGRESS_DELAY.
 
     Args:
         what: label of the bar.
@@ -184,44 +181,38 @@ def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
-def _success(summary: Summary) -> str:
-    wins = round(summary.success_rate * summary.episodes)
-    return f"{wins}/{summary.episodes} ({summary.success_rate:.1%})"
-
-
-def _rate(share: float) -> str:
+def _format_rate(share: float) -> str:
     return f"{share:.1%}" if share > 0.0 else ""
 
 
-def _number(value: float, unit: str = "") -> str:
+def _format_number(value: float, unit: str = "") -> str:
     return "" if math.isnan(value) else f"{value:.2f} {unit}".strip()
 
 
-def _score(summary: Summary) -> str:
-    return f"{summary.scores['barn_score']:.3f}" if summary.scores else ""
-
-
-def _late(summary: Summary) -> str:
+def _format_late(summary: Summary) -> str:
     """Format the number of late ticks and the largest lateness."""
-    worst = _number(summary.worst_lateness * 1000.0, "ms")
+    worst = _format_number(summary.worst_lateness * 1000.0, "ms")
     return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
 
 
 SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
-    "success": _success,
-    "collision": lambda summary: _rate(summary.collision_rate),
-    "time-out": lambda summary: _rate(summary.timeout_rate),
-    "fault": lambda summary: _rate(summary.fault_rate),
-    "SPL": lambda summary: _number(summary.spl),
-    "BARN score": _score,
-    "time to goal": lambda summary: _number(summary.time_to_goal, "s"),
-    "path": lambda summary: _number(summary.path, "m"),
-    "clearance": lambda summary: _number(summary.clearance * 100.0, "cm"),
-    "energy": lambda summary: _number(summary.energy, "J"),
-    "beside path": lambda summary: _number(summary.cross_track * 100.0, "cm"),
-    "odometry error": lambda summary: _number(summary.odometry_error * 100.0, "cm"),
-    "late ticks": _late,
-    "round trip": lambda summary: _number(summary.round_trip * 1000.0, "ms"),
+    "success": lambda summary: (
+        f"{round(summary.success_rate * summary.episodes)}/{summary.episodes} "
+        f"({summary.success_rate:.1%})"
+    ),
+    "collision": lambda summary: _format_rate(summary.collision_rate),
+    "time-out": lambda summary: _format_rate(summary.timeout_rate),
+    "fault": lambda summary: _format_rate(summary.fault_rate),
+    "SPL": lambda summary: _format_number(summary.spl),
+    "BARN score": lambda summary: f"{summary.scores['barn_score']:.3f}" if summary.scores else "",
+    "time to goal": lambda summary: _format_number(summary.time_to_goal, "s"),
+    "path": lambda summary: _format_number(summary.path, "m"),
+    "clearance": lambda summary: _format_number(summary.clearance * 100.0, "cm"),
+    "energy": lambda summary: _format_number(summary.energy, "J"),
+    "beside path": lambda summary: _format_number(summary.cross_track * 100.0, "cm"),
+    "odometry error": lambda summary: _format_number(summary.odometry_error * 100.0, "cm"),
+    "late ticks": _format_late,
+    "round trip": lambda summary: _format_number(summary.round_trip * 1000.0, "ms"),
     "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }
 """Functions that format the cells of each column; empty text means no value."""

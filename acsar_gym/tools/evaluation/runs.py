@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -43,10 +44,16 @@ from acsar_gym.tools.policies.base import format_error, quote_text
 from acsar_gym.tools.policies.describe import describe_policy, env_policy_rate
 from acsar_gym.worlds import registry
 
+Env = gymnasium.Env[Any, Any]
+MAX_EPISODES = 10**6
+"""Most episodes of one evaluation; all results are kept in memory."""
+SEED_LIMIT = 2**63
+"""The first seed must be below this."""
+
 
 @dataclass(frozen=True, slots=True)
 class EvaluationRun:
-    """Results of an evaluation, and what it was run with."""
+    """Results of an evaluation, complete or ended early, and what it was run with."""
 
     header: dict[str, Any]
     """What is needed to repeat it; see `provenance`."""
@@ -67,6 +74,11 @@ class EvaluationRun:
         return sum(not result.valid and not result.fault for result in self.results)
 
     @property
+    def ended_early(self) -> str | None:
+        """Why it ended before its last episode."""
+        return None if self.ended is None else str(self.ended) or "interrupted"
+
+    @property
     def notes(self) -> list[str]:
         """Faults, and an end before the last episode, as lines for people."""
         notes = []
@@ -75,13 +87,10 @@ class EvaluationRun:
         if self.ended is not None:
             asked = self.header["seeds"]
             count = asked["last"] - asked["first"] + 1
-            notes.append(f"Ended after {len(self.results)} of {count} episodes: {self._why}.")
+            notes.append(
+                f"Ended after {len(self.results)} of {count} episodes: {self.ended_early}."
+            )
         return notes
-
-    @property
-    def _why(self) -> str | None:
-        """Why it ended early."""
-        return None if self.ended is None else str(self.ended) or "interrupted"
 
     @property
     def summary(self) -> Summary:
@@ -90,55 +99,12 @@ class EvaluationRun:
 
     def as_dict(self) -> dict[str, Any]:
         """Return header, means and every episode, for JSON."""
-        episodes = metrics.describe_episodes(self.results)
-        early = {"ended_early": self._why}
-        return {"header": self.header, **self.summary.as_dict(), **early, "per_episode": episodes}
-
-
-def collect_results(
-    running: Iterator[EpisodeResult], results: list[EpisodeResult]
-) -> LinkError | KeyboardInterrupt | None:
-    """Collect results; returns what ended the evaluation early, None where nothing did.
-
-    A link's error before the first result is raised, unless it is an emergency stop.
-    """
-    try:
-        for result in running:
-            results.append(result)  # noqa: PERF402 - what is there counts where the rest fails
-    except (EmergencyStopError, KeyboardInterrupt) as error:
-        return error
-    except LinkError as error:
-        if not results:
-            raise
-        return error
-    return None
-
-
-def show_progress(
-    name: str, running: Iterator[EpisodeResult], count: int
-) -> Iterator[EpisodeResult]:
-    """Yield results, with a progress bar that shows the success rate."""
-    wins = 0
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("episodes, success {task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=report.SafeConsole()) as progress:
-        task = progress.add_task(report.escape_text(name), total=count, rate="-")
-        for number, result in enumerate(running, start=1):
-            yield result
-            wins += result.success
-            progress.update(task, advance=1, rate=f"{wins / number:.0%}")
-
-
-Env = gymnasium.Env[Any, Any]
-MAX_EPISODES = 10**6
-"""Most episodes of one evaluation; all results are kept in memory."""
-SEED_LIMIT = 2**63
-"""The first seed must be below this."""
+        return {
+            "header": self.header,
+            **self.summary.as_dict(),
+            "ended_early": self.ended_early,
+            "per_episode": metrics.describe_episodes(self.results),
+        }
 
 
 def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
@@ -162,7 +128,7 @@ def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
     path = resolve(policy, baselines.BASELINES)
     if path.suffix == ".zip":
         loaded = ZipPolicy(path, trust=trust, env_id=env_id)
-        _statistics(loaded, None)
+        _find_statistics(loaded, None)
         return loaded
     file = OnnxPolicy(path)
     file.env_id, file.env_named = env_id or file.env_id, bool(env_id)
@@ -177,40 +143,41 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         link: name of the link, or an open link.
         robot: preset, file or config of the robot.
         options: other arguments of the env; None means the env's default, and a true `tracked`
-            that episodes get a track (see `tracks.TrackedEnv`). Worlds such as
-            "clutter", and those of an env that trains in a training split, become their test
-            split; "clutter:train" means the training split.
+            that episodes get a track (see `episodes.TrackedEnv`). Worlds such as "clutter", and
+            those of an env that trains in a training split, become their test split;
+            "clutter:train" means the training split.
 
     Raises:
         PolicyError: no env is named, it can't be made, or its observation is another one.
         ConfigError: the env doesn't have one of the arguments.
     """
-    env_id = _allowed(policy)
+    env_id = _check_id(policy)
     given = {name: value for name, value in options.items() if value is not None}
     tracked = given.pop("tracked", False)
     given = {"link": link, "robot": robot, **given}
     if "worlds" in given:
         given["worlds"] = registry.add_test_split(given["worlds"])
-    env = _made(policy, env_id, given)
-    pool = getattr(env.unwrapped, "pool", None)
-    if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
-        env.close()
-        env = _made(policy, env_id, given | {"worlds": f"{pool.kind}:{registry.TEST}"})
+    try:
+        env = gymnasium.make(env_id, **given)
+        pool = getattr(env.unwrapped, "pool", None)
+        if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
+            env.close()
+            env = gymnasium.make(env_id, **given, worlds=f"{pool.kind}:{registry.TEST}")
+    except (gymnasium.error.Error, ImportError) as error:
+        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
+    except TypeError as error:
+        names = ", ".join(given)
+        raise ConfigError(
+            f"{env_id} doesn't take all of: {names} ({format_error(error)})"
+        ) from None
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
-        config = inner.robot.config
-        policy.check(inner.task, inner.sensors, env_policy_rate(inner), config)
+        policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
         policy.bind(inner)
     return TrackedEnv(env) if tracked else env
 
 
-def warn_differences(policy: FilePolicy) -> None:
-    """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
-    for line in policy.differences:
-        warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
-
-
-def _allowed(policy: FilePolicy) -> str:
+def _check_id(policy: FilePolicy) -> str:
     """Return the id of the env that a policy is for; PolicyError if it may not name it."""
     env_id = quote_text(policy.env_id)
     if not env_id:
@@ -227,19 +194,6 @@ def _allowed(policy: FilePolicy) -> str:
         return find_id(env_id)
     except ConfigError as error:
         raise PolicyError(f"{policy.path}: {error}") from None
-
-
-def _made(policy: FilePolicy, env_id: str, options: Mapping[str, Any]) -> Env:
-    """Make an env; errors name the policy."""
-    try:
-        return gymnasium.make(env_id, **options)
-    except (gymnasium.error.Error, ImportError) as error:
-        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
-    except TypeError as error:
-        names = ", ".join(options)
-        raise ConfigError(
-            f"{env_id} doesn't take all of: {names} ({format_error(error)})"
-        ) from None
 
 
 def seed_range(first: int, count: int) -> range:
@@ -271,42 +225,20 @@ def evaluate_policy(
         link: name of the link.
         robot: preset or file of the robot; None for the default.
         seeds: seeds of the episodes.
-        how: keyword arguments of `episodes.episodes`.
+        how: keyword arguments of `episodes.run_episodes`.
         elsewhere: results of these episodes, in any order, if other processes run them.
         **options: other arguments of the env.
 
     Raises:
-        AcsarError: see `made` and `episodes.episodes`.
+        AcsarError: see `make_env` and `episodes.run_episodes`.
         MissingExtraError: scipy isn't installed.
     """
     with require_extra("an evaluation", "scipy"):  # before the first episode, not after the last
         import scipy  # noqa: F401, PLC0415
     env, how, count = make_env(policy, link, robot, options), how or {}, len(seeds)
-    warn_differences(policy)
-    results: list[EpisodeResult] = []
-    try:
-        running = elsewhere or evaluation.run_episodes(env, policy, count, seeds.start, **how)
-        ended = collect_results(show_progress(link, running, count), results)
-        env.close()  # before the files are hashed
-        return _run(env, policy, link, seeds, how, results, ended)
-    finally:
-        env.close()
-
-
-def _run(
-    env: Env,
-    policy: FilePolicy,
-    link: str,
-    seeds: range,
-    options: Mapping[str, Any],
-    results: list[EpisodeResult],
-    ended: LinkError | KeyboardInterrupt | None = None,
-) -> EvaluationRun:
-    """Combine results and header."""
-    inner: Any = env.unwrapped
-    worlds = provenance.worlds_of(inner)
-    header = provenance.make_header(env, policy, link, seeds, options)
-    return EvaluationRun(header, "none" if worlds is None else str(worlds), results, ended)
+    _warn_differences(policy)
+    running = elsewhere or evaluation.run_episodes(env, policy, count, seeds.start, **how)
+    return _collect_run(env, policy, link, seeds, how, _show_progress(link, running, count))
 
 
 def drive_to_goal(
@@ -317,37 +249,84 @@ def drive_to_goal(
     ready: Callable[[], object] = lambda: None,
     **options: Any,
 ) -> EvaluationRun:
-    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as for `drive`.
+    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as `evaluate_policy`.
 
     `ready` is called before anything moves, when all that can be known of the policy is told.
 
     With `goal_distance`, goals may be nearer or farther than those that the policy was trained for;
     the time limit grows with the distance.
     """
-    if options.get("goal_distance") is not None:
-        options |= _farther(policy, goal)
+    if options.get("goal_distance") is not None and policy.scale:
+        options["distance_scale"] = policy.scale
+        steps = gymnasium.spec(_check_id(policy)).max_episode_steps
+        if steps is not None:
+            longer = max(1.0, math.hypot(*goal) / policy.scale)
+            options["max_episode_steps"] = math.ceil(steps * longer)
     config = RobotConfig.of(robot)
     env = make_env(policy, open_link(link, config), config, options)
-    warn_differences(policy)
-    results: list[EpisodeResult] = []
-    try:
+    _warn_differences(policy)
+
+    with contextlib.closing(env):
         ready()
         running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal)
-        ended = collect_results(running, results)
-        env.close()
-        return _run(env, policy, link, range(1), {"goal": goal}, results, ended)
+        return _collect_run(env, policy, link, range(1), {"goal": goal}, running)
+
+
+def _warn_differences(policy: FilePolicy) -> None:
+    """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
+    for line in policy.differences:
+        warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
+
+
+def _show_progress(
+    name: str, running: Iterator[EpisodeResult], count: int
+) -> Iterator[EpisodeResult]:
+    """Yield results, with a progress bar that shows the success rate."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("episodes, success {task.fields[rate]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=report.SafeConsole()) as progress:
+        task, wins = progress.add_task(report.escape_text(name), total=count, rate="-"), 0
+        for number, result in enumerate(running, start=1):
+            yield result
+            wins += result.success
+            progress.update(task, advance=1, rate=f"{wins / number:.0%}")
+
+
+def _collect_run(
+    env: Env,
+    policy: FilePolicy,
+    link: str,
+    seeds: range,
+    options: Mapping[str, Any],
+    running: Iterator[EpisodeResult],
+) -> EvaluationRun:
+    """Collect results, with what ended them early, and the header; closes the env.
+
+    A link's error before the first result is raised, unless it is an emergency stop.
+    """
+    results: list[EpisodeResult] = []
+    ended: LinkError | KeyboardInterrupt | None = None
+    try:
+        try:
+            for result in running:
+                results.append(result)  # noqa: PERF402 - what is there counts where the rest fails
+        except (EmergencyStopError, KeyboardInterrupt) as error:
+            ended = error
+        except LinkError as error:
+            if not results:
+                raise
+            ended = error
     finally:
-        env.close()
-
-
-def _farther(policy: FilePolicy, goal: tuple[float, float]) -> dict[str, Any]:
-    """Return the env's options for a goal at any distance: the policy's scale, and enough steps."""
-    if not policy.scale:
-        return {}
-    steps = gymnasium.spec(_allowed(policy)).max_episode_steps
-    longer = max(1.0, math.hypot(*goal) / policy.scale)
-    more = {} if steps is None else {"max_episode_steps": math.ceil(steps * longer)}
-    return {"distance_scale": policy.scale, **more}
+        env.close()  # before the files are hashed
+    inner: Any = env.unwrapped
+    header = provenance.make_header(env, policy, link, seeds, options)
+    worlds = "none" if inner.pool is None else str(inner.pool)
+    return EvaluationRun(header, worlds, results, ended)
 
 
 def export_policy(
@@ -373,7 +352,7 @@ def export_policy(
         PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
     """
     policy = ZipPolicy(model, trust=trust, env_id=find_id(env_id) if env_id else "")
-    statistics = _statistics(policy, vecnormalize)
+    statistics = _find_statistics(policy, vecnormalize)
     env = make_env(policy, "planar", robot, {})
     from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - optional
 
@@ -388,7 +367,7 @@ def export_policy(
         env.close()
 
 
-def _statistics(policy: ZipPolicy, named: str | None) -> Path | None:
+def _find_statistics(policy: ZipPolicy, named: str | None) -> Path | None:
     """Return the VecNormalize file to use.
 
     PolicyError if none is named, but one lies beside the zip, or the model was trained with one.

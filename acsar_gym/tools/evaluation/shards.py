@@ -1,4 +1,7 @@
-"""Evaluates a policy in parallel: the episodes are split into shards, which are jobs."""
+"""Evaluates a policy in parallel: the episodes are split into shards, which are jobs.
+
+An episode depends on its seed alone, so the results are those of one process.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import contextlib
 import hashlib
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,11 +26,16 @@ from acsar_gym.tools.policies import FilePolicy, ZipPolicy
 from acsar_gym.worlds import pool
 
 MAX_POLICY_BYTES = 200_000_000
+MAX_SHARD_EPISODES = 10
+"""Most episodes of a shard; a dead process costs the time of one shard."""
+SHARDS_PER_WORKER = 4
+"""Shards per worker, at least, so that workers finish at about the same time."""
+SIMULATED_LINKS = ("bullet", "planar")
 
 
 @dataclass(frozen=True)
 class PortablePolicy:
-    """A loaded policy, ready to be loaded again elsewhere."""
+    """A loaded policy, ready to be loaded again in other processes and on other machines."""
 
     name: str
     """Its path or name."""
@@ -53,7 +61,7 @@ class PortablePolicy:
         content = None
         if policy.path.is_file():
             content = reading.read_file(policy.path, MAX_POLICY_BYTES, PolicyError)
-            if policy.sha256 not in (None, _hash(content)):
+            if policy.sha256 not in (None, hashlib.sha256(content).hexdigest()):
                 raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
         trust = isinstance(policy, ZipPolicy)
         return cls(str(policy.path), env, policy.function, trust, policy.sha256, content)
@@ -64,47 +72,27 @@ class PortablePolicy:
         Raises:
             PolicyError: it can't be loaded here.
         """
-        return _loaded(self)
+        return _load_portable(self)
 
 
 @lru_cache(maxsize=4)
-def _loaded(sent: PortablePolicy) -> FilePolicy:
+def _load_portable(sent: PortablePolicy) -> FilePolicy:
     """Load a policy; a process needs few of them, but each for many jobs."""
-    if sent.content is None or _same(sent):
-        return _load(sent, sent.name)
+    suffix = f":{sent.function}" if sent.function else ""
+    here = None
+    with contextlib.suppress(OSError):
+        here = None if sent.content is None else Path(sent.name).read_bytes()
+    if here == sent.content:
+        return runs.load_policy(f"{sent.name}{suffix}", trust=sent.trust, env=sent.env)
     with tempfile.TemporaryDirectory(prefix="acsar_gym-") as folder:
         copy = Path(folder) / Path(sent.name).name
-        copy.write_bytes(sent.content)
-        return _load(sent, str(copy))
-
-
-def _load(sent: PortablePolicy, path: str) -> FilePolicy:
-    """Load a policy from a path or by its name."""
-    name = f"{path}:{sent.function}" if sent.function else path
-    return runs.load_policy(name, trust=sent.trust, env=sent.env)
-
-
-def _same(sent: PortablePolicy) -> bool:
-    """Whether the file here has the content that was sent."""
-    with contextlib.suppress(OSError):
-        return _hash(Path(sent.name).read_bytes()) == _hash(sent.content or b"")
-    return False
-
-
-def _hash(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-MAX_SHARD_EPISODES = 10
-"""Most episodes of a shard; a dead process costs the time of one shard."""
-SHARDS_PER_WORKER = 4
-"""Shards per worker, at least, so that workers finish at about the same time."""
-SIMULATED_LINKS = ("bullet", "planar")
+        copy.write_bytes(sent.content or b"")
+        return runs.load_policy(f"{copy}{suffix}", trust=sent.trust, env=sent.env)
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Consecutive episodes of an evaluation; the fields are arguments of `runs.drive`."""
+    """Consecutive episodes of an evaluation; the fields are arguments of `evaluate_policy`."""
 
     policy: PortablePolicy
     link: str
@@ -118,13 +106,12 @@ class Shard:
 
 def run_shard(shard: Shard) -> list[EpisodeResult]:
     """Run the episodes of a shard."""
-    policy = shard.policy.load()
-    with contextlib.closing(
-        runs.make_env(policy, shard.link, shard.robot, dict(shard.options))
-    ) as env:
+    policy, seeds = shard.policy.load(), shard.seeds
+    env = runs.make_env(policy, shard.link, shard.robot, shard.options)
+    with contextlib.closing(env):
         return list(
             evaluation.run_episodes(
-                env, policy, len(shard.seeds), shard.seeds.start, skip=shard.skip, **shard.how
+                env, policy, len(seeds), seeds.start, skip=shard.skip, **shard.how
             )
         )
 
@@ -140,28 +127,41 @@ def evaluate_in_parallel(
     address: str | None = None,
     **options: Any,
 ) -> EvaluationRun:
-    """Evaluate a policy as `runs.drive`, in parallel.
+    """Evaluate a policy as `runs.evaluate_policy`, in parallel.
 
     Args:
         policy: the policy.
         link: name of the link; more than one worker need a simulated one.
         robot: preset or file of the robot; None for the default.
         seeds: seeds of the episodes.
-        how: keyword arguments of `episodes.episodes`.
+        how: keyword arguments of `episodes.run_episodes`.
         workers: as for `completed`.
         address: as for `completed`.
         **options: other arguments of the env.
 
     Raises:
         ConfigError: the link or the recording can't be used by several processes.
-        AcsarError: see `runs.drive` and `completed`.
+        AcsarError: see `runs.evaluate_policy` and `completed`.
     """
     if address is None and workers in (None, 1):
         return runs.evaluate_policy(policy, link, robot, seeds, how=how, **options)
-    _check(link, options)
-    config, portable = RobotConfig.of(robot), _portable(options)
-    whole = Shard(PortablePolicy.of(policy), link, config, seeds, 0, how or {}, portable)
-    finished = completed(run_shard, _split(whole, workers), workers=workers, address=address)
+    if link not in SIMULATED_LINKS:
+        raise ConfigError(
+            f"--link {show_value(link)}: one process drives one robot: --workers and --address "
+            f"need --link {' or '.join(SIMULATED_LINKS)}"
+        )
+    if options.get("record") is not None:
+        raise ConfigError("--record and --view: one process records: leave out --workers")
+    source, portable = options.get("worlds"), dict(options)
+    worlds = pool.read_worlds(source) if isinstance(source, str) else None
+    if worlds is not None:  # from files, which another machine may not have
+        portable["worlds"] = worlds
+    sent, config = PortablePolicy.of(policy), RobotConfig.of(robot)
+    shards = [
+        Shard(sent, link, config, part, part.start - seeds.start, how or {}, portable)
+        for part in split_seeds(seeds, workers)
+    ]
+    finished = completed(run_shard, shards, workers=workers, address=address)
     with contextlib.closing(finished):
         results = (result for _, shard in finished for result in shard)
         done = runs.evaluate_policy(
@@ -170,34 +170,6 @@ def evaluate_in_parallel(
     done.results.sort(key=lambda result: seeds.index(result.seed or 0))
     done.header.update(workers=workers, address=address)
     return done
-
-
-def _check(link: str, options: Mapping[str, Any]) -> None:
-    """Check that several processes can drive at once."""
-    if link not in SIMULATED_LINKS:
-        raise ConfigError(
-            f"--link {show_value(link)}: one process drives one robot: --workers and "
-            "--address need "
-            f"--link {' or '.join(SIMULATED_LINKS)}"
-        )
-    if options.get("record") is not None:
-        raise ConfigError("--record and --view: one process records: leave out --workers")
-
-
-def _portable(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Read worlds from files, which another machine may not have."""
-    source = options.get("worlds")
-    read = pool.read_worlds(source) if isinstance(source, str) else None
-    return dict(options) if read is None else {**options, "worlds": read}
-
-
-def _split(whole: Shard, workers: int | None) -> list[Shard]:
-    """Split an evaluation into jobs."""
-    first = whole.seeds.start
-    return [
-        replace(whole, seeds=part, skip=part.start - first)
-        for part in split_seeds(whole.seeds, workers)
-    ]
 
 
 def split_seeds(seeds: range, workers: int | None) -> list[range]:

@@ -13,8 +13,7 @@ from typing import TypeVar
 
 from acsar_gym.errors import ConfigError, show_value
 
-# Jobs, and the choice of where they run.
-
+__all__ = ["completed"]
 J = TypeVar("J")
 R = TypeVar("R")
 MAX_WORKERS = 1024
@@ -31,7 +30,7 @@ def completed(
     """Run `function` on every job and yield the results in order of completion.
 
     One worker without an address is this process. The job of a process or machine that dies is run
-    again, at most `attempts.RETRIES` times. Closing the iterator ends running jobs.
+    again, at most `processes.MAX_RETRIES` times. Closing the iterator ends running jobs.
 
     Args:
         function: can be imported from where it is defined: no lambda and no closure.
@@ -60,6 +59,3 @@ def completed(
     from acsar_gym.tools.jobs import processes  # noqa: PLC0415
 
     return processes.run_in_processes(function, listed, workers or 1)
-
-
-__all__ = ["completed"]

@@ -25,8 +25,7 @@ CLUSTER_TIMEOUT = 5.0
 """How long a cluster may take to answer, and interrupted jobs to close their links [s]."""
 MIN_QUEUED_JOBS = 100
 """Jobs that are sent to a cluster at once, at least; its autoscaler counts those that wait."""
-CLIENT_SCHEME = "ray://"
-QUIET_RAY: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+START_HINT = "start a cluster with 'ray start --head', or run without --address"
 
 
 def run_on_cluster(
@@ -34,7 +33,7 @@ def run_on_cluster(
 ) -> Generator[tuple[int, R], None, None]:
     """As `jobs.completed`, on the cluster at `address`."""
     with connect_cluster(address, workers) as ray:
-        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_attempt)
+        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_attempt_remotely)
         queue = iter(enumerate(jobs))
         most = workers or max(MIN_QUEUED_JOBS, 2 * int(ray.cluster_resources().get("CPU", 1)))
         running: dict[Any, int] = {}
@@ -46,12 +45,16 @@ def run_on_cluster(
                     return
                 (done,), _ = ray.wait(list(running), num_returns=1)
                 number = running.pop(done)
-                yield number, _result(ray, done, jobs[number])
+                yield number, _take_result(ray, done, jobs[number])
         finally:
-            _cancel(ray, list(running))
+            with contextlib.suppress(ray.exceptions.RayError, ConnectionError, KeyboardInterrupt):
+                for each in running:  # interrupts the jobs, which then close their links
+                    ray.cancel(each, force=False)
+                if running:
+                    ray.wait(list(running), num_returns=len(running), timeout=CLUSTER_TIMEOUT)
 
 
-def _attempt(version: str, function: Callable[[Any], Any], job: Any) -> Any:
+def _attempt_remotely(version: str, function: Callable[[Any], Any], job: Any) -> Any:
     """Run a job on a machine of the cluster, which must have the same version of this package."""
     if version != acsar_gym.__version__:
         error = ClusterError(
@@ -62,31 +65,21 @@ def _attempt(version: str, function: Callable[[Any], Any], job: Any) -> Any:
     return attempt_job(function, job)
 
 
-def _result(ray: Any, done: Any, job: object) -> Any:
+def _take_result(ray: Any, done: Any, job: object) -> Any:
     """Return the result of a finished job, or raise its error."""
     try:
         result, error = ray.get(done)
     except ray.exceptions.WorkerCrashedError:
         raise JobError(
-            f"{name_job(job)}: ended {MAX_RETRIES + 1} processes: run it with --workers 1 "
-            "to see why"
+            f"{name_job(job)}: ended {MAX_RETRIES + 1} processes: run it with --workers 1 to see "
+            "why"
         ) from None
     except ray.exceptions.RayError as failure:
         why = getattr(failure, "cause", None) or failure
-        raise JobError(f"{name_job(job)}: {type(why).__name__}: {_short(why)}") from None
+        raise JobError(f"{name_job(job)}: {type(why).__name__}: {_shorten(why)}") from None
     if error is not None:
         raise error
     return result
-
-
-def _cancel(ray: Any, running: list[Any]) -> None:
-    """Interrupt jobs, and wait a while for them to close their links."""
-    if not running:
-        return
-    with contextlib.suppress(ray.exceptions.RayError, ConnectionError, KeyboardInterrupt):
-        for each in running:
-            ray.cancel(each, force=False)
-        ray.wait(running, num_returns=len(running), timeout=CLUSTER_TIMEOUT)
 
 
 @contextlib.contextmanager
@@ -105,58 +98,53 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
+        import grpc  # noqa: PLC0415 - optional
         import ray  # noqa: PLC0415 - optional
     except ImportError:
         raise MissingExtraError("--address", "scale") from None
     if ray.is_initialized():
         yield ray
         return
-    _connect(ray, address, workers)
+    options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+    if address == "local":
+        options |= {"num_cpus": workers, "include_dashboard": False}
+    else:
+        _check_address(grpc, address)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ray.init(address=address, **options)
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        raise ClusterError(
+            f"--address {show_value(address)}: {_shorten(error)}", START_HINT
+        ) from None
     try:
         yield ray
     finally:
         ray.shutdown()
 
 
-def _connect(ray: Any, address: str, workers: int | None) -> None:
-    """Connect, with a check beforehand: Ray itself tries for minutes."""
-    here = {"num_cpus": workers, "include_dashboard": False} if address == "local" else {}
-    if address != "local":
-        _check(address)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            ray.init(address=address, **here, **QUIET_RAY)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ClusterError(f"--address {show_value(address)}: {_short(error)}", _HINT) from None
-
-
-_HINT = "start a cluster with 'ray start --head', or run without --address"
-
-
-def _check(address: str) -> None:
-    """Check that something like Ray answers; ClusterError if nothing does within PATIENCE."""
+def _check_address(grpc: Any, address: str) -> None:
+    """Check that something like Ray answers soon: Ray itself tries for minutes."""
     place = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
     if place == "auto":
         return  # Ray looks for a cluster of this machine, and soon says that there is none
-    place = place.removeprefix(CLIENT_SCHEME)
+    place = place.removeprefix("ray://")
     host, _, port = place.rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(
             f"--address {show_value(address)}: must be local, auto, host:port or ray://host:port"
         )
-    try:
-        import grpc  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("--address", "scale") from None
     with grpc.insecure_channel(place) as channel:
         try:
             grpc.channel_ready_future(channel).result(timeout=CLUSTER_TIMEOUT)
         except grpc.FutureTimeoutError:
-            raise ClusterError(f"--address {show_value(address)}: doesn't answer", _HINT) from None
+            raise ClusterError(
+                f"--address {show_value(address)}: doesn't answer", START_HINT
+            ) from None
 
 
-def _short(error: BaseException) -> str:
+def _shorten(error: BaseException) -> str:
     """Return the first sentence of an error's message."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     first, _, _ = (lines[0] if lines else type(error).__name__).partition(". ")

@@ -10,7 +10,6 @@ from rich.console import Console
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import metrics, report
-from acsar_gym.tools.evaluation.runs import show_progress
 from acsar_gym.tools.policies import OnnxPolicy
 
 
@@ -18,9 +17,7 @@ def caption(robot: str | None, multiplier: float) -> str:
     env = PointGoalEnv("planar", robot=robot)
     config = env.robot.config.with_(wheel_separation_multiplier=multiplier)
     env = PointGoalEnv("planar", robot=config)
-    found = list(
-        show_progress("test", evaluation.run_episodes(env, OnnxPolicy("point_goal"), 3, 0), 3)
-    )
+    found = list(evaluation.run_episodes(env, OnnxPolicy("point_goal"), 3, 0))
     env.close()
     table = report.summary_table("test", [("planar", metrics.summarise_episodes(found))])
     return str(table.caption or "")

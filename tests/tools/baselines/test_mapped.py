@@ -6,8 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from baseline_tools import CONFIG, PERIOD, equipped, goal_seen, module
+from baseline_tools import CONFIG, PERIOD, equipped, goal_seen
 
+from acsar_gym.tools.baselines.mapping import (
+    Costmap,
+    DeadReckoning,
+    compute_potential,
+    points_clearance,
+)
 from acsar_gym.tools.evaluation import runs
 
 pytest.importorskip("numba")
@@ -21,7 +27,7 @@ def test_motion_is_found_from_views_of_the_goal_though_the_velocities_are_biased
     rng = np.random.default_rng(0)
     goal = (4.0, -3.0)
     x, y, theta = 0.0, 0.0, 0.0
-    motion = module("motion").Motion(goal, PERIOD)
+    motion = DeadReckoning(goal, PERIOD)
     for _ in range(200):
         linear, angular = rng.uniform(-0.1, 0.5), rng.uniform(-1.5, 1.5)
         x += linear * PERIOD * math.cos(theta + angular * PERIOD / 2.0)
@@ -41,21 +47,21 @@ def test_motion_is_found_from_views_of_the_goal_though_the_velocities_are_biased
 def test_clearance_is_the_distance_of_the_rectangle(
     point: tuple[float, float], wanted: float
 ) -> None:
-    free = module("geometry").clearance(0.0, 0.0, 0.0, np.array([point]), SIDES, OUTER, 1.0)
+    free = points_clearance(0.0, 0.0, 0.0, np.array([point]), SIDES, OUTER, 1.0)
     assert free == pytest.approx(wanted, abs=1e-9)
 
 
 def test_a_turned_footprint_reaches_farther() -> None:
     points = np.array([(0.23, 0.0)])
     free = [
-        module("geometry").clearance(0.0, 0.0, theta, points, SIDES, OUTER, 1.0)
+        points_clearance(0.0, 0.0, theta, points, SIDES, OUTER, 1.0)
         for theta in (0.0, math.pi / 4.0)
     ]
     assert free == pytest.approx([0.06, 0.0])
 
 
 def test_the_map_keeps_what_is_behind_and_clears_what_has_gone() -> None:
-    known = module("costmap").Costmap((3.0, 0.0))
+    known = Costmap((3.0, 0.0))
     end, met = np.array([[1.013, 0.0]]), np.ones(1)
     known.update((0.0, 0.0), end, met)
     assert known.points(0.0, 0.0, 2.0) == pytest.approx(end)
@@ -67,9 +73,8 @@ def test_the_map_keeps_what_is_behind_and_clears_what_has_gone() -> None:
 
 
 def test_the_potential_of_an_open_floor_is_the_distance_in_every_direction() -> None:
-    potential = module("potential")
-    known = module("costmap").Costmap((3.0, 2.0))
-    plan = potential.potential(known, (0.0, 0.0), (3.0, 2.0), (0.17, 0.24))
+    known = Costmap((3.0, 2.0))
+    plan = compute_potential(known, (0.0, 0.0), (3.0, 2.0), (0.17, 0.24))
     for angle in np.linspace(-math.pi, math.pi, 17):
         x, y = 3.0 + 1.4 * math.cos(angle), 2.0 + 1.4 * math.sin(angle)
         assert plan.at(x, y) == pytest.approx(1.4, rel=0.06)
@@ -79,10 +84,10 @@ def test_the_potential_of_an_open_floor_is_the_distance_in_every_direction() -> 
 
 def test_the_plan_leads_around_a_wall() -> None:
     """A wall at x = 1 from y = -3 to y = 0.6: its end is nearest."""
-    known = module("costmap").Costmap((2.0, 0.0))
+    known = Costmap((2.0, 0.0))
     wall = np.column_stack([np.full(73, 1.0), np.linspace(-3.0, 0.6, 73)])
     known.update((0.0, 0.0), wall, np.ones(len(wall)))
-    plan = module("potential").potential(known, (0.0, 0.0), (2.0, 0.0), (0.17, 0.24))
+    plan = compute_potential(known, (0.0, 0.0), (2.0, 0.0), (0.17, 0.24))
     way = plan.way(0.0, 0.0, 4.0)
     across = way[np.abs(way[:, 0] - 1.0).argmin()]
     assert 0.84 < across[1] < 1.3

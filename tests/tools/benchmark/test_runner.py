@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
+from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
 from acsar_gym.tools.benchmark.figures import group_cells
@@ -31,7 +32,7 @@ BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
 @pytest.fixture(autouse=True)
 def _no_env_is_kept() -> Iterator[None]:
     yield
-    runner._made.cache_clear()
+    runner.keep_env.cache_clear()
 
 
 def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
@@ -97,7 +98,7 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_refusal_names_no_folder_of_this_machine() -> None:
-    own = next(iter(plan.packaged_agents()))
+    own = plan.choose_agents(["packaged"], list(IDS), None, 1)[0]
     job = next(BenchmarkPlan((own,), (own.id,), ("planar",), count=1).jobs())
     elsewhere = replace(job.policy, env="acsar_gym/PathFollow-v0")
     part = runner.run_job(replace(job, policy=elsewhere))
@@ -277,7 +278,7 @@ def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
 
 
 def test_the_plan_is_json_and_names_no_folder() -> None:
-    some = tuple(plan.packaged_agents())
+    some = tuple(plan.choose_agents(["packaged"], list(IDS), None, 1))
     told = json.dumps(BenchmarkPlan(some, tuple(each.id for each in some)).as_dict())
     assert str(AGENTS) not in told
     assert '"barn.onnx"' in told

@@ -60,10 +60,10 @@ def test_the_hash_is_of_geometry_start_and_goal() -> None:
         World(np.array([[1.0, 0.5, 0.1]]), start=Region(0.0, 0.0), goal=Region(3.0, 0.0)),
         World(segments=np.array([[1.0, 0.5, 0.1, 0.0]]), goal=Region(3.0, 0.0)),
     ]
-    own = scenes._digest(scenes._defining(world))
-    assert all(scenes._digest(scenes._defining(other)) != own for other in others)
+    own = scenes.hash_world(world)
+    assert all(scenes.hash_world(other) != own for other in others)
     same = World(np.array([[1.0 + 1e-12, 0.5, 0.1]]), goal=Region(3.0, -1e-12), name="other")
-    assert scenes._digest(scenes._defining(same)) == own
+    assert scenes.hash_world(same) == own
 
 
 def test_published_worlds_are_a_set_of_their_own(tmp_path: Path) -> None:
@@ -74,8 +74,8 @@ def test_published_worlds_are_a_set_of_their_own(tmp_path: Path) -> None:
     found.check(2)
     before = found.sha256
     files.save_world(World(goal=Region(9.0, 0.0)), tmp_path / "2.json")
-    scenes._pool.cache_clear()
-    scenes._hashes.cache_clear()
+    scenes.read_pool.cache_clear()
+    scenes.hash_scenes.cache_clear()
     assert scenes.published_scenes("Barn-v1", tmp_path).sha256 != before
 
 

@@ -10,6 +10,9 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from acsar_gym.tools.benchmark import figures
+from acsar_gym.tools.benchmark.figures import interquartile_mean
+from acsar_gym.tools.evaluation import metrics
+from acsar_gym.tools.evaluation.metrics import row_means, stratified_interval
 
 X = np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [2.0, 1.0]])
 Y = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
@@ -21,17 +24,15 @@ matrices = shapes.flatmap(lambda shape: arrays(np.float64, shape, elements=st.in
 
 def test_published_values() -> None:
     """As rliable's tests/rliable/metrics_test.py has them."""
-    assert figures.overall_figure([X]) == 1.5
-    assert figures.overall_figure([Y]) == 2.0
-    assert figures.overall_figure([X], figures.row_means) == 1.5
+    assert interquartile_mean(X.ravel()) == 1.5
+    assert interquartile_mean(Y.ravel()) == 2.0
     assert figures.probability_of_improvement(X, Y) == pytest.approx(1.0 / 3.0)
 
 
 @given(matrices)
 def test_the_interquartile_mean_is_a_trimmed_mean(scores: np.ndarray) -> None:
     expected = stats.trim_mean(scores, 0.25, axis=None)
-    assert figures.overall_figure([scores]) == pytest.approx(expected)
-    assert figures.overall_figure([scores[:, :1], scores[:, 1:]]) == pytest.approx(expected)
+    assert interquartile_mean(scores.ravel()) == pytest.approx(expected)
 
 
 @given(matrices, st.integers(1, 4), st.integers(0, 2**32 - 1))
@@ -59,27 +60,27 @@ def test_a_profile_falls_from_the_share_above_zero_to_none(scores: np.ndarray) -
 
 @given(matrices)
 def test_an_interval_lies_within_the_scores(scores: np.ndarray) -> None:
-    low, high = figures.stratified_interval([scores], resamples=50)
+    low, high = stratified_interval([scores], interquartile_mean, resamples=50)
     assert scores.min() - 1e-9 <= low <= high <= scores.max() + 1e-9
-    assert figures.stratified_interval([scores], resamples=50) == (low, high)
+    assert stratified_interval([scores], interquartile_mean, resamples=50) == (low, high)
 
 
 def test_the_interval_of_a_mean_is_about_two_standard_errors_wide() -> None:
     scores = np.random.default_rng(0).normal(size=(1, 400))
-    low, high = figures.stratified_interval([scores], figures.row_means)
+    low, high = stratified_interval([scores], row_means)
     assert high - low == pytest.approx(2 * 1.96 / 20.0, rel=0.15)
 
 
 def test_seeds_that_differ_widen_the_interval_as_much_as_their_number_says() -> None:
     """Two hundred scenes of one policy aren't two hundred policies."""
     scores = np.repeat(np.array([[0.0], [1.0], [0.0], [1.0], [0.0], [1.0]]), 200, axis=1)
-    low, high = figures.stratified_interval([scores], figures.row_means)
+    low, high = stratified_interval([scores], row_means)
     assert high - low > 0.6
 
 
 def test_ids_are_strata() -> None:
     """Every resample has as many scores of each id as there are, so that equal ones don't vary."""
-    assert figures.stratified_interval([np.zeros((2, 5)), np.ones((3, 8))], figures.row_means) == (
+    assert stratified_interval([np.zeros((2, 5)), np.ones((3, 8))], row_means) == (
         pytest.approx((24 / 34, 24 / 34))
     )
 
@@ -92,14 +93,10 @@ def test_the_interval_of_an_improvement_holds_its_value() -> None:
     assert figures.improvement_interval(x, np.full((1, 60), 99.0)) == (0.0, 0.0)
 
 
-def test_intervals_apart() -> None:
-    assert figures.intervals_apart((0.1, 0.2), (0.3, 0.4))
-    assert figures.intervals_apart((0.3, 0.4), (0.1, 0.2))
-    assert not figures.intervals_apart((0.1, 0.3), (0.3, 0.4))
-
-
 def test_memory_is_limited_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
     scores = [np.arange(12.0).reshape(2, 6)]
-    wide = figures.stratified_interval(scores, resamples=4000)
-    monkeypatch.setattr(figures, "MAX_RESAMPLED", 5000)
-    assert figures.stratified_interval(scores, resamples=4000) == pytest.approx(wide, abs=0.3)
+    wide = stratified_interval(scores, interquartile_mean, resamples=4000)
+    monkeypatch.setattr(metrics, "MAX_RESAMPLED", 5000)
+    assert stratified_interval(scores, interquartile_mean, resamples=4000) == pytest.approx(
+        wide, abs=0.3
+    )

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from baseline_tools import CONFIG, equipped, goal_seen, module, path_seen
+from baseline_tools import CONFIG, equipped, goal_seen, path_seen
 
 from acsar_gym.tasks.base import Floats
+from acsar_gym.tools.baselines.goal_laws import curvature_to
 
 TO_A_GOAL = ("turn_drive", "smooth")
 TRACKERS = ("pure_pursuit", "stanley")
@@ -38,7 +39,7 @@ def test_a_goal_behind_is_turned_to(name: str, side: float) -> None:
 def test_the_smooth_law_has_the_papers_curvature() -> None:
     """With theta = 0: -(k2 delta + (1 + k1) sin delta) / r for k1 = 1, k2 = 3."""
     wanted = (3.0 * 0.4 + 2.0 * math.sin(0.4)) / 2.0
-    assert module("smooth").curvature_to(2.0, 0.4) == pytest.approx(wanted)
+    assert curvature_to(2.0, 0.4) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize("name", TRACKERS)

@@ -6,7 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from baseline_tools import CONFIG, equipped, goal_seen, module
+from baseline_tools import CONFIG, equipped, goal_seen
+
+from acsar_gym.tools.baselines.follow_gap import choose_course
 
 RADIUS = 0.28
 
@@ -20,7 +22,7 @@ def ring(*openings: tuple[float, float]) -> np.ndarray[tuple[int, int], np.dtype
 
 
 def test_nothing_around_means_straight_to_the_goal() -> None:
-    course, nearest = module("follow_gap").course_of(np.zeros((0, 2)), RADIUS, 0.7, 3.0)
+    course, nearest = choose_course(np.zeros((0, 2)), RADIUS, 0.7, 3.0)
     assert (course, nearest) == (0.7, math.inf)
 
 
@@ -28,14 +30,14 @@ def test_nothing_around_means_straight_to_the_goal() -> None:
 def test_the_gap_nearest_to_the_goal_is_taken(bearing: float, wanted: float) -> None:
     """Its centre is 1.0 or -1.5 rad; the course lies between it and the goal."""
     points = ring((1.0, 0.5), (-1.5, 1.2))
-    course, nearest = module("follow_gap").course_of(points, RADIUS, bearing, 3.0)
+    course, nearest = choose_course(points, RADIUS, bearing, 3.0)
     assert nearest == pytest.approx(1.0)
     assert min(bearing, wanted) < course < max(bearing, wanted)
 
 
 def test_a_gap_that_is_too_narrow_is_none() -> None:
     points = ring((0.0, 0.2), (2.0, 0.8))
-    course, _ = module("follow_gap").course_of(points, RADIUS, 0.0, 3.0)
+    course, _ = choose_course(points, RADIUS, 0.0, 3.0)
     assert course > 0.3
 
 

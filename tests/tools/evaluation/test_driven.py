@@ -24,24 +24,24 @@ FORWARD = np.array([1.0, 0.0], np.float32)
 PERIOD = 0.1
 
 
-def steps(positions: list[float], heading: float = 0.5) -> list[dict[str, Any]]:
-    """Infos of a straight drive."""
-    cos, sin = math.cos(heading), math.sin(heading)
-    return [{"odom_x": s * cos, "odom_y": s * sin, "odom_theta": heading} for s in positions]
+def poses(positions: Any, heading: float = 0.5) -> Any:
+    """Poses of a straight drive."""
+    along = np.asarray(positions)
+    turned = np.full_like(along, heading)
+    return np.column_stack([along * math.cos(heading), along * math.sin(heading), turned])
 
 
 def test_jerk_is_the_third_derivative_of_the_way() -> None:
     times = PERIOD * np.arange(12)
-    assert mean_jerk(steps((0.4 * times).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
-    assert mean_jerk(steps((0.4 * times**2).tolist()), PERIOD) == pytest.approx(0.0, abs=1e-9)
-    assert mean_jerk(steps((0.4 * times**3).tolist()), PERIOD) == pytest.approx(6.0 * 0.4)
-    assert math.isnan(mean_jerk(steps([0.0, 0.1, 0.2]), PERIOD))
+    assert mean_jerk(poses(0.4 * times), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(poses(0.4 * times**2), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(poses(0.4 * times**3), PERIOD) == pytest.approx(6.0 * 0.4)
+    assert math.isnan(mean_jerk(poses([0.0, 0.1, 0.2]), PERIOD))
 
 
 def test_turning_counts_both_ways_and_across_pi() -> None:
-    headings = [3.0, -3.1, 3.0]
-    infos = [{"odom_x": 0.0, "odom_y": 0.0, "odom_theta": theta} for theta in headings]
-    assert total_turning(infos) == pytest.approx(2.0 * (math.tau - 6.1))
+    headings = [[0.0, 0.0, theta] for theta in (3.0, -3.1, 3.0)]
+    assert total_turning(np.array(headings)) == pytest.approx(2.0 * (math.tau - 6.1))
 
 
 def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() -> None:
