@@ -91,7 +91,7 @@ class Canvas:
         self.layer = (
             pillow.Image.new("RGB", size, ground) if isinstance(ground, tuple) else ground.copy()
         )
-        """The picture at FINE times its width and height."""
+        """The picture at SUPERSAMPLING times its width and height."""
         self._draw = pillow.ImageDraw.Draw(self.layer, "RGBA")
         self._fine = replace(view, scale=SUPERSAMPLING * view.scale, size=size)
 
@@ -102,7 +102,10 @@ class Canvas:
             places = places[np.isfinite(places).all(axis=1)]
         places = places.clip(-MAX_PIXEL, MAX_PIXEL)
         if apart and len(places) > 2:
-            places = _spaced(places, apart)
+            mark = (np.hypot(*np.diff(places, axis=0).T).cumsum() / apart).astype(np.int64)
+            kept = np.ones(len(places), np.bool_)  # one point per `apart`, the first and the last
+            kept[1:-1] = np.diff(mark, prepend=0)[:-1] > 0
+            places = places[kept]
         flat: list[float] = places.ravel().tolist()
         return flat
 
@@ -164,15 +167,25 @@ class Canvas:
     ) -> None:
         """Draw a disc of `radius` [m], but at least `least` pixels."""
         size = max(radius * self._fine.scale, SUPERSAMPLING * least)
-        for column, row in _pairs(self._places(np.array([place]))):
-            box = (column - size, row - size, column + size, row + size)
-            self._draw.ellipse(box, fill=fill, outline=edge, width=round(SUPERSAMPLING * width))
+        self._circles(np.array([place]), size, fill, edge, round(SUPERSAMPLING * width))
 
     def dots(self, points: Floats, radius: float, fill: Colour) -> None:
         """Draw discs of `radius` pixels around points (N, 2)."""
-        size = SUPERSAMPLING * radius
-        for column, row in _pairs(self._places(points)):
-            self._draw.ellipse((column - size, row - size, column + size, row + size), fill=fill)
+        self._circles(points, SUPERSAMPLING * radius, fill)
+
+    def _circles(
+        self,
+        points: Floats,
+        size: float,
+        fill: Colour | None,
+        edge: Colour | None = None,
+        width: int = 1,
+    ) -> None:
+        """Draw discs of a size and an edge [fine pixels]."""
+        flat = self._places(points)
+        for column, row in zip(flat[::2], flat[1::2], strict=True):
+            box = (column - size, row - size, column + size, row + size)
+            self._draw.ellipse(box, fill=fill, outline=edge, width=width)
 
     def bar(
         self,
@@ -257,7 +270,7 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
 
 
 def check_picture_size(name: str, size: tuple[int, int]) -> None:
-    """Raise ConfigError unless width and height are ints from SMALLEST to LARGEST [pixels]."""
+    """Raise ConfigError unless width and height are ints from MIN_SIDE to MAX_SIDE [pixels]."""
     try:
         sound = len(size) == 2 and all(
             MIN_SIDE <= side <= MAX_SIDE and side == int(side) for side in size
@@ -269,21 +282,6 @@ def check_picture_size(name: str, size: tuple[int, int]) -> None:
             f"{name} = {size!r}: must be width and height, whole numbers of {MIN_SIDE} to "
             f"{MAX_SIDE} pixels"
         )
-
-
-def _spaced(places: Floats, apart: float) -> Floats:
-    """Thin out a path to one point per `apart` of its length, keeping the first and last."""
-    steps = np.diff(places, axis=0)
-    mark = (np.hypot(steps[:, 0], steps[:, 1]).cumsum() / apart).astype(np.int64)
-    kept = np.ones(len(places), np.bool_)
-    kept[1:-1] = np.diff(mark, prepend=0)[:-1] > 0
-    spaced: Floats = places[kept]
-    return spaced
-
-
-def _pairs(flat: list[float]) -> zip[tuple[float, float]]:
-    """Group alternating columns and rows to pairs."""
-    return zip(flat[::2], flat[1::2], strict=True)
 
 
 @functools.cache

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import difficulty, files
+from acsar_gym.worlds import files
 from acsar_gym.worlds.difficulty import (
     VISIBILITY_RAYS,
     VISIBILITY_REACH,
     Difficulty,
     measure_difficulty,
 )
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
 from acsar_gym.worlds.world import World
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
@@ -86,24 +84,6 @@ def test_more_points_on_a_path_change_nothing() -> None:
     )
     for name in Difficulty.__slots__:
         assert getattr(few, name) == pytest.approx(getattr(many, name))
-
-
-def test_rays_are_those_of_the_range_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    circles = np.column_stack([rng.uniform(-4, 4, (30, 2)), rng.uniform(0.0, 0.4, 30)])
-    starts = rng.uniform(-4, 4, (30, 2))
-    segments = np.column_stack([starts, starts + rng.uniform(-2, 2, (30, 2))])
-    config = RobotConfig.preset("acsar").with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
-    around = make_surroundings(
-        Obstacles(circles, segments), RaySpec(VISIBILITY_RAYS, VISIBILITY_REACH), 1, config
-    )
-    monkeypatch.setattr(difficulty, "RAY_CHUNK", 5000)
-    places = rng.uniform(-4, 4, (20, 2))
-    found = difficulty._ranges(places, World(circles, segments))
-    for place, ranges in zip(places, found, strict=True):
-        expected = np.empty(VISIBILITY_RAYS)
-        cast_rays(place[0], place[1], -1.0, 0.0, 0, around, expected)  # the first ray to the back
-        np.testing.assert_allclose(ranges, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(

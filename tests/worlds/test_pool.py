@@ -1,4 +1,4 @@
-"""Pools: every form of `worlds=`, made when needed, and what is refused."""
+"""Pools: every form of worlds=, made when needed or given, and what is refused."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import generators, pool, registry
-from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.world import Region, World
+from acsar_gym.worlds import files, generators, pool, registry
+from acsar_gym.worlds.pool import Pool, check_world
+from acsar_gym.worlds.world import Region, World, make_rectangle
 
 KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 PILLAR = np.array([[0.0, 0.0, 0.5]])
@@ -112,18 +112,6 @@ def test_no_world_is_in_two_splits() -> None:
 def test_the_split_to_test_in(source: Any, tested: Any) -> None:
     found = registry.add_test_split(source)
     assert found is tested or found == tested
-
-
-def test_a_pool_holds_the_generators_worlds() -> None:
-    found = Pool.of("clutter:3-5", 0.3, 0.4)
-    for number in (3, 4, 5):
-        expected = generators.generate_world("clutter", number, 0.3, 0.4)
-        world = found[number]
-        assert world.path is not None
-        assert expected.path is not None
-        assert np.array_equal(world.circles, expected.circles)
-        assert np.array_equal(world.segments, expected.segments)
-        assert np.array_equal(world.path, expected.path)
 
 
 def test_the_usual_count_may_be_changed() -> None:
@@ -238,28 +226,6 @@ def test_a_bad_difficulty_is_refused_at_once() -> None:
         Pool.of("open", 2.0)
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "x" * 300,
-        "clutter:" + "9" * 300,
-        "",
-        "clutter:" + "9" * 20,
-        "clutter\n",
-    ],
-    ids=lambda source: repr(source)[:20],
-)
-def test_names_that_mean_harm_are_refused(source: str) -> None:
-    try:
-        len(Pool.of(source))
-    except WorldError as error:
-        assert "worlds = " in str(error)  # noqa: PT017
-    except (OSError, OverflowError) as error:
-        pytest.fail(repr(error))
-    else:
-        pytest.fail("taken")
-
-
 @pytest.mark.parametrize("source", ["clutter:3-9", [SOUND]], ids=["name", "list"])
 def test_a_copy_of_a_pool_holds_the_same_worlds(source: Any) -> None:
     """As another process gets it."""
@@ -297,3 +263,131 @@ def test_a_range_of_difficulty_that_holds_none_is_one_clear_error(
 ) -> None:
     with pytest.raises(WorldError, match=message):
         Pool.of(source).ranks((0.9999, 1.0))
+
+
+CELL = World(
+    segments=make_rectangle(-1.0, -1.0, 1.0, 1.0),
+    start=Region(0.0, 0.0),
+    goal=Region(4.0, 0.0),
+    name="cell",
+)
+WAY = np.array([[-2.0, 0.0], [0.0, 1.0], [2.0, 0.0]])
+
+
+@pytest.mark.parametrize("source", [SOUND, [SOUND], (SOUND,)], ids=["a world", "a list", "a tuple"])
+def test_a_given_world_without_a_path_gets_one(source: Any) -> None:
+    found = Pool.of(source, radius=0.3)
+    assert (found.kind, len(found)) == ("given", 1)
+    world = found[0]
+    assert world.path is not None
+    assert world.length == pytest.approx(4.4, abs=0.2)
+    assert world.name == "pillar"
+    assert np.array_equal(world.circles, PILLAR)
+    assert SOUND.path is None
+    assert found[0] is world
+
+
+def test_a_given_path_is_kept() -> None:
+    given = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), path=WAY)
+    assert Pool.of(given)[0] is given
+    assert check_world(given, 0.25) is given
+
+
+def test_given_worlds_are_looked_at_at_once() -> None:
+    found = Pool.of([SOUND, SOUND])
+    assert found[1].path is not None
+    with pytest.raises(WorldError, match="cell: no way from start to goal"):
+        Pool.of([SOUND, CELL, SOUND])
+
+
+def test_a_kind_of_world_is_that_whatever_files_there_are(folder: Path) -> None:
+    (folder / "open").mkdir()
+    (folder / "barn").write_text("no world", encoding="utf-8")
+    assert Pool.of("open:2").kind == "open"
+    assert Pool.of("barn").kind == "barn"
+    files.save_world(SOUND, folder / "open" / "mine.json")
+    for source in ("./open", Path("open")):
+        assert Pool.of(source)[0].name == "pillar"
+
+
+@pytest.mark.parametrize("path", [None, WAY], ids=["without a path", "with a path"])
+@pytest.mark.parametrize(
+    ("start", "goal", "message"),
+    [
+        (Region(0.1, 0.0), Region(2.0, 0.0), r"the start \(0\.1, 0\) lies 0\.00 m"),
+        (Region(-2.0, 0.0), Region(0.7, 0.0), r"the goal \(0\.7, 0\) lies 0\.20 m"),
+        (Region(-2.0, 0.0, 1.3), Region(2.0, 0.0), r"the start .* needs 1\.55 m"),
+        (Region(-2.0, 0.0), Region(2.0, 0.0, 1.3), r"the goal .* needs 1\.55 m"),
+    ],
+)
+def test_given_worlds_whose_ends_are_not_free_are_refused(
+    start: Region, goal: Region, message: str, path: Any
+) -> None:
+    world = World(PILLAR, start=start, goal=goal, path=path, name="mine")
+    with pytest.raises(WorldError, match=f"^mine: {message}"):
+        Pool.of(world)[0]
+
+
+def test_the_footprint_decides_whether_a_given_world_can_be_used() -> None:
+    gap = World(
+        segments=np.array([[0.0, 0.3, 0.0, 5.0], [0.0, -0.3, 0.0, -5.0]]),
+        start=Region(-1.0, 1.0),
+        goal=Region(1.0, 1.0),
+    )
+    assert Pool.of(gap, radius=0.2)[0].length < 3.0
+    assert Pool.of(gap, radius=0.4)[0].length > 8.0
+
+
+def test_files(folder: Path) -> None:
+    path = folder / "mine.json"
+    files.save_world(SOUND, path)
+    for source in ("mine.json", str(path), path, Path("mine.json"), "./mine.json"):
+        found = Pool.of(source)
+        assert (found.kind, len(found)) == (str(source), 1)
+        assert (found[0].name, found[0].goal) == ("pillar", SOUND.goal)
+        assert found[0].path is not None
+
+
+def test_folders(folder: Path) -> None:
+    (folder / "mine").mkdir()
+    for number in (1, 2, 10):
+        files.save_world(World(name=f"number {number}"), folder / "mine" / f"world_{number}.yaml")
+    for source in ("mine", "mine/", folder / "mine", Path("mine")):
+        found = Pool.of(source)
+        assert (found.kind, len(found)) == (str(source), 3)
+        names = [found[index].name for index in range(3)]
+        assert names == ["number 1", "number 2", "number 10"]
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("nowhere.world", r"^nowhere\.world: there is no such file"),
+        ("nowhere/mine.json", r"^nowhere/mine\.json: there is no such file"),
+        (Path("nowhere.json"), r"^nowhere\.json: there is no such file"),
+        ("nowhere/", "^nowhere: a world is read from"),
+        (Path("clutter"), "^clutter: a world is read from"),
+        ("mine.txt", r"^mine\.txt: a world is read from"),
+        ("empty", r"^empty: holds no worlds"),
+        (Path("empty"), r"^empty: holds no worlds"),
+    ],
+    ids=str,
+)
+def test_bad_paths_are_refused_at_once(source: Any, message: str, folder: Path) -> None:
+    (folder / "empty").mkdir()
+    with pytest.raises(WorldError, match=message):
+        Pool.of(source)
+
+
+def test_a_broken_file_is_refused_at_once(folder: Path) -> None:
+    (folder / "bad.json").write_text("{", encoding="utf-8")
+    with pytest.raises(WorldError, match=r"bad\.json: not valid JSON"):
+        Pool.of("bad.json")
+    with pytest.raises(WorldError, match=r"bad\.json: not valid JSON"):
+        Pool.of(folder)
+
+
+def test_an_unsolvable_file_is_named(folder: Path) -> None:
+    files.save_world(CELL, folder / "cell.yaml")
+    with pytest.raises(WorldError, match=r"^cell: no way from start to goal"):
+        Pool.of("cell.yaml")[0]
