@@ -41,6 +41,8 @@ MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MAX_YAML_EVENTS = 210_000
 """Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
+MAX_KEYS = 100
+"""Most keys of a mapping."""
 MAX_WORLD_FILES = 10_000
 """Most worlds of a folder."""
 MAX_FOLDER_OBSTACLES = 1_000_000
@@ -205,6 +207,9 @@ def _parse_world(data: object, path: Path) -> World:
     for end in ("start", "goal"):
         if data.get(end) is None:
             raise WorldError(f"has no {end}: add a line like '{end}: {{x: 0.0, y: 0.0}}' [m]")
+    for mapping in (data, data["start"], data["goal"]):
+        if isinstance(mapping, dict) and len(mapping) > MAX_KEYS:
+            raise WorldError(f"has {len(mapping):,} keys, at most {MAX_KEYS} are read")
     model = MapFile if "image" in data else WorldFile
     try:
         file = model.model_validate({"name": path.stem, **data})

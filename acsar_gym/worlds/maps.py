@@ -27,7 +27,6 @@ Mask = NDArray[np.bool_]
 PICTURE_SUFFIXES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
 PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """Formats that Pillow may try; PGM is a PPM for it."""
-MAX_KEYS = 100
 MAX_MAP_PIXELS = 4096 * 4096
 UNSOUND_PICTURE = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
 PLAIN_MAGIC = (b"P1", b"P2", b"P3")
@@ -78,8 +77,6 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
     Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
     """
     fields = MapSettings.model_fields
-    if len(data) > MAX_KEYS:
-        raise WorldError(f"has {len(data):,} keys, at most {MAX_KEYS} are read")
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
             raise WorldError(f"unknown key {show_value(key)}; did you mean {near[0]!r}?")

@@ -146,6 +146,8 @@ def test_theta_may_be_null(theta: float | None, tmp_path: Path) -> None:
         ({"segments": [1, 2, 3, 4]}, "segments.0 = 1"),
         ({"path": [[1]]}, "path.0.1"),
         ({"name": 7}, "name = 7"),
+        ({str(number): number for number in range(100)}, "106 keys"),
+        ({"start": {str(number): number for number in range(101)}}, "101 keys"),
         ({"name": "x" * 1001}, "name = 'xxx"),
     ],
 )
