@@ -234,16 +234,6 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
 
 
-def test_a_range_that_is_none_reaches_as_far_as_the_lidar(top: TopView) -> None:
-    angles = np.linspace(-0.5, 0.5, 5)
-    pictures = [
-        top.draw(TopViewFrame(rays=(angles, np.full(5, away)), reach=0.5))
-        for away in (math.inf, 9.0, 0.5)
-    ]
-    assert pictures[0].tobytes() == pictures[1].tobytes() == pictures[2].tobytes()
-    assert pictures[0].tobytes() != top.draw(TopViewFrame()).tobytes()
-
-
 def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
     config: RobotConfig, top: TopView
 ) -> None:
@@ -290,16 +280,6 @@ def test_what_stands_still_is_drawn_once(top: TopView) -> None:
     view = top.view
     top.draw(FRAME)
     assert (top.layers, top.view) == (4, view)
-
-
-def test_a_goal_that_moves_through_a_world_is_kept_in_view(top: TopView) -> None:
-    top.draw(replace(FRAME, odom=(-9.0, 0.0, 0.0)))
-    grown, layers = top.view, top.layers
-    top.draw(replace(FRAME, goal=(1.0, 1.0)))
-    assert (top.view, top.layers) == (grown, layers)
-    top.draw(replace(FRAME, goal=(1.0, 30.0)))
-    assert top.layers == layers + 1
-    assert top.view.shows(1.0, 30.0, 10.0)
 
 
 def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:

@@ -109,22 +109,6 @@ def test_numbers_are_different_worlds(kind: str, count: int) -> None:
         assert [world.name for world in made] == [f"{kind} {number}" for number in range(count)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_numbers_of_numpy_and_python_are_the_same(kind: str) -> None:
-    assert content(generate_world(kind, np.int64(5), 0.2)) == content(generate_world(kind, 5, 0.2))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("kind", ["clutter", "rooms"])
-def test_without_a_difficulty_all_of_them_come(kind: str) -> None:
-    counts = [generate_world(kind, number).obstacles for number in range(30)]
-    low, high = (
-        np.mean([generate_world(kind, n, level).obstacles for n in range(5)])
-        for level in (0.0, 1.0)
-    )
-    assert min(counts) < low + 0.3 * (high - low)
-    assert max(counts) > low + 0.7 * (high - low)
-
-
 def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
 
@@ -343,13 +327,6 @@ def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
             assert len(doors) == len(walls) - 1  # one for each room
             for (low, high), left, right in zip(doors, walls[:-1], walls[1:], strict=True):
                 assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
-
-
-@pytest.mark.parametrize("radius", [0.1, 0.25, 0.5])
-def test_the_narrowest_door_lets_the_footprint_through(radius: float) -> None:
-    world = floor(1, 1.0, radius)
-    for low, high in gaps(world, half_width(world)):
-        assert high - low == pytest.approx(2.0 * radius + 0.2)
 
 
 def test_there_are_three_or_four_rooms_on_each_side() -> None:

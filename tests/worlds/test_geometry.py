@@ -102,28 +102,6 @@ def test_from_inside_an_obstacle_everything_is_near() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pose", "hit"),
-    [
-        ((0.0, 0.0, 0.0), False),
-        ((0.031, 0.0, 0.0), True),
-        ((0.029, 0.0, 0.0), False),
-        ((0.0, 0.0, math.pi / 4), True),
-    ],
-)
-def test_a_wall_just_ahead_is_touched_exactly(pose: Pose, hit: bool) -> None:
-    """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
-    around = make_surroundings(Obstacles((), [[0.2, -5.0, 0.2, 5.0]]), None, 1, CONFIG)
-    assert (
-        footprint_collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around) == hit
-    )
-
-
-def test_a_wall_through_the_footprint_is_touched_though_no_end_is_inside() -> None:
-    around = make_surroundings(Obstacles((), [[0.0, -5.0, 0.0, 5.0]]), None, 1, CONFIG)
-    assert footprint_collides(0.05, 0.0, 1.0, 0.0, 0, around)
-
-
-@pytest.mark.parametrize(
     ("circles", "segments"),
     [
         ([[0.0, 0.0]], ()),
@@ -240,7 +218,16 @@ def test_a_rectangle_given_as_a_polygon_is_the_box() -> None:
 
 
 @pytest.mark.parametrize(
-    ("circle", "hit"),
+    ("x", "theta", "hit"),
+    [(0.0, 0.0, False), (0.031, 0.0, True), (0.029, 0.0, False), (0.0, math.pi / 4, True)],
+)
+def test_a_wall_just_ahead_is_touched_exactly(x: float, theta: float, hit: bool) -> None:
+    """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
+    assert hits(CONFIG, (), [[0.2, -5.0, 0.2, 5.0]], np.array([[x, 0.0, theta]])) == [hit]
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "hit"),
     [
         ((0.25, 0.0, 0.04), False),  # in the notch
         ((0.25, 0.0, 0.14), True),
@@ -248,16 +235,6 @@ def test_a_rectangle_given_as_a_polygon_is_the_box() -> None:
         ((0.0, 0.0, 5.0), True),  # around
         ((-0.26, 0.26, 0.08), False),  # beyond a corner
         ((-0.26, 0.26, 0.09), True),
-    ],
-)
-def test_circles_in_and_beside_a_notch(circle: tuple[float, ...], hit: bool) -> None:
-    config = CONFIG.with_(footprint=NOTCHED)
-    assert hits(config, [circle], (), np.zeros((1, 3))) == [hit]
-
-
-@pytest.mark.parametrize(
-    ("segment", "hit"),
-    [
         ((0.2, -0.02, 0.2, 0.02), False),  # in the notch
         ((0.2, -0.5, 0.2, 0.5), True),  # through both horns
         ((-0.1, 0.0, -0.05, 0.0), True),  # within
@@ -266,10 +243,13 @@ def test_circles_in_and_beside_a_notch(circle: tuple[float, ...], hit: bool) -> 
         ((-0.5, 0.2001, 0.5, 0.2001), False),
     ],
 )
-def test_walls_in_and_beside_a_notch(segment: tuple[float, ...], hit: bool) -> None:
-    config = CONFIG.with_(footprint=NOTCHED)
-    assert hits(config, (), [segment], np.zeros((1, 3))) == [hit]
-    assert hits(config, (), [(*segment[2:], *segment[:2])], np.zeros((1, 3))) == [hit]
+def test_obstacles_in_and_beside_a_notch(obstacle: tuple[float, ...], hit: bool) -> None:
+    config, pose = CONFIG.with_(footprint=NOTCHED), np.zeros((1, 3))
+    if len(obstacle) == 3:
+        assert hits(config, [obstacle], (), pose) == [hit]
+    else:
+        assert hits(config, (), [obstacle], pose) == [hit]
+        assert hits(config, (), [(*obstacle[2:], *obstacle[:2])], pose) == [hit]
 
 
 ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # type: ignore[arg-type]
@@ -295,35 +275,12 @@ def samples(a: Any, b: Any) -> Any:
     return a + SHARES * (b - a), float(np.hypot(*(b - a))) / (len(SHARES) - 1) / 2.0
 
 
-def brute(point: Any, world: World) -> tuple[float, float]:
-    """Bounds of the clearance of a point."""
-    least, most = np.inf, np.inf
-    for x, y, radius in world.circles:
-        distance = float(np.hypot(point[0] - x, point[1] - y)) - radius
-        least, most = min(least, distance), min(most, distance)
-    for segment in world.segments:
-        points, slack = samples(segment[:2], segment[2:])
-        distance = float(np.hypot(*(points - point).T).min())
-        least, most = min(least, distance - slack), min(most, distance)
-    return least, most
-
-
-@pytest.mark.parametrize(
-    ("point", "expected"),
-    [((0.0, 2.0), 1.5), ((1.5, 0.0), 0.5), ((2.0, 0.3), 0.0), ((2.0, 3.0), 2.0), ((5.0, 5.0), 5.0)],
-)
-def test_points_are_as_far_as_computed_by_hand(point: Any, expected: float) -> None:
-    assert point_clearance([point], ROOM).tolist() == [expected]
-
-
-def test_it_is_negative_inside_a_circle() -> None:
-    assert point_clearance([(0.1, 0.0)], ROOM)[0] == pytest.approx(-0.4)
-    assert segment_clearance([(-1.0, 0.2)], [(1.0, 0.2)], ROOM)[0] == pytest.approx(-0.3)
-
-
 @pytest.mark.parametrize(
     ("a", "b", "expected"),
     [
+        *(((0.0, 2.0), None, 1.5), ((1.5, 0.0), None, 0.5), ((2.0, 0.3), None, 0.0)),
+        *(((2.0, 3.0), None, 2.0), ((5.0, 5.0), None, 5.0), ((0.1, 0.0), None, -0.4)),
+        ((-1.0, 0.2), (1.0, 0.2), -0.3),  # into the circle
         ((-3.0, 1.0), (3.0, 1.0), 0.0),  # through the end of the segment
         ((-3.0, 2.0), (3.0, 2.0), 1.0),
         ((1.0, 0.7), (4.0, 0.7), 0.0),  # across the segment
@@ -332,17 +289,18 @@ def test_it_is_negative_inside_a_circle() -> None:
         ((0.0, 4.0), (0.0, 4.0), 3.5),  # a point
     ],
 )
-def test_pieces_are_as_far_as_computed_by_hand(a: Any, b: Any, expected: float) -> None:
-    assert segment_clearance([a], [b], ROOM)[0] == pytest.approx(expected, abs=1e-15)
+def test_distances_by_hand(a: Any, b: Any, expected: float) -> None:
+    found = point_clearance([a], ROOM) if b is None else segment_clearance([a], [b], ROOM)
+    assert found[0] == pytest.approx(expected, abs=1e-15)
 
 
-def test_an_empty_world_is_infinitely_wide() -> None:
+def test_of_nothing_and_to_nothing() -> None:
+    assert point_clearance([], ROOM).shape == segment_clearance([], [], ROOM).shape == (0,)
     assert point_clearance([(0.0, 0.0)], World()).tolist() == [np.inf]
     assert segment_clearance([(0.0, 0.0)], [(1.0, 0.0)], World()).tolist() == [np.inf]
-
-
-def test_no_points_have_no_clearance() -> None:
-    assert point_clearance([], ROOM).shape == segment_clearance([], [], ROOM).shape == (0,)
+    dot = World(segments=np.ones((1, 4)))  # a segment without length
+    assert point_clearance([(1.0, 3.0)], dot).tolist() == [2.0]
+    assert segment_clearance([(0.0, 0.0)], [(2.0, 0.0)], dot).tolist() == [1.0]
 
 
 def test_wrong_shapes_are_refused() -> None:
@@ -355,7 +313,13 @@ def test_wrong_shapes_are_refused() -> None:
 @given(world=worlds(), points=rows(2))
 def test_points_are_as_far_as_brute_force_says(world: World, points: Any) -> None:
     for point, distance in zip(points, point_clearance(points, world), strict=True):
-        least, most = brute(point, world)
+        x, y, radius = world.circles.T
+        bounds = [(apart, apart) for apart in np.hypot(point[0] - x, point[1] - y) - radius]
+        for segment in world.segments:
+            places, slack = samples(segment[:2], segment[2:])
+            apart = np.hypot(*(places - point).T).min()
+            bounds.append((apart - slack, apart))
+        least, most = np.min(bounds, axis=0) if bounds else (np.inf, np.inf)
         assert least - 1e-9 <= distance <= most + 1e-9 or distance == most
 
 
@@ -406,9 +370,8 @@ def test_what_pybullet_hits_in_the_envs_bodies_lies_on_our_surfaces() -> None:
         ranges = body.rays((float(place[0]), float(place[1])), angles, REACH)
         met = ranges < REACH
         points = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        assert (
-            np.abs(point_clearance(points[met], world)).max() < 2.1 * MILLIMETRE
-        )  # walls are 2 mm
+        off = np.abs(point_clearance(points[met], world)).max()
+        assert off < 2.1 * MILLIMETRE  # walls are 2 mm
         far = measure_ranges((float(place[0]), float(place[1])), angles, world)
         assert np.mean(np.abs(np.minimum(far, REACH) - ranges) < 5.0 * MILLIMETRE) > 0.9
         hits += int(met.sum())

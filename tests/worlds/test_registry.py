@@ -20,8 +20,6 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.tools import atlas
-from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import Region, World, cache, generators, registry
 from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.pool import Pool
@@ -94,16 +92,6 @@ def test_a_world_is_always_the_same_and_solvable() -> None:
     assert len(seen) == 5
 
 
-def test_difficulty_is_one_number_or_varies() -> None:
-    easy, hard = (generators.generate_world("corridors", 0, level, RADIUS) for level in (0.0, 1.0))
-    assert len(easy.segments) < len(hard.segments)
-    pool = Pool.of("corridors:20", (0.2, 0.8), RADIUS)
-    places = pool.ranks((0.5, 0.8))
-    assert 0 < len(places) < 20
-    levels = pool.by_difficulty[1]
-    assert 0.2 <= levels[0] <= levels[-1] <= 0.8
-
-
 def test_envs_and_batches_drive_in_them() -> None:
     for worlds in ("corridors:3-4", "corridors:corridors:3-4"):
         env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds)
@@ -117,18 +105,6 @@ def test_envs_and_batches_drive_in_them() -> None:
         assert json.loads(env.spec.to_json())["kwargs"]["worlds"] == worlds
         env.close()
         batch.close()
-
-
-def test_tools_know_the_names() -> None:
-    assert registry.add_test_split("corridors") == "corridors:test"
-    assert registry.add_test_split("corridors:corridors") == "corridors:corridors:test"
-    assert (
-        held_out.choose_held_out_worlds(Pool.of("corridors:corridors:train")) == "corridors:900-963"
-    )
-    assert atlas.describe_source("corridors:test", 12) == {
-        "source": "corridors 0 to 199 (test split)",
-        "split": "test",
-    }
 
 
 def elsewhere(*program: str) -> subprocess.CompletedProcess[str]:
@@ -253,15 +229,6 @@ def test_modules_that_register_nothing_are_one_clear_error(source: str, message:
     with pytest.raises(WorldError, match=message) as caught:
         Pool.of(source)
     assert "\n" not in str(caught.value)
-
-
-def test_a_module_that_fails_is_one_clear_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "failing_maker.py").write_text("1 / 0\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(WorldError, match="importing failing_maker raised ZeroDivisionError"):
-        Pool.of("failing_maker:mine")
 
 
 def test_worlds_are_kept_where_the_source_is_known(

@@ -61,19 +61,6 @@ def test_published_worlds(number: int) -> None:
     assert world.name == f"world_{number}"
 
 
-@published
-@pytest.mark.parametrize("number", PUBLISHED)
-def test_published_cylinders_stand_in_cells_behind_a_corridor(number: int) -> None:
-    x, y, _ = files.load_world(BARN / f"world_{number}.world").circles.T
-    field = y > 5.1
-    assert (~field).sum() == 96  # 30 behind the start, 33 on each side
-    rows, columns = (x[field] + 4.425) / 0.15, (y[field] - 5.175) / 0.15
-    for cells in (rows, columns):
-        np.testing.assert_allclose(cells, np.round(cells), atol=1e-6)
-        assert cells.min() > -0.5
-        assert cells.max() < 29.5
-
-
 def test_poses_of_model_link_and_collision_are_composed() -> None:
     quarter = math.pi / 2.0
     inside = body(CYLINDER, pose(1, 0, 0, 0, 0, 0))
@@ -215,14 +202,6 @@ def test_a_million_bodies_are_refused_at_once(piece: str, count: int) -> None:
     with pytest.raises(WorldError, match=r"too many|more than"):
         sdf.read_obstacles(data)
     assert time.process_time() - begin < 15.0
-
-
-def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "large.world"
-    with path.open("wb") as file:
-        file.truncate(files.MAX_IMPORT_BYTES + 1)
-    with pytest.raises(WorldError, match="larger than 64 MB"):
-        files.load_world(path)
 
 
 def world_with_path(folder: Path, cells: bytes) -> Path:

@@ -246,14 +246,6 @@ def test_a_region_counts_with_all_its_places() -> None:
         check_region(world, "middle", Region(-1.2, 0.0, 0.45), 0.25 + 2.0 * PATH_SLACK)
 
 
-def test_start_and_goal_may_be_given() -> None:
-    world = World(PILLAR, start=Region(0.0, 0.0), goal=Region(0.0, 0.0))  # both inside
-    path = shortest_path(world, 0.25, Region(-0.9, 0.1), Region(-0.9, 1.0))
-    assert path.tolist() == [[-0.9, 0.1], [-0.9, 1.0]]
-    with pytest.raises(WorldError, match="the goal"):
-        shortest_path(world, 0.25, Region(-0.9, 0.1))
-
-
 @pytest.mark.parametrize("x", [-2.0, -3.0, -5.0, -20.0])
 def test_a_start_may_lie_outside_the_world(x: float) -> None:
     """So does a robot that has driven away, for way_left."""
