@@ -79,8 +79,8 @@ def measure_difficulty(
     step = math.tau / VISIBILITY_RAYS
     angles = step * np.arange(VISIBILITY_RAYS)
     around = Surroundings(
-        world.circles[None],
-        world.segments[None],
+        np.array([world.circles]),  # not read-only, as those that the compiled code knows
+        np.array([world.segments]),
         np.stack([np.cos(angles), np.sin(angles)], axis=1),
         start=0.0,
         step=step,

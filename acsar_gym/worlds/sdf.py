@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder
+from typing import NamedTuple
+from xml.etree.ElementTree import Element, ParseError
 
+import defusedxml.ElementTree
 import numpy as np
 from defusedxml.common import DefusedXmlException
-from defusedxml.ElementTree import XMLParser
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats
+from acsar_gym.worlds.world import MAX_COORDINATE, Floats
 
 Shape = tuple[list[list[float]], list[list[float]]]
 """Circles and segments."""
@@ -28,22 +28,13 @@ STEP_HEIGHT = 0.01
 """The robot drives over a body that isn't higher than this [m]."""
 MAX_TILT = 0.01
 """A body that is tilted more than this is refused [rad]."""
-MAX_ELEMENTS = 2_000_000
-"""Most XML elements of a file; a world of 20,000 cylinders as in BARN has half as many."""
+MAX_TAGS = 2_500_000
+"""Most tags of a file; a world of 20,000 cylinders as in BARN has 2 million."""
 MAX_ATTRIBUTES = 600_000
 """Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
 MAX_TAG_BYTES = 1_000_000
 """Most bytes of a tag, or of a text between two."""
-MAX_KEPT_ELEMENTS = 20 * MAX_OBSTACLES
-"""Most elements that are read, and so kept in memory."""
 MAX_NESTED_MODELS = 10
-KEPT_TAGS = frozenset(
-    {
-        *("sdf", "world", "state", "model", "link", "collision", "geometry", "pose"),
-        *("radius", "length", "size", "normal", "include", "uri", "population"),
-    }
-)
-"""These and every kind of geometry are read; others are skipped with everything in them."""
 HARMLESS_MODELS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
 
@@ -73,8 +64,7 @@ def read_obstacles(data: bytes) -> tuple[Floats, Floats]:
         Circles (C, 3) and segments (S, 4) [m].
 
     Raises:
-        WorldError: it isn't SDF, is malicious, has more than 20,000 bodies, or shapes that can't
-            be read; names the model.
+        WorldError: it isn't SDF, is malicious, or has shapes that can't be read; names the model.
     """
     root = _parse_xml(data)
     worlds = root.findall("world")
@@ -94,59 +84,22 @@ def read_obstacles(data: bytes) -> tuple[Floats, Floats]:
     return np.array(circles).reshape(-1, 3), np.array(segments).reshape(-1, 4)
 
 
-class _Builder(TreeBuilder):
-    """Keeps the elements that are needed, and stops early where there are too many."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._open: list[str] = []
-        self._skipped = 0
-        self._seen = self._kept = self._bodies = 0
-
-    def start(self, tag: Any, attrs: Any, /) -> Any:
-        self._seen += 1
-        self._bodies += tag == "collision"
-        if self._bodies > MAX_OBSTACLES:
-            raise WorldError(f"holds more than {MAX_OBSTACLES:,} bodies: cut out a part of it")
-        if self._seen > MAX_ELEMENTS or self._kept > MAX_KEPT_ELEMENTS:
-            raise WorldError("holds too many XML elements: cut out a part of it")
-        if self._skipped or not (tag in KEPT_TAGS or self._open[-1:] == ["geometry"]):
-            self._skipped += 1
-            return None
-        self._kept += 1
-        self._open.append(tag)
-        return super().start(tag, attrs)
-
-    def end(self, tag: Any, /) -> Any:
-        if self._skipped:
-            self._skipped -= 1
-            return None
-        self._open.pop()
-        return super().end(tag)
-
-    def data(self, data: Any, /) -> None:
-        if not self._skipped:
-            super().data(data)
-
-
 def _parse_xml(data: bytes) -> Element:
-    """Parse XML; refuse what would make the parser slow."""
+    """Parse XML; refuse what would take long or much memory."""
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
     longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
     if longest > MAX_TAG_BYTES or data.count(b"=") > MAX_ATTRIBUTES:
         raise WorldError("holds too many attributes, or too long a tag or text, to be a world")
-    parser = XMLParser(target=_Builder(), forbid_dtd=True)
+    if data.count(b"<") > MAX_TAGS:
+        raise WorldError("holds too many XML elements: cut out a part of it")
     try:
-        parser.feed(data)
-        root: Element | None = parser.close()
+        root: Element = defusedxml.ElementTree.fromstring(data, forbid_dtd=True)
     except DefusedXmlException:
         raise WorldError(
             "has a document type or entities, which are refused: remove them"
         ) from None
     except (ParseError, ValueError, LookupError, AssertionError) as error:
         raise WorldError(f"not valid XML: {' '.join(str(error).split())}") from None
-    if not isinstance(root, Element):
-        raise WorldError("not an SDF file of one <world>")
     return root
 
 
