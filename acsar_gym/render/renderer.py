@@ -79,7 +79,7 @@ class Screen:
         if self._mode == "human":
             image = self._draw_top()
             if self._window is None:
-                self._window = Window("acsar_gym", TOP_SIZE)
+                self._window = Window("acsar_gym")
             try:
                 self._window.show(image)
             except RenderError as error:
@@ -148,18 +148,19 @@ class Window:
 
     Args:
         title: title of the window.
-        size: width and height [pixels] until a picture has another size.
     """
 
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
-        self._title, self._size = title, size
+    def __init__(self, title: str) -> None:
+        self._title = title
         self._closed = False
-        self._open: _OpenWindow | None = None
+        self._root: tk.Tk | None = None
+        self._photo: tk.PhotoImage | None = None
+        self._destroy: weakref.finalize[..., Window] | None = None
 
     @property
     def closed(self) -> bool:
         """Whether the window was closed."""
-        return self._closed or (self._open is not None and not self._open.destroy.alive)
+        return self._closed or (self._destroy is not None and not self._destroy.alive)
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Display a picture and handle the window's events.
@@ -174,23 +175,16 @@ class Window:
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise ValueError(f"pictures are height x width x 3 of uint8, not {image.shape}")
         if not self.closed:
-            self._open = self._open or _OpenWindow(self._title, self._size)
-            self._open.show(image)
+            if self._root is None or self._photo is None:
+                self._root, self._photo = self._open()
+            height, width = image.shape[:2]
+            data = b"P6 %d %d 255\n" % (width, height) + image.tobytes()  # PPM, which Tk reads
+            self._photo.configure(width=width, height=height, data=data, format="PPM")
+            self._root.update()
         if self.closed:
             self.close()
 
-    def close(self) -> None:
-        """Close the window. Idempotent."""
-        self._closed = True
-        if self._open is not None:
-            self._open.destroy()
-            self._open = None
-
-
-class _OpenWindow:
-    """The Tk objects of an open window; destroyed with their owner, or when the user closes it."""
-
-    def __init__(self, title: str, size: tuple[int, int]) -> None:
+    def _open(self) -> tuple[tk.Tk, tk.PhotoImage]:
         instead = "use render_mode='rgb_array'"
         try:
             import tkinter as tk  # noqa: PLC0415 - not every Python has it
@@ -204,19 +198,20 @@ class _OpenWindow:
         except tk.TclError:
             raise RenderError(f"render_mode='human' needs a display; {instead}") from None
         # A callback that is a method would keep this object alive; a finalizer doesn't.
-        self.destroy = weakref.finalize(self, root.destroy)
-        self.root: tk.Tk = root
-        root.protocol("WM_DELETE_WINDOW", self.destroy)
-        root.title(title)
+        self._destroy = weakref.finalize(self, root.destroy)
+        root.protocol("WM_DELETE_WINDOW", self._destroy)
+        root.title(self._title)
         root.resizable(width=False, height=False)
-        self.photo = tk.PhotoImage(master=root, width=size[0], height=size[1])
-        tk.Label(root, image=self.photo, borderwidth=0).pack()
+        photo = tk.PhotoImage(master=root)
+        tk.Label(root, image=photo, borderwidth=0).pack()
+        return root, photo
 
-    def show(self, image: NDArray[np.uint8]) -> None:
-        height, width = image.shape[:2]
-        data = b"P6 %d %d 255\n" % (width, height) + image.tobytes()  # PPM, which Tk reads
-        self.photo.configure(width=width, height=height, data=data, format="PPM")
-        self.root.update()
+    def close(self) -> None:
+        """Close the window. Idempotent."""
+        self._closed = True
+        if self._destroy is not None:
+            self._destroy()
+            self._root = self._photo = self._destroy = None
 
 
 def import_moviepy() -> Any:

@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import border_distance
 from acsar_gym.errors import ConfigError
 from acsar_gym.render.canvas import (
+    LABEL_COLOUR,
     Bounds,
     Canvas,
     Colour,
@@ -36,8 +37,6 @@ FLOOR_COLOUR: Colour = (251, 251, 249)
 GRID_COLOUR: Colour = (231, 233, 236)
 UNSEEN_COLOURS, SEEN_COLOURS = (FLOOR_COLOUR, GRID_COLOUR), ((249, 238, 237), (232, 220, 223))
 """Colours of floor and grid outside and inside the area that the LiDAR sees."""
-INK_COLOUR: Colour = (70, 76, 88)
-LABEL_COLOUR: Colour = (255, 255, 255, 205)
 OBSTACLE_COLOUR: Colour = (58, 64, 77)
 PLAN_COLOUR: Colour = (120, 128, 142)
 GOAL_COLOUR: Colour = (38, 173, 97)
@@ -55,8 +54,6 @@ OPEN_MARGIN = 1.0
 """Width of the floor shown around start and goal if there is no world [m]."""
 PICTURE_INSET = 10.0
 """Smallest distance of world and robot from the edges of the picture [pixels]."""
-TEXT_HEIGHT = 12.0
-"""Height of text [pixels]."""
 SMALL_ROBOT = 10.0
 """Robots shorter than this get a ring, to be visible [pixels]."""
 MAX_PATH_POINTS = 1000
@@ -141,7 +138,7 @@ class TopView:
             canvas.disc(frame.hit, 0.0, (*HIT_COLOUR, 90), HIT_COLOUR, width=2.5, least=9.0)
             canvas.disc(frame.hit, 0.0, HIT_COLOUR, least=2.5)
         if frame.caption:
-            canvas.text((12.0, 20.0), frame.caption, TEXT_HEIGHT, INK_COLOUR, box=LABEL_COLOUR)
+            canvas.text((12.0, 20.0), frame.caption, box=LABEL_COLOUR)
         return canvas.picture()
 
     def _fit_view(self, frame: TopViewFrame) -> None:
@@ -174,7 +171,7 @@ class TopView:
             draw_world(world, view, *floor) for floor in (UNSEEN_COLOURS, SEEN_COLOURS)
         )
         for canvas in (self._dark, self._lit):
-            draw_scale_bar(canvas, view.size[1] - PICTURE_INSET, 0.25)
+            canvas.scale_bar(view.size[1] - PICTURE_INSET, 0.25, PICTURE_INSET)
 
     def _draw_scan(
         self, canvas: Canvas, pose: Pose, angles: Floats, ranges: Floats, reach: float
@@ -254,26 +251,6 @@ def draw_start(canvas: Canvas, start: Region) -> None:
         tip = place + np.array([18.0 * ahead, 11.0 * ahead + 4.5 * left, 11.0 * ahead - 4.5 * left])
         canvas.line(np.array([place, place + 13.0 * ahead]), START_COLOUR, 2.0)
         canvas.shape(tip, START_COLOUR)
-
-
-def draw_scale_bar(canvas: Canvas, row: float, share: float, *, right: bool = False) -> float:
-    """Draw a scale bar of a round length in the lower left or right corner.
-
-    Args:
-        canvas: the canvas.
-        row: row of the bar [pixels].
-        share: largest length of the bar, as a share of the picture's width.
-        right: whether it is in the right corner.
-
-    Returns:
-        Length of the bar [pixels].
-    """
-    width, scale = canvas.view.size[0], canvas.view.scale
-    length = round_length(share * width / scale)
-    label = f"{length:g} m" if length >= 1.0 else f"{100.0 * length:g} cm"
-    column = width - PICTURE_INSET - length * scale if right else PICTURE_INSET
-    canvas.bar(column, row, length, label, TEXT_HEIGHT, INK_COLOUR, LABEL_COLOUR)
-    return length * scale
 
 
 def episode_bounds(world: World | None, goal: Point | None) -> Bounds:

@@ -15,7 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.render import top_view
 from acsar_gym.render.canvas import View, check_picture_size, shorten_text
-from acsar_gym.render.top_view import PICTURE_INSET, TEXT_HEIGHT, RgbImage
+from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
@@ -162,11 +162,10 @@ def draw_tile(world: World, size: int) -> RgbImage:
     canvas = top_view.draw_world(world, view, *top_view.UNSEEN_COLOURS)
     top_view.draw_start(canvas, world.start)
     top_view.draw_goal(canvas, (world.goal.x, world.goal.y), world.goal.radius)
-    canvas.band(TITLE_HEIGHT, top_view.LABEL_COLOUR[:3], top_view.GRID_COLOUR)
-    bar = top_view.draw_scale_bar(canvas, TITLE_HEIGHT - 6.0, 0.2, right=True)
-    name = shorten_text(world.name, TEXT_HEIGHT, size - bar - 3.0 * PICTURE_INSET)
-    place = (PICTURE_INSET, TITLE_HEIGHT / 2.0)
-    canvas.text(place, name, TEXT_HEIGHT, top_view.INK_COLOUR, anchor="lm")
+    canvas.band(TITLE_HEIGHT, top_view.GRID_COLOUR)
+    bar = canvas.scale_bar(TITLE_HEIGHT - 6.0, 0.2, PICTURE_INSET, right=True)
+    name = shorten_text(world.name, size - bar - 3.0 * PICTURE_INSET)
+    canvas.text((PICTURE_INSET, TITLE_HEIGHT / 2.0), name, anchor="lm")
     return canvas.picture()
 
 

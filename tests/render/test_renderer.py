@@ -40,7 +40,7 @@ needs_display = pytest.mark.skipif(not _has_display(), reason="no display")
 
 @pytest.fixture
 def window() -> Iterator[Window]:
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     yield window
     window.close()
 
@@ -53,7 +53,7 @@ def test_without_a_display_it_says_what_to_do(
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     for _ in range(2):
         with pytest.raises(RenderError, match="needs a display") as caught:
             window.show(HALVES)
@@ -69,7 +69,7 @@ def test_without_a_display_it_says_what_to_do(
 def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "tkinter", None)
     with pytest.raises(RenderError, match=r"needs tkinter.*python3-tk.*rgb_array"):
-        Window("a title", (100, 60)).show(HALVES)
+        Window("a title").show(HALVES)
 
 
 @pytest.mark.parametrize(
@@ -77,11 +77,11 @@ def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch
 )
 def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="height x width x 3 of uint8"):
-        Window("a title", (100, 60)).show(image)
+        Window("a title").show(image)
 
 
 def test_a_window_that_never_opened_is_closed_quietly() -> None:
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     window.close()
     window.close()
     window.show(HALVES)
@@ -91,23 +91,23 @@ def test_a_window_that_never_opened_is_closed_quietly() -> None:
 @needs_display
 def test_it_shows_the_pixels(window: Window) -> None:
     window.show(HALVES)
-    opened = window._open
-    assert opened is not None
-    root, photo = opened.root, opened.photo
+    root, photo = window._root, window._photo
+    assert root is not None
+    assert photo is not None
     assert root.title() == "a title"
     assert (root.winfo_width(), root.winfo_height()) == (100, 60)
     assert [photo.get(x, 30) for x in (0, 49, 50, 99)] == [(200, 30, 40)] * 2 + [(0, 0, 0)] * 2
     window.show(np.full((30, 40, 3), 255, np.uint8)[::-1, ::-1])
     assert (root.winfo_width(), root.winfo_height()) == (40, 30)
     assert photo.get(39, 29) == (255, 255, 255)
-    del root, photo, opened
+    del root, photo
 
 
 @needs_display
 def test_the_user_may_close_it(window: Window) -> None:
     window.show(HALVES)
-    assert window._open is not None
-    root = window._open.root
+    root = window._root
+    assert root is not None
     call, button = root.tk.call, root.protocol("WM_DELETE_WINDOW")
     root.after(1, lambda: call(button))
     del root
@@ -123,10 +123,10 @@ def test_the_user_may_close_it(window: Window) -> None:
 def test_nothing_is_left_behind(how: str) -> None:
     gc.disable()
     try:
-        window = Window("a title", (100, 60))
+        window = Window("a title")
         window.show(HALVES)
-        assert window._open is not None
-        root = weakref.ref(window._open.root)
+        assert window._root is not None
+        root = weakref.ref(window._root)
         if how == "closed":
             window.close()
             window.close()

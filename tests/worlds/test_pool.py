@@ -21,6 +21,11 @@ ENDS: dict[str, Any] = {"start": Region(-2.0, 0.0), "goal": Region(2.0, 0.0)}
 PILLAR = np.array([[0.0, 0.0, 0.5]])
 SOUND = World(PILLAR, **ENDS, name="pillar")
 CELL = World(segments=make_rectangle(-1, -1, 1, 1), goal=Region(4.0, 0.0), name="cell")
+NO_SOURCES: tuple[Any, ...] = (
+    *("Clutter", "clutter:", "clutter:-5", " clutter", "", "a\0b", "x" * 300, "clutter\n"),
+    *("clutter:" + "9" * 300, None, 5, True, [], {}, {SOUND}, [1], [SOUND, None]),
+    *(World, b"open", PILLAR),
+)
 WAY = np.array([[-2.0, 0.0], [0.0, 1.0], [2.0, 0.0]])
 
 
@@ -140,10 +145,7 @@ def test_a_number_out_of_range_is_refused(source: Any, allowed: str, number: int
         ("clutter:0", "worlds = 'clutter:0': holds no world"),
         ("clutter:5-3", "worlds = 'clutter:5-3': holds no world"),
         ("clutter:valid", "worlds = 'clutter:valid'"),
-        *((bad, "worlds = ") for bad in ("Clutter", "clutter:", "clutter:-5", " clutter", "")),
-        *((bad, "worlds = ") for bad in ("a\0b", "x" * 300, "clutter:" + "9" * 300, "clutter\n")),
-        *((bad, "worlds = ") for bad in (None, 5, True, [], {}, {SOUND}, [1], [SOUND, None])),
-        *((bad, "worlds = ") for bad in (World, b"open", PILLAR)),
+        *((bad, "worlds = ") for bad in NO_SOURCES),
         ("nowhere.world", "nowhere.world: there is no such file"),
         ("nowhere/", "nowhere: a world is read from"),
         (Path("clutter"), "clutter: a world is read from"),

@@ -41,7 +41,7 @@ def array(*rows: Any) -> Any:
 @pytest.mark.parametrize("name", WIDTHS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 10_001.0, -10_001.0])
 def test_every_number_is_finite_and_near(name: str, value: float) -> None:
-    bad = np.zeros((3, WIDTHS[name]))
+    bad: Any = np.zeros((3, WIDTHS[name]))
     bad[1, -1] = value
     with pytest.raises(WorldError, match=f"^{name}: must be finite numbers of at most 10000 m$"):
         World(**{name: bad})
@@ -77,9 +77,11 @@ def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
     with pytest.raises(WorldError, match=r"^20,001 obstacles are too many, at most 20,000$"):
         World(np.zeros((10_000, 3)), np.zeros((10_001, 4)))
     for name, width in WIDTHS.items():
-        assert getattr(World(**{name: np.zeros((20_000, width))}), name).shape == (20_000, width)
+        most: Any = np.zeros((20_000, width))
+        assert getattr(World(**{name: most}), name).shape == (20_000, width)
+        more: Any = np.zeros((20_001, width))
         with pytest.raises(WorldError, match=f"^{name}: 20,001 are too many"):
-            World(**{name: np.zeros((20_001, width))})
+            World(**{name: more})
 
 
 @pytest.mark.parametrize("empty", [[], (), [[]], np.zeros((0, 3)), np.zeros((0, 4))])
@@ -98,7 +100,7 @@ def test_lists_and_whole_numbers_become_arrays_of_floats() -> None:
 
 @pytest.mark.parametrize("name", WIDTHS)
 def test_worlds_never_change(name: str) -> None:
-    given_rows = np.ones((1, WIDTHS[name]))
+    given_rows: Any = np.ones((1, WIDTHS[name]))
     world = World(**{name: given_rows})
     given_rows[:] = 7.0
     kept = getattr(world, name)
