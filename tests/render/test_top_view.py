@@ -199,7 +199,7 @@ def test_the_worlds_path_is_dashed(top: TopView) -> None:
     assert any(inked[-40:])
 
 
-def test_long_paths_arethin_path_but_end_where_they_end() -> None:
+def test_long_paths_are_thinned_but_end_where_they_end() -> None:
     assert thin_path([]).shape == (0, 2)
     for count in (1, 2, 999, 1000, 1001, 4097, 100_003):
         path = [(float(i), -float(i)) for i in range(count)]
@@ -207,14 +207,6 @@ def test_long_paths_arethin_path_but_end_where_they_end() -> None:
         assert len(thin) == count if count <= 1000 else 500 <= len(thin) <= 1001
         assert thin[0].tolist() == [0.0, 0.0]
         assert thin[-1].tolist() == list(path[-1])
-
-
-def test_athin_path_path_looks_the_same(top: TopView) -> None:
-    turns = np.linspace(0.0, 6.0, 50_001)
-    path = list(zip(1.5 + np.cos(turns), np.sin(turns), strict=True))
-    image = top.draw(replace(FRAME, true_path=path))
-    for x, y in path[::2500]:
-        assert near(image, top.view, (x, y), TRUTH_COLOUR)
 
 
 def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:

@@ -154,16 +154,6 @@ def test_a_door_is_passed_where_it_is_just_wide_enough(radius: float, count: int
             shortest_path(room(2.0 * radius - 2.0 * CUT, turn, shift), radius, start=aside)
 
 
-def test_in_the_lattice_of_barn_a_door_may_fit_exactly() -> None:
-    """BARN's robot fits between cylinders that are 0.75 m apart, surface to surface."""
-    posts = array([-4.425, 5.625, 0.075], [-4.425, 4.725, 0.075])
-    walls = array([-4.425, 5.625, -4.425, 14.0], [-4.425, 4.725, -4.425, -4.0])
-    world = between((-6.0, 7.0), (-3.0, 4.0), posts, walls)
-    path = shortest_path(world, BARN_ROBOT)
-    assert path_length(path) < 5.0
-    assert closest(path, world) > BARN_ROBOT - CUT
-
-
 @samples(8, 40)
 @pytest.mark.parametrize("radius", [0.22, 0.25, 0.35, 0.5])
 def test_no_path_comes_nearer_than_its_radius(radius: float, count: int) -> None:
@@ -250,10 +240,7 @@ def test_a_region_counts_with_all_its_places() -> None:
 def test_a_start_may_lie_outside_the_world(x: float) -> None:
     """So does a robot that has driven away, for way_left."""
     world = between((-1, 0), (1, 0), PILLAR)
-    try:
-        path = shortest_path(world, 0.25, Region(x, 0.0))
-    except (IndexError, WorldError) as error:
-        pytest.fail(str(error))
+    path = shortest_path(world, 0.25, Region(x, 0.0))
     assert path_length(path) == pytest.approx(1.0 - x, abs=0.5)
 
 
