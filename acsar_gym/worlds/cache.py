@@ -83,11 +83,11 @@ def keep_worlds() -> Iterator[None]:
         yield
     finally:
         _new.reset(token)
-        read_file_worlds.cache_clear()
-        for file, worlds in new.items():
-            _write_worlds(file, {**read_file_worlds(file), **worlds})
-        read_file_worlds.cache_clear()
         if new:
+            read_file_worlds.cache_clear()  # other processes may have written more
+            for file, worlds in new.items():
+                _write_worlds(file, {**read_file_worlds(file), **worlds})
+            read_file_worlds.cache_clear()
             _prune()
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import loop
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.grid import (
     CELL_SIDE,
@@ -375,20 +375,16 @@ def sweep_distances(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> 
                     values[i, j - 1] if j > 0 else UNREACHED,
                     values[i, j + 1] if j < ny - 1 else UNREACHED,
                 )
-                new = _cross_cell(a, b, costs[i, j])
+                cost = costs[i, j]  # of crossing the cell, whose neighbours have a and b
+                if abs(a - b) >= cost:
+                    new = min(a, b) + cost
+                else:
+                    new = 0.5 * (a + b + math.sqrt(2.0 * cost * cost - (a - b) * (a - b)))
                 if new < values[i, j]:
                     change = max(change, values[i, j] - new)
                     values[i, j] = new
         if number >= 3 and change < SWEEP_TOLERANCE:
             break
-
-
-@jit
-def _cross_cell(a: float, b: float, cost: float) -> float:
-    """The length at a cell whose neighbours along x and y have these."""
-    if abs(a - b) >= cost:
-        return min(a, b) + cost
-    return 0.5 * (a + b + math.sqrt(2.0 * cost * cost - (a - b) * (a - b)))
 
 
 @loop
