@@ -23,12 +23,18 @@ Bounds = tuple[float, float, float, float]
 """(x_min, y_min, x_max, y_max) [m]."""
 Up = Literal["x", "y"]
 """Axis that points up in the picture: x, in which a robot starts driving, or y, as on a map."""
-SUPERSAMPLING = 2
+FINE_SCALE = 2
 """Supersampling factor in each direction, for antialiasing."""
 MAX_PIXEL = 1e4
 """Coordinates are clipped to this [fine pixels], as Pillow's time grows with a line's length."""
 MIN_SIDE, MAX_SIDE = 64, 4096
 """Smallest and largest width and height of a picture [pixels]."""
+TEXT_HEIGHT = 12.0
+"""Height of text [pixels]."""
+TEXT_PADDING = 4.0
+"""Distance between text and the edges of its box [pixels]."""
+INK_COLOUR: Colour = (70, 76, 88)
+LABEL_COLOUR: Colour = (255, 255, 255, 205)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +83,7 @@ class View:
 
 
 class Canvas:
-    """A picture being drawn. Positions and radii are in m, line widths in pixels.
+    """A picture being drawn. Positions and radii are in m, widths of lines in pixels.
 
     Raises MissingExtraError without Pillow.
     """
@@ -85,36 +91,38 @@ class Canvas:
     def __init__(self, view: View, ground: Picture | Colour) -> None:
         """`ground` is a colour, or the `layer` of a canvas of the same size to start from."""
         pillow = _pillow()
-        width, height = view.size
-        size = (SUPERSAMPLING * width, SUPERSAMPLING * height)
+        size = (FINE_SCALE * view.size[0], FINE_SCALE * view.size[1])
         self.view = view
         self.layer = (
             pillow.Image.new("RGB", size, ground) if isinstance(ground, tuple) else ground.copy()
         )
-        """The picture at FINE times its width and height."""
+        """The picture at FINE_SCALE times its width and height."""
         self._draw = pillow.ImageDraw.Draw(self.layer, "RGBA")
-        self._fine = replace(view, scale=SUPERSAMPLING * view.scale, size=size)
+        self._fine = replace(view, scale=FINE_SCALE * view.scale, size=size)
 
-    def _places(self, points: Floats, *, apart: float = 0.0) -> list[float]:
+    def _fine_pixels(self, points: Floats, *, apart: float = 0.0) -> list[float]:
         """Return columns and rows in turn [fine pixels]; leaves out points closer than `apart`."""
         places = self._fine.pixels(points)
         if not np.isfinite(places).all():
             places = places[np.isfinite(places).all(axis=1)]
         places = places.clip(-MAX_PIXEL, MAX_PIXEL)
         if apart and len(places) > 2:
-            places = _spaced(places, apart)
+            mark = (np.hypot(*np.diff(places, axis=0).T).cumsum() / apart).astype(np.int64)
+            kept = np.ones(len(places), np.bool_)  # one point per `apart`, the first and the last
+            kept[1:-1] = np.diff(mark, prepend=0)[:-1] > 0
+            places = places[kept]
         flat: list[float] = places.ravel().tolist()
         return flat
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
         """Draw a line through points (N, 2); nothing for fewer than two."""
-        places = self._places(points, apart=1.5 * SUPERSAMPLING)
+        places = self._fine_pixels(points, apart=1.5 * FINE_SCALE)
         if len(places) >= 4:
-            self._draw.line(places, fill=colour, width=round(SUPERSAMPLING * width))
+            self._draw.line(places, fill=colour, width=round(FINE_SCALE * width))
 
     def rays(self, start: Floats, ends: Floats, colour: Colour) -> None:
         """Draw thin lines from one point (1, 2) to many (N, 2)."""
-        places, ends_flat = self._places(start), self._places(ends)
+        places, ends_flat = self._fine_pixels(start), self._fine_pixels(ends)
         for at in range(0, len(ends_flat) if places else 0, 2):
             self._draw.line([*places, *ends_flat[at : at + 2]], fill=colour)
 
@@ -127,25 +135,20 @@ class Canvas:
         for start, end in zip(stops[::2], [*stops[1::2], length[-1]], strict=False):
             inner = length[(length > start) & (length < end)]
             at = np.array([start, *inner, end])
-            self.line(
-                np.column_stack([np.interp(at, length, axis) for axis in points.T]), colour, width
-            )
+            part = np.column_stack([np.interp(at, length, axis) for axis in points.T])
+            self.line(part, colour, width)
 
     def shape(
-        self,
-        points: Floats,
-        fill: Colour | None,
-        edge: Colour | None = None,
-        width: float = 1.0,
+        self, points: Floats, fill: Colour, edge: Colour | None = None, width: float = 1.0
     ) -> None:
         """Draw a polygon with corners (N, 2)."""
-        places = self._places(points)
+        places = self._fine_pixels(points)
         if len(places) >= 6:
-            self._draw.polygon(places, fill=fill, outline=edge, width=round(SUPERSAMPLING * width))
+            self._draw.polygon(places, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
     def reveal(self, layer: Picture, points: Floats) -> None:
         """Copy the inside of a polygon with corners (N, 2) from a layer of the same size."""
-        places = self._places(points)
+        places = self._fine_pixels(points)
         if len(places) >= 6:
             pillow = _pillow()
             mask = pillow.Image.new("1", self.layer.size)
@@ -156,89 +159,90 @@ class Canvas:
         self,
         place: tuple[float, float],
         radius: float,
-        fill: Colour | None,
+        fill: Colour,
         edge: Colour | None = None,
         *,
         width: float = 1.0,
         least: float = 0.5,
     ) -> None:
         """Draw a disc of `radius` [m], but at least `least` pixels."""
-        size = max(radius * self._fine.scale, SUPERSAMPLING * least)
-        for column, row in _pairs(self._places(np.array([place]))):
-            box = (column - size, row - size, column + size, row + size)
-            self._draw.ellipse(box, fill=fill, outline=edge, width=round(SUPERSAMPLING * width))
+        pixels = max(radius * self.view.scale, least)
+        self.dots(np.array([place]), pixels, fill, edge, width)
 
-    def dots(self, points: Floats, radius: float, fill: Colour) -> None:
-        """Draw discs of `radius` pixels around points (N, 2)."""
-        size = SUPERSAMPLING * radius
-        for column, row in _pairs(self._places(points)):
-            self._draw.ellipse((column - size, row - size, column + size, row + size), fill=fill)
-
-    def bar(
+    def dots(
         self,
-        column: float,
-        row: float,
-        length: float,
-        words: str,
-        size: float,
-        colour: Colour,
-        box: Colour,
+        points: Floats,
+        radius: float,
+        fill: Colour,
+        edge: Colour | None = None,
+        width: float = 1.0,
     ) -> None:
-        """Draw a scale bar of `length` m to the right of a pixel, with a label above it."""
-        left, low, tick = SUPERSAMPLING * column, SUPERSAMPLING * row, SUPERSAMPLING * 4.0
-        right = left + length * self._fine.scale
-        top, pad = low - SUPERSAMPLING * (size + 6.0), SUPERSAMPLING * 4.0
-        self._draw.rounded_rectangle((left - pad, top, right + pad, low + pad), pad, fill=box)
-        self._draw.line(
-            (left, low - tick, left, low, right, low, right, low - tick), colour, SUPERSAMPLING
-        )
-        self.text(
-            (column + (right - left) / SUPERSAMPLING / 2.0, row - 4.0),
-            words,
-            size,
-            colour,
-            anchor="ms",
-        )
+        """Draw discs of `radius` pixels around points (N, 2)."""
+        flat, size = self._fine_pixels(points), FINE_SCALE * radius
+        for column, row in zip(flat[::2], flat[1::2], strict=True):
+            box = (column - size, row - size, column + size, row + size)
+            self._draw.ellipse(box, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
-    def band(self, height: float, fill: Colour, edge: Colour) -> None:
+    def scale_bar(self, row: float, share: float, inset: float, *, right: bool = False) -> float:
+        """Draw a scale bar of a round length, with a label above it.
+
+        Args:
+            row: row of the bar [pixels].
+            share: largest length of the bar, as a share of the picture's width.
+            inset: distance from the left edge, or from the right one [pixels].
+            right: whether it is at the right edge.
+
+        Returns:
+            Length of the bar [pixels].
+        """
+        width, scale = self.view.size[0], self.view.scale
+        metres = round_length(share * width / scale)
+        length = metres * scale
+        column = width - inset - length if right else inset
+        left, low, tick = FINE_SCALE * column, FINE_SCALE * row, FINE_SCALE * 4.0
+        end, pad = left + FINE_SCALE * length, FINE_SCALE * TEXT_PADDING
+        top = low - FINE_SCALE * (TEXT_HEIGHT + 6.0)
+        self._draw.rounded_rectangle((left - pad, top, end + pad, low + pad), pad, LABEL_COLOUR)
+        line = (left, low - tick, left, low, end, low, end, low - tick)
+        self._draw.line(line, INK_COLOUR, FINE_SCALE)
+        label = f"{metres:g} m" if metres >= 1.0 else f"{100.0 * metres:g} cm"
+        self.text((column + length / 2.0, row - 4.0), label, anchor="ms")
+        return length
+
+    def band(self, height: float, edge: Colour) -> None:
         """Draw a strip along the top, with lines below it and around the picture."""
         right, low = self.layer.width - 1, self.layer.height - 1
-        self._draw.rectangle((0, 0, right, SUPERSAMPLING * height), fill=fill)
-        self._draw.line(
-            (0, SUPERSAMPLING * height, right, SUPERSAMPLING * height), edge, SUPERSAMPLING
-        )
-        self._draw.rectangle((0, 0, right, low), outline=edge, width=SUPERSAMPLING)
+        strip = (0, 0, right, FINE_SCALE * height)
+        self._draw.rectangle(strip, fill=LABEL_COLOUR[:3])
+        self._draw.line((0, strip[3], right, strip[3]), edge, FINE_SCALE)
+        self._draw.rectangle((0, 0, right, low), outline=edge, width=FINE_SCALE)
 
     def text(
         self,
         place: tuple[float, float],
         words: str,
-        size: float,
-        colour: Colour,
         *,
         anchor: str = "ls",
         box: Colour | None = None,
     ) -> None:
         """Draw text at a pixel, on a box if `box` is a colour; `anchor` is Pillow's text anchor."""
-        at = (SUPERSAMPLING * place[0], SUPERSAMPLING * place[1])
-        font = _font(SUPERSAMPLING * size)
+        at, font = (FINE_SCALE * place[0], FINE_SCALE * place[1]), _font()
         if box is not None:
             left, top, right, low = self._draw.textbbox(at, words, font, anchor)
-            pad = SUPERSAMPLING * 4.0
+            pad = FINE_SCALE * TEXT_PADDING
             edges = (left - pad, top - pad, right + pad, low + pad)
             self._draw.rounded_rectangle(edges, radius=pad, fill=box)
-        self._draw.text(at, words, colour, font, anchor)
+        self._draw.text(at, words, INK_COLOUR, font, anchor)
 
     def picture(self) -> NDArray[np.uint8]:
         """Return the picture, (height, width, 3)."""
-        return np.array(self.layer.reduce(SUPERSAMPLING))
+        return np.array(self.layer.reduce(FINE_SCALE))
 
 
-def shorten_text(words: str, size: float, room: float) -> str:
-    """Shorten text of a height [pixels] to fit into `room` pixels, with an ellipsis."""
-    font = _font(SUPERSAMPLING * size)
+def shorten_text(words: str, room: float) -> str:
+    """Shorten text to fit into `room` pixels, with an ellipsis."""
     kept = words
-    while kept and font.getlength(kept + "…" * (kept != words)) > SUPERSAMPLING * room:
+    while kept and _font().getlength(kept + "…" * (kept != words)) > FINE_SCALE * room:
         kept = kept[:-1]
     return kept if kept == words else kept + "…"
 
@@ -257,39 +261,21 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
 
 
 def check_picture_size(name: str, size: tuple[int, int]) -> None:
-    """Raise ConfigError unless width and height are ints from SMALLEST to LARGEST [pixels]."""
+    """Raise ConfigError unless width and height are ints from MIN_SIDE to MAX_SIDE [pixels]."""
     try:
-        sound = len(size) == 2 and all(
-            MIN_SIDE <= side <= MAX_SIDE and side == int(side) for side in size
-        )
+        sides = [MIN_SIDE <= side <= MAX_SIDE and side == int(side) for side in size]
     except (TypeError, ValueError):
-        sound = False
-    if not sound:
+        sides = []
+    if sides != [True, True]:
         raise ConfigError(
             f"{name} = {size!r}: must be width and height, whole numbers of {MIN_SIDE} to "
             f"{MAX_SIDE} pixels"
         )
 
 
-def _spaced(places: Floats, apart: float) -> Floats:
-    """Thin out a path to one point per `apart` of its length, keeping the first and last."""
-    steps = np.diff(places, axis=0)
-    mark = (np.hypot(steps[:, 0], steps[:, 1]).cumsum() / apart).astype(np.int64)
-    kept = np.ones(len(places), np.bool_)
-    kept[1:-1] = np.diff(mark, prepend=0)[:-1] > 0
-    spaced: Floats = places[kept]
-    return spaced
-
-
-def _pairs(flat: list[float]) -> zip[tuple[float, float]]:
-    """Group alternating columns and rows to pairs."""
-    return zip(flat[::2], flat[1::2], strict=True)
-
-
 @functools.cache
-def _font(size: float) -> Any:
-    """Return Pillow's font of a height [fine pixels]."""
-    return _pillow().ImageFont.load_default(size)
+def _font() -> Any:
+    return _pillow().ImageFont.load_default(FINE_SCALE * TEXT_HEIGHT)
 
 
 def _pillow() -> Any:

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.render import top_view as pictures
+from acsar_gym.errors import ConfigError, WorldError, show_value
+from acsar_gym.render import top_view
+from acsar_gym.render.canvas import View, check_picture_size, shorten_text
+from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
-from acsar_gym.worlds import World, difficulty, files, registry
+from acsar_gym.worlds import World, files, registry
+from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
 from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
 
 MAX_DRAWN = 100
 """Most worlds on one sheet."""
+MAX_SHEET_PIXELS = 36_000_000
+"""Largest size of a sheet [pixels], which is 100 MB."""
+TITLE_HEIGHT = 24
+"""Height of a tile's title [pixels]."""
 MAX_AT_ONCE = 10_000
 """Most worlds that one command makes or reads."""
 
@@ -63,28 +70,30 @@ def collect_worlds(
         count: number of worlds to generate, where `source` names no numbers.
         most: largest number of worlds that is accepted.
 
-    Returns:
-        The worlds.
-
     Raises:
         WorldError: a world can't be read or generated.
         ConfigError: there are more than `most` worlds.
     """
-    given = read_worlds(source)
-    if given is not None:
-        _check_count(source, len(given), most)
-        return given
-    pool = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
-    _check_count(source, len(pool), most)
-    return list(report.watch_progress("making worlds", pool, len(pool)))
+    worlds: list[World] | Pool | None = read_worlds(source)
+    if worlds is None:
+        worlds = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
+    if len(worlds) > most:
+        raise ConfigError(
+            f"{source} holds {len(worlds):,} worlds: name one file, or one like barn:7-7"
+            if most == 1
+            else f"{source}: {len(worlds):,} worlds are too many, at most {most:,} at once"
+        )
+    if isinstance(worlds, Pool):
+        return list(report.watch_progress("making worlds", worlds, len(worlds)))
+    return worlds
 
 
 def describe_source(source: str, count: int) -> dict[str, str | None]:
     """Describe where worlds come from, for a title and for JSON.
 
     Args:
-        source: as for `raw`.
-        count: as for `raw`.
+        source: as for `collect_worlds`.
+        count: as for `collect_worlds`.
 
     Returns:
         `source`, such as "clutter 0 to 199 (test split)", and `split`: "train" or "test", None
@@ -94,14 +103,6 @@ def describe_source(source: str, count: int) -> dict[str, str | None]:
         return {"source": source, "split": None}
     pool = Pool.of(source, count=count)
     return {"source": str(pool), "split": pool.split or None}
-
-
-def _check_count(source: str, count: int, most: int) -> None:
-    """Raise ConfigError for more than `most` worlds."""
-    if count > most == 1:
-        raise ConfigError(f"{source} holds {count:,} worlds: name one file, or one like barn:7-7")
-    if count > most:
-        raise ConfigError(f"{source}: {count:,} worlds are too many, at most {most:,} at once")
 
 
 def max_drawn(columns: int, size: int, out: Path) -> int:
@@ -115,28 +116,57 @@ def max_drawn(columns: int, size: int, out: Path) -> int:
     Raises:
         ConfigError: no world fits, or `out` can't be written.
     """
-    most = pictures.max_tiles(columns, size)
-    pictures.check_picture_name(out)
+    check_picture_size("size", (size, size))
+    if columns < 1:
+        raise ConfigError(f"columns = {show_value(columns)}: must be at least 1")
+    top_view.check_picture_name(out)
     report.check_writable(out)
-    return min(most, MAX_DRAWN)
+    return min(MAX_SHEET_PIXELS // size**2, MAX_DRAWN)
 
 
 def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
-    """Draw worlds on one sheet and save it as a PNG file.
+    """Draw worlds side by side as maps, x right and y up, and save them as a PNG file.
 
     Args:
-        worlds: at most MOST_DRAWN.
+        worlds: in rows from the left, with their names as titles.
         columns: tiles in a row.
         size: width and height of a tile [pixels].
         out: PNG file to write.
 
     Raises:
-        ConfigError: too many worlds, or `out` can't be written.
+        ConfigError: there is no world or column, they are too many, or `out` can't be written.
     """
-    _check_count("the sheet", len(worlds), MAX_DRAWN)
+    most = max_drawn(columns, size, out)
+    if not worlds:
+        raise ConfigError("there are no worlds to draw")
     columns = min(columns, len(worlds))
-    watch = partial(report.watch_progress, "drawing worlds", total=len(worlds))
-    pictures.save_picture(pictures.draw_sheet(worlds, columns, size, watch), out)
+    rows = -(-len(worlds) // columns)
+    if len(worlds) > most or rows * columns * size**2 > MAX_SHEET_PIXELS:
+        raise ConfigError(
+            f"{len(worlds):,} worlds of {size} pixels are too many for a sheet in {columns} "
+            f"columns: at most {most:,}"
+        )
+    image = np.full((rows * size, columns * size, 3), top_view.FLOOR_COLOUR, np.uint8)
+    for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):
+        top, left = size * (index // columns), size * (index % columns)
+        image[top : top + size, left : left + size] = draw_tile(world, size)
+    top_view.save_picture(image, out)
+
+
+def draw_tile(world: World, size: int) -> RgbImage:
+    """Draw one world as a map with its name, a square of `size` pixels."""
+    bounds = top_view.widen_bounds(world.bounds, top_view.WORLD_MARGIN / 2.0)
+    view = View.fitted(bounds, (size, size - TITLE_HEIGHT), "y", PICTURE_INSET / 2.0)
+    below = (view.centre[0], view.centre[1] + TITLE_HEIGHT / 2.0 / view.scale)
+    view = replace(view, centre=below, size=(size, size))
+    canvas = top_view.draw_world(world, view, *top_view.UNSEEN_COLOURS)
+    top_view.draw_start(canvas, world.start)
+    top_view.draw_goal(canvas, (world.goal.x, world.goal.y), world.goal.radius)
+    canvas.band(TITLE_HEIGHT, top_view.GRID_COLOUR)
+    bar = canvas.scale_bar(TITLE_HEIGHT - 6.0, 0.2, PICTURE_INSET, right=True)
+    name = shorten_text(world.name, size - bar - 3.0 * PICTURE_INSET)
+    canvas.text((PICTURE_INSET, TITLE_HEIGHT / 2.0), name, anchor="lm")
+    return canvas.picture()
 
 
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFinding]:
@@ -150,38 +180,31 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
         One finding per world.
     """
     radius = footprint_radius(RobotConfig.of(robot))
-    return [
-        _checked(world, radius)
-        for world in report.watch_progress("checking worlds", worlds, len(worlds))
-    ]
-
-
-def _checked(world: World, radius: float) -> WorldFinding:
-    """Check one world for a footprint of `radius` [m]."""
-    shortest, hard, fault = math.nan, difficulty.Difficulty(*[math.nan] * 5), ""
-    try:
-        way = shortest_path(world, radius)
-        shortest, hard = path_length(way), difficulty.measure_difficulty(world, way)
-    except WorldError as error:
-        fault = str(error).removeprefix(f"{world.name}: ")
-    return WorldFinding(
-        name=world.name,
-        obstacles=world.obstacles,
-        path=world.length,
-        shortest=shortest,
-        **asdict(hard),
-        fault=fault,
-    )
+    findings = []
+    for world in report.watch_progress("checking worlds", worlds, len(worlds)):
+        shortest, difficulty, fault = math.nan, Difficulty(*[math.nan] * 5), ""
+        try:
+            path = shortest_path(world, radius)
+            shortest, difficulty = path_length(path), measure_difficulty(world, path)
+        except WorldError as error:
+            fault = str(error).removeprefix(f"{world.name}: ")
+        measures = asdict(difficulty)
+        findings.append(
+            WorldFinding(
+                world.name, world.obstacles, world.length, shortest, **measures, fault=fault
+            )
+        )
+    return findings
 
 
 def convert_world(source: str, out: Path, level: float | None, robot: str | None) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
 
     Args:
-        source: as for `raw`; must name a single world.
+        source: as for `collect_worlds`; must name a single world.
         out: file to write.
-        level: as for `raw`.
-        robot: as for `raw`.
+        level: as for `collect_worlds`.
+        robot: as for `collect_worlds`.
 
     Raises:
         WorldError: the world can't be read or generated.
@@ -194,28 +217,17 @@ def convert_world(source: str, out: Path, level: float | None, robot: str | None
 def findings_table(source: str, findings: Sequence[WorldFinding]) -> Table:
     """Format findings as a table with one row per world."""
     title = f"worlds: {source}; lengths in m, difficulty along the shortest way"
-    drawn = Table(title=report.escape_text(title), title_justify="left")
-    drawn.add_column("world")
+    table = Table(title=report.escape_text(title), title_justify="left")
+    table.add_column("world")
     columns = ("obstacles", "path", "shortest", "closest", "visibility", "dispersion", "width")
     for column in (*columns, "tortuosity"):
-        drawn.add_column(column, justify="right")
-    for f in findings:
-        if f.fault:
-            drawn.add_row(
-                report.escape_text(f.name),
-                str(f.obstacles),
-                _short(f.path),
-                f"[red]{report.escape_text(f.fault)}",
-            )
-            continue
-        numbers = (f.path, f.shortest, f.closest_obstacle, f.visibility, f.dispersion)
-        drawn.add_row(
-            report.escape_text(f.name),
-            str(f.obstacles),
-            *map(_short, (*numbers, f.characteristic_dimension, f.tortuosity)),
-        )
-    return drawn
+        table.add_column(column, justify="right")
+    for finding in findings:
+        name, obstacles, path, *others, fault = asdict(finding).values()
+        cells = [f"[red]{report.escape_text(fault)}"] if fault else map(_format_length, others)
+        table.add_row(report.escape_text(name), str(obstacles), _format_length(path), *cells)
+    return table
 
 
-def _short(value: float) -> str:
+def _format_length(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"

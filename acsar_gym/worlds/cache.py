@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import math
+import io
 import os
 import platform
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
 from functools import cache, lru_cache
@@ -28,20 +27,16 @@ import numpy as np
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds import generators, registry
-from acsar_gym.worlds.world import Floats, Region, World
+from acsar_gym.worlds.world import Region, World
 
 CACHE_VARIABLE = "ACSAR_GYM_CACHE"
 WORLDS_PER_FILE = 100
-"""Worlds of a file, at most."""
 MAX_CACHE_FILE = 32 * 2**20
 """A larger file is neither read nor written [bytes]."""
 MAX_CACHE = 200 * 2**20
 """Limit of all files together; those used least recently are deleted first [bytes]."""
-ROW_HEAD = 12
-"""Numbers of a world before its obstacles and path: see `_row`."""
-_CHECK = hashlib.sha256().digest_size
+DIGEST_BYTES = 32
 
-Worlds = Mapping[int, World]
 _new: ContextVar[dict[Path, dict[int, World]] | None] = ContextVar("new worlds", default=None)
 
 
@@ -58,7 +53,7 @@ def cache_folder() -> Path | None:
 
 
 def cached_world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
-    """Make a world as `generators.generate`, or read it from its file.
+    """Make a world as `generators.generate_world`, or read it from its file.
 
     Args:
         kind: of the world.
@@ -67,17 +62,16 @@ def cached_world(kind: str, number: int, difficulty: generators.Level, radius: f
         radius: of the disc around the footprint [m].
 
     Raises:
-        WorldError: as `generators.generate`.
+        WorldError: as `generators.generate_world`.
     """
-    file = _file(kind, number, difficulty, radius)
-    kept = None if file is None else _known(file, kind).get(number)
-    if kept is not None:
-        return kept
-    made = generators.generate_world(kind, number, difficulty, radius)
+    file = cache_file(kind, number, difficulty, radius)
+    if file is not None and number in read_file_worlds(file):
+        return read_file_worlds(file)[number]
+    world = generators.generate_world(kind, number, difficulty, radius)
     new = _new.get()
     if file is not None and new is not None:
-        new.setdefault(file, {})[number] = made
-    return made
+        new.setdefault(file, {})[number] = world
+    return world
 
 
 @contextlib.contextmanager
@@ -89,24 +83,24 @@ def keep_worlds() -> Iterator[None]:
         yield
     finally:
         _new.reset(token)
-        for file, worlds in new.items():
-            kind = file.name.partition("-")[0]
-            _write(file, {**_read(file, kind), **worlds})
         if new:
-            _known.cache_clear()
+            read_file_worlds.cache_clear()  # other processes may have written more
+            for file, worlds in new.items():
+                _write_worlds(file, {**read_file_worlds(file), **worlds})
+            read_file_worlds.cache_clear()
             _prune()
 
 
-def _file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
+def cache_file(kind: str, number: int, difficulty: generators.Level, radius: float) -> Path | None:
     """The file of a world; None where it isn't kept."""
-    place, source = cache_folder(), hash_source(kind)
+    folder, source = cache_folder(), hash_source(kind)
     sound = isinstance(number, int | np.integer) and isinstance(radius, SupportsFloat)
-    if place is None or not (source and sound):
+    if folder is None or not (source and sound):
         return None
-    fixed = isinstance(difficulty, SupportsFloat)
-    key = f"{source} {kind} {fixed} {generators.difficulty_limits(difficulty)} {float(radius)!r}"
+    fixed, limits = isinstance(difficulty, SupportsFloat), generators.difficulty_limits(difficulty)
+    key = f"{source} {kind} {fixed} {limits} {float(radius)!r}"
     name = hashlib.sha256(key.encode()).hexdigest()[:24]
-    return place / f"{kind}-{name}-{number // WORLDS_PER_FILE}.worlds"
+    return folder / f"{kind}-{name}-{number // WORLDS_PER_FILE}.worlds"
 
 
 def hash_source(kind: str) -> str:
@@ -123,115 +117,81 @@ def hash_generators() -> str:
 
     Empty where the source can't be read.
     """
-    said = hashlib.sha256()
+    digest = hashlib.sha256()
     try:
         for source in sorted(Path(__file__).parent.glob("*.py")):
-            said.update(source.read_bytes())
+            digest.update(source.read_bytes())
         versions = (sys.version_info[:2], version("numpy"), version("scipy"))
     except (OSError, ModuleNotFoundError):  # PackageNotFoundError is one
         return ""
-    said.update(repr((versions, platform.machine(), platform.system())).encode())
-    return said.hexdigest()
+    digest.update(repr((versions, platform.machine(), platform.system())).encode())
+    return digest.hexdigest()
 
 
-def _read(file: Path, kind: str) -> Worlds:
-    """The worlds of a file; none where it is broken or missing."""
+@lru_cache(maxsize=16)
+def read_file_worlds(file: Path) -> Mapping[int, World]:
+    """The worlds of a file by their numbers; none where it is broken or missing."""
     try:
         data = reading.read_content(file, MAX_CACHE_FILE)
-        if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
-            return {}
-        found = _decoded(np.frombuffer(data[_CHECK:], "<f8"), kind)
-    except (ConfigError, ValueError, IndexError, OverflowError):
+    except ConfigError:
+        return {}
+    if hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
         return {}
     with contextlib.suppress(OSError):
         os.utime(file)  # notes that it was used
+    with np.load(io.BytesIO(data[DIGEST_BYTES:])) as parts:
+        numbers, counts, ends = parts["numbers"], parts["counts"], parts["ends"]
+        stops = np.maximum(counts, 0).cumsum(axis=0)[:-1]
+        rows = [
+            np.split(parts[name], stops[:, k])
+            for k, name in enumerate(("circles", "segments", "path"))
+        ]
+    kind = file.name.partition("-")[0]
+    found = {}
+    for at, number in enumerate(numbers.tolist()):
+        x, y, radius, theta, *goal = ends[at].tolist()
+        start = Region(x, y, radius, None if theta != theta else theta)  # noqa: PLR0124 - NaN
+        path = None if counts[at, 2] < 0 else rows[2][at]
+        name = f"{kind} {number}"
+        found[number] = World(rows[0][at], rows[1][at], start, Region(*goal), path, name)
     return found
 
 
-_known = lru_cache(maxsize=16)(_read)
-"""`_read`, kept in memory."""
-
-
-def _write(file: Path, worlds: Worlds) -> None:
-    """Replace the file in one operation, so that nobody reads half of it."""
-    body = _encoded(worlds).tobytes()
-    if len(body) + _CHECK > MAX_CACHE_FILE:
+def _write_worlds(file: Path, worlds: Mapping[int, World]) -> None:
+    """Replace a file by a hash and the worlds' arrays; nothing where that can't be done."""
+    every = list(worlds.values())
+    paths = [np.zeros((0, 2)), *(world.path for world in every if world.path is not None)]
+    ends, counts = [], []
+    for world in every:
+        start, goal = world.start, world.goal
+        theta = np.nan if start.theta is None else start.theta
+        ends.append((start.x, start.y, start.radius, theta, goal.x, goal.y, goal.radius))
+        points = -1 if world.path is None else len(world.path)
+        counts.append((len(world.circles), len(world.segments), points))
+    body = io.BytesIO()
+    np.savez(
+        body,
+        numbers=np.array(list(worlds)),
+        counts=np.array(counts),
+        ends=np.array(ends),
+        circles=np.concatenate([world.circles for world in every]),
+        segments=np.concatenate([world.segments for world in every]),
+        path=np.concatenate(paths),
+    )
+    data = body.getvalue()
+    if len(data) + DIGEST_BYTES > MAX_CACHE_FILE:
         return
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, ConfigError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        number, name = tempfile.mkstemp(".part", dir=file.parent)
-        try:
-            with os.fdopen(number, "wb") as part:
-                part.write(hashlib.sha256(body).digest() + body)
-            Path(name).replace(file)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+        reading.write_atomically(file, hashlib.sha256(data).digest() + data)
 
 
 def _prune() -> None:
     """Delete the files used least recently, until the rest is within the limit."""
-    place = cache_folder()
+    folder, total = cache_folder(), 0
     with contextlib.suppress(OSError):
-        files = [*place.glob("*.worlds"), *place.glob("*.part")] if place else []
-        aged = sorted(((each.stat(), each) for each in files), key=lambda pair: -pair[0].st_mtime)
-        total = 0
-        for status, each in aged:
+        files = [(file.stat(), file) for file in (folder.glob("*.worlds") if folder else ())]
+        for status, file in sorted(files, key=lambda pair: -pair[0].st_mtime):
             total += status.st_size
             if total > MAX_CACHE:
-                each.unlink(missing_ok=True)
-
-
-def _encoded(worlds: Worlds) -> Floats:
-    """Encode worlds: how many, a row for each, then each one's circles, segments and path."""
-    rows = [_row(number, world) for number, world in worlds.items()]
-    parts = [
-        part.ravel()
-        for world in worlds.values()
-        for part in (world.circles, world.segments, world.path)
-        if part is not None
-    ]
-    return np.concatenate([[len(rows)], np.array(rows).ravel(), *parts]).astype("<f8")
-
-
-def _row(number: int, world: World) -> list[float]:
-    """Numbers of a world: number, three lengths, start and goal."""
-    start, goal = world.start, world.goal
-    theta = math.nan if start.theta is None else start.theta
-    points = -1 if world.path is None else len(world.path)
-    return [
-        *(number, len(world.circles), len(world.segments), points),
-        *(start.x, start.y, start.radius, theta),
-        *(goal.x, goal.y, goal.radius, 0.0),
-    ]
-
-
-def _decoded(numbers: Floats, kind: str) -> Worlds:
-    """Decode what `_encoded` made.
-
-    Raises ValueError, IndexError, OverflowError or WorldError for anything else.
-    """
-    count = int(numbers[0])
-    rows, at, found = (
-        numbers[1 : 1 + ROW_HEAD * count].reshape(count, ROW_HEAD),
-        1 + ROW_HEAD * count,
-        {},
-    )
-    for row in rows.tolist():
-        parts: list[Floats | None] = []
-        for length, width in zip(row[1:4], (3, 4, 2), strict=True):
-            end = at + max(int(length), 0) * width
-            parts.append(None if length < 0 else numbers[at:end].reshape(int(length), width))
-            at = end
-        circles, segments, path = parts
-        x, y, radius, theta = row[4:8]
-        start = Region(x, y, radius, None if math.isnan(theta) else theta)
-        found[int(row[0])] = World(
-            np.zeros((0, 3)) if circles is None else circles,
-            np.zeros((0, 4)) if segments is None else segments,
-            start,
-            Region(*row[8:11]),
-            path,
-            f"{kind} {int(row[0])}",
-        )
-    return found
+                file.unlink(missing_ok=True)

@@ -18,41 +18,35 @@ repository. Every file that can't be used raises a WorldError of one line.
 from __future__ import annotations
 
 import json
-import math
 import re
 import tokenize
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from acsar_gym import reading
-from acsar_gym.errors import WorldError, show_value, suggest_name
-from acsar_gym.reading import explain_error
+from acsar_gym.config.section import Section
+from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.worlds import maps, sdf
-from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Region, World
+from acsar_gym.worlds.generators import BARN_GOAL, BARN_START
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats, Region, World
 
-Floats = NDArray[np.float64]
 MAX_IMPORT_BYTES = 64_000_000
 """Most bytes of an SDF file or a picture."""
 MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MAX_YAML_EVENTS = 210_000
 """Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
+MAX_KEYS = 100
+"""Most keys of a mapping."""
 MAX_WORLD_FILES = 10_000
 """Most worlds of a folder."""
 MAX_FOLDER_OBSTACLES = 1_000_000
 """Most obstacles of all worlds of a folder."""
-MAX_NAME = 1_000
-"""Most characters of a name."""
-KEYS = ("name", "circles", "segments", "start", "goal", "path")
-REGION_KEYS = {"start": ("x", "y", "theta", "radius"), "goal": ("x", "y", "radius")}
-BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
-BARN_GOAL = Region(-2.0, 13.0)
 BARN_CELL = 0.15
 """Side of a cell of a published path [m]."""
 BARN_CORNER = (-4.575, 5.075)
@@ -62,6 +56,44 @@ NPY_ERRORS = (
     *(MemoryError, RecursionError, tokenize.TokenError),
 )
 """Exceptions that NumPy raises for broken files."""
+WORLD_SUFFIXES = (".world", ".sdf", ".yaml", ".yml", ".json")
+
+Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+Radius = Annotated[float, Field(strict=True, ge=0.0, le=MAX_COORDINATE)]
+Rows: Any = Field(default_factory=list, max_length=MAX_OBSTACLES)
+
+
+class Goal(Section):
+    """A goal in a file [m]."""
+
+    section = "goal"
+    x: Coordinate
+    y: Coordinate
+    radius: Radius | None = None
+
+
+class Start(Goal):
+    """A start in a file [m, rad]."""
+
+    section = "start"
+    theta: Coordinate | None = None
+
+
+class WorldFile(Section):
+    """The project's own format; a ROS map has further keys."""
+
+    name: str = Field(max_length=1000)
+    start: Start
+    goal: Goal
+    circles: list[tuple[Coordinate, Coordinate, Radius]] = Rows
+    segments: list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]] = Rows
+    path: list[tuple[Coordinate, Coordinate]] | None = Field(None, max_length=MAX_OBSTACLES)
+
+
+class MapFile(WorldFile):
+    """A ROS map with a start and a goal; `maps` reads the other keys."""
+
+    model_config = ConfigDict(extra="ignore")
 
 
 def load_world(path: Path) -> World:
@@ -69,13 +101,22 @@ def load_world(path: Path) -> World:
 
     Raises WorldError where it can't be read, and MissingExtraError for a map without Pillow.
     """
-    reader = WORLD_READERS.get(path.suffix.lower())
-    if reader is None:
-        if path.suffix.lower() in maps.PICTURE_SUFFIXES:
-            raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
-        raise WorldError(f"{path}: a world is read from {', '.join(WORLD_READERS)}")
+    suffix = path.suffix.lower()
+    if suffix in maps.PICTURE_SUFFIXES:
+        raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
+    if suffix not in WORLD_SUFFIXES:
+        raise WorldError(f"{path}: a world is read from {', '.join(WORLD_SUFFIXES)}")
     try:
-        return reader(path)
+        if suffix in (".world", ".sdf"):
+            circles, segments = sdf.read_obstacles(
+                reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
+            )
+            return World(circles, segments, BARN_START, BARN_GOAL, _barn_path(path), path.stem)
+        content = reading.read_content(path, MAX_TEXT_BYTES, WorldError)
+        text = reading.decode_text(content, WorldError)
+        if suffix == ".json":
+            return _parse_world(reading.parse_json(text, WorldError), path)
+        return _parse_world(reading.parse_yaml(text, WorldError, MAX_YAML_EVENTS), path)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
 
@@ -89,174 +130,39 @@ def load_folder(folder: Path) -> list[World]:
     try:
         if not folder.is_dir():
             raise WorldError(f"{folder}: there is no such folder")
-        paths = [path for path in folder.iterdir() if _is_world(path)]
+        paths = [path for path in folder.iterdir() if path.suffix.lower() in WORLD_SUFFIXES]
     except OSError as error:
-        raise WorldError(f"{folder}: can't be read: {explain_error(error)}") from None
+        raise WorldError(f"{folder}: can't be read: {reading.explain_error(error)}") from None
+    paths = [path for path in paths if not path.name.startswith(".")]
     if not paths:
-        raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_READERS)})")
+        raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")
     if len(paths) > MAX_WORLD_FILES:
         raise WorldError(
             f"{folder}: holds {len(paths):,} worlds, at most {MAX_WORLD_FILES:,} are read"
         )
-    return list(_loaded(folder, sorted(paths, key=_natural)))
 
+    def natural(path: Path) -> tuple[list[str | int], str]:
+        parts = re.split(r"(\d+)", path.name)
+        return [int(part) if part.isdecimal() else part for part in parts], path.name
 
-def _loaded(folder: Path, paths: Iterable[Path]) -> Iterator[World]:
+    worlds: list[World] = []
     obstacles = 0
-    for path in paths:
-        world = load_world(path)
-        obstacles += world.obstacles
+    for path in sorted(paths, key=natural):
+        worlds.append(load_world(path))
+        obstacles += worlds[-1].obstacles
         if obstacles > MAX_FOLDER_OBSTACLES:
             raise WorldError(
                 f"{folder}: holds more than {MAX_FOLDER_OBSTACLES:,} obstacles: use fewer"
             )
-        yield world
+    return worlds
 
 
 def save_world(world: World, path: Path) -> None:
-    """Write a world in the project's own format; `load` gives the same world.
+    """Write a world in the project's own format; `load_world` gives the same world.
 
     Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
     be written.
     """
-    if path.suffix.lower() not in (".json", ".yaml", ".yml"):
-        raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
-    write = _as_json if path.suffix.lower() == ".json" else _as_yaml
-    try:
-        data = write(_fields(world)).encode()
-    except UnicodeEncodeError:
-        raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
-    reading.write_atomically(path, data, WorldError)
-
-
-def _is_world(path: Path) -> bool:
-    return path.suffix.lower() in WORLD_READERS and not path.name.startswith(".")
-
-
-def _natural(path: Path) -> tuple[list[str | int], str]:
-    parts = re.split(r"(\d+)", path.name)
-    return [int(part) if part.isdecimal() else part for part in parts], path.name
-
-
-def _text(path: Path) -> str:
-    return reading.decode_text(reading.read_content(path, MAX_TEXT_BYTES, WorldError), WorldError)
-
-
-def _from_sdf(path: Path) -> World:
-    circles, segments = sdf.read_obstacles(reading.read_content(path, MAX_IMPORT_BYTES, WorldError))
-    return World(circles, segments, BARN_START, BARN_GOAL, _published_path(path), path.stem)
-
-
-def _published_path(path: Path) -> Floats | None:
-    """The path from start to goal of a published world, from its cells (row, column)."""
-    name = path.stem.replace("world_", "path_", 1) + ".npy"
-    folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
-    found = [folder / name for folder in folders if (folder / name).is_file()]
-    if not path.stem.startswith("world_") or not found:
-        return None
-    cells_file = found[0]
-    cells = _cells(cells_file) * BARN_CELL + BARN_CORNER
-    ends = ((region.x, region.y) for region in (BARN_START, BARN_GOAL))
-    start, goal = map(np.array, ends)
-    return np.concatenate([start[None], cells, goal[None]])
-
-
-def _cells(path: Path) -> Floats:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the file may be of Python 2
-            # Mapped, because a header may claim more bytes than the file has.
-            cells = np.lib.format.open_memmap(path, mode="r")
-    except NPY_ERRORS:
-        raise WorldError(f"{path.name}: isn't a sound .npy file: remove or replace it") from None
-    if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
-        raise WorldError(f"{path.name}: must hold cells (row, column), has shape {cells.shape}")
-    if len(cells) > MAX_OBSTACLES or not (np.abs(cells) <= MAX_COORDINATE).all():
-        raise WorldError(f"{path.name}: holds too many cells or cells too far away")
-    return cells.astype(np.float64)
-
-
-def _from_json(path: Path) -> World:
-    return _from_data(reading.parse_json(_text(path), WorldError), path)
-
-
-def _from_yaml(path: Path) -> World:
-    return _from_data(reading.parse_yaml(_text(path), WorldError, MAX_YAML_EVENTS), path)
-
-
-def _from_data(data: object, path: Path) -> World:
-    if not isinstance(data, dict):
-        raise WorldError(f"must be a mapping with {', '.join(KEYS)}")
-    name = data.get("name", path.stem)
-    if not isinstance(name, str) or len(name) > MAX_NAME:
-        raise WorldError(
-            f"name: must be text of {MAX_NAME} characters at most, is {show_value(name)}"
-        )
-    start, goal = (_region(key, data.get(key)) for key in REGION_KEYS)
-    circles, segments = _rows(data, "circles", 3), _rows(data, "segments", 4)
-    way = None if data.get("path") is None else _rows(data, "path", 2)
-    if "image" in data:
-        segments = np.concatenate([segments, _outlines(data, path)])
-    else:
-        _known(data, KEYS)
-    return World(circles, segments, start, goal, way, name)
-
-
-def _outlines(data: Mapping[str, Any], path: Path) -> Floats:
-    """Segments of a ROS map."""
-    config = maps.read_settings(data)
-    try:
-        picture = reading.read_content(path.parent / config.image, MAX_IMPORT_BYTES, WorldError)
-        return maps.map_segments(picture, config)
-    except WorldError as error:
-        raise WorldError(f"image {show_value(config.image)}: {error}") from None
-
-
-def _known(data: Mapping[Any, Any], keys: Iterable[str], where: str = "") -> None:
-    for key in data:
-        if key not in keys:
-            near = key[:40] if isinstance(key, str) else ""
-            raise WorldError(f"{where}unknown key {show_value(key)}{suggest_name(near, keys)}")
-
-
-def _region(name: str, data: object) -> Region:
-    """A start or goal: x, y, and optionally radius and theta."""
-    keys = REGION_KEYS[name]
-    if data is None:
-        raise WorldError(f"has no {name}: add a line like '{name}: {{x: 0.0, y: 0.0}}' [m]")
-    if not isinstance(data, dict):
-        raise WorldError(f"{name}: must be a mapping with {', '.join(keys)}")
-    _known(data, keys, f"{name}: ")
-    given = {key: value for key, value in data.items() if value is not None}
-    for key in ("x", "y", *given):
-        if not _is_number(given.get(key)):
-            raise WorldError(f"{name}: {key} must be a number, is {show_value(given.get(key))}")
-    return Region(**given)
-
-
-def _is_number(value: object) -> bool:
-    """Whether a value is a finite number that isn't too large; True and False aren't numbers."""
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return False
-    return abs(value) <= MAX_COORDINATE
-
-
-def _rows(data: Mapping[str, Any], name: str, width: int) -> Floats:
-    rows = data.get(name, [])
-    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
-        raise WorldError(f"{name}: must be a list of at most {MAX_OBSTACLES:,} rows")
-    for number, row in enumerate(rows):
-        if not isinstance(row, list) or len(row) != width or not all(map(_is_number, row)):
-            raise WorldError(
-                f"{name}: row {number} must be {width} finite numbers of at most "
-                f"{MAX_COORDINATE:g}, "
-                f"is {show_value(row)}"
-            )
-    return np.array(rows, np.float64).reshape(-1, width)
-
-
-def _fields(world: World) -> dict[str, Any]:
-    """The world as numbers and text."""
     start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
     if world.start.theta is not None:
         start["theta"] = world.start.theta
@@ -267,33 +173,86 @@ def _fields(world: World) -> dict[str, Any]:
         "circles": world.circles.tolist(),
         "segments": world.segments.tolist(),
     }
-    return fields if world.path is None else {**fields, "path": world.path.tolist()}
+    if world.path is not None:
+        fields["path"] = world.path.tolist()
+    suffix = path.suffix.lower()
+    if suffix not in (".json", ".yaml", ".yml"):
+        raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
+    try:
+        if suffix == ".json":
+            lines = [f"  {json.dumps(key)}: {_format_json(value)}" for key, value in fields.items()]
+            text = "{\n" + ",\n".join(lines) + "\n}\n"
+        else:
+            dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+            text = yaml.dump(
+                fields, Dumper=dumper, default_flow_style=None, sort_keys=False, width=200
+            )
+        data = text.encode()
+    except UnicodeEncodeError:
+        raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
+    reading.write_atomically(path, data, WorldError)
 
 
-def _as_json(fields: Mapping[str, Any]) -> str:
-    """JSON with one line for each field, and for each row of numbers."""
-    lines = (f"  {json.dumps(key)}: {_json_value(value)}" for key, value in fields.items())
-    return "{\n" + ",\n".join(lines) + "\n}\n"
-
-
-def _json_value(value: object) -> str:
+def _format_json(value: object) -> str:
+    """JSON with a line for each row of numbers."""
     if not isinstance(value, list) or not value:
         return json.dumps(value)
     return "[\n    " + ",\n    ".join(map(json.dumps, value)) + "\n  ]"
 
 
-def _as_yaml(fields: Mapping[str, Any]) -> str:
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    text: str = yaml.dump(
-        dict(fields), Dumper=dumper, default_flow_style=None, sort_keys=False, width=200
+def _parse_world(data: object, path: Path) -> World:
+    """Make a world of the content of a JSON or YAML file."""
+    if not isinstance(data, dict):
+        raise WorldError(f"must be a mapping with {', '.join(WorldFile.model_fields)}")
+    for end in ("start", "goal"):
+        if data.get(end) is None:
+            raise WorldError(f"has no {end}: add a line like '{end}: {{x: 0.0, y: 0.0}}' [m]")
+    for mapping in (data, data["start"], data["goal"]):
+        if isinstance(mapping, dict) and len(mapping) > MAX_KEYS:
+            raise WorldError(f"has {len(mapping):,} keys, at most {MAX_KEYS} are read")
+    model = MapFile if "image" in data else WorldFile
+    try:
+        file = model.model_validate({"name": path.stem, **data})
+    except WorldError:
+        raise
+    except ConfigError as error:
+        raise WorldError(str(error)) from None
+    start, goal = file.start, file.goal
+    segments = np.array(file.segments, np.float64).reshape(-1, 4)
+    if model is MapFile:
+        config = maps.read_settings(data)
+        try:
+            picture = reading.read_content(path.parent / config.image, MAX_IMPORT_BYTES, WorldError)
+            segments = np.concatenate([segments, maps.map_segments(picture, config)])
+        except WorldError as error:
+            raise WorldError(f"image {show_value(config.image)}: {error}") from None
+    return World(
+        np.array(file.circles, np.float64),
+        segments,
+        Region(start.x, start.y, start.radius or 0.0, start.theta),
+        Region(goal.x, goal.y, goal.radius or 0.0),
+        None if file.path is None else np.array(file.path, np.float64),
+        file.name,
     )
-    return text
 
 
-WORLD_READERS: dict[str, Callable[[Path], World]] = {
-    ".world": _from_sdf,
-    ".sdf": _from_sdf,
-    ".yaml": _from_yaml,
-    ".yml": _from_yaml,
-    ".json": _from_json,
-}
+def _barn_path(path: Path) -> Floats | None:
+    """The path from start to goal of a published world, from its cells (row, column)."""
+    name = path.stem.replace("world_", "path_", 1) + ".npy"
+    folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
+    found = [folder / name for folder in folders if (folder / name).is_file()]
+    if not path.stem.startswith("world_") or not found:
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the file may be of Python 2
+            # Mapped, because a header may claim more bytes than the file has.
+            cells = np.lib.format.open_memmap(found[0], mode="r")
+    except NPY_ERRORS:
+        raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from None
+    if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
+        raise WorldError(f"{name}: must hold cells (row, column), has shape {cells.shape}")
+    if len(cells) > MAX_OBSTACLES or not (np.abs(cells) <= MAX_COORDINATE).all():
+        raise WorldError(f"{name}: holds too many cells or cells too far away")
+    start, goal = ([[region.x, region.y]] for region in (BARN_START, BARN_GOAL))
+    return np.concatenate([start, cells.astype(np.float64) * BARN_CELL + BARN_CORNER, goal])

@@ -1,4 +1,8 @@
-"""Numbered worlds: each generator makes the same world from the same number and difficulty."""
+"""Numbered worlds: each generator makes the same world from the same number and difficulty.
+
+`generate_world("clutter", 17)` is the same world on every machine, so a benchmark can name its
+worlds. Every world is solvable: it has a shortest path for the footprint, with a margin.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,6 @@ import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from typing import Any, SupportsFloat
 
@@ -14,11 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, require_extra, show_value
-from acsar_gym.worlds import registry, search
+from acsar_gym.worlds import registry
 from acsar_gym.worlds.grid import Grid, search_cells
-from acsar_gym.worlds.registry import GeneratorError, Maker, OwnGenerator
-from acsar_gym.worlds.search import check_path, shortest_path
+from acsar_gym.worlds.registry import GeneratorError, Maker
+from acsar_gym.worlds.search import PATH_SPACING, check_path, shortest_path, world_along
 from acsar_gym.worlds.world import Floats, Region, World, make_box, make_rectangle, make_wall
+
+PATH_MARGIN = 0.05
+"""Distance that every path keeps from obstacles on top of the footprint's radius [m]."""
+DEFAULT_RADIUS = 0.25
+"""Radius of the disc around a small robot's footprint, where none is given [m]."""
+EASING_FACTOR = 0.97
+"""Where difficulty varies, every attempt that fails multiplies the next one's difficulty by
+this."""
+MAX_ATTEMPTS = 200
+"""Worlds that are tried before a footprint counts as too large."""
+ARENA_HALF = 4.0
+"""Half the side of the open and the cluttered floor [m]."""
+
+CORRIDOR_LENGTH = 10.0
+"""Length of the corridor between rooms, along x [m]."""
+ROOM_DEPTH = 3.0
+"""Depth of the rooms, along y [m]."""
+WIDEST_DOOR = 1.3
+"""Width of doors at difficulty 0 [m]."""
+DOOR_MARGIN = 0.2
+"""How much wider than the footprint's disc doors are at difficulty 1 [m]."""
 
 BARN_CELLS = 30
 BARN_CELL_SIDE = 0.15
@@ -43,226 +67,10 @@ MAX_ROUNDS = 1000
 MAX_TRIED = 50
 """So many fields that BARN's robot can cross are tried before a larger footprint is rejected."""
 
-
-def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Make a world that BARN's 5 x 5-cell robot can cross, and a footprint of this radius, too.
-
-    The path is made like the published ones: a shortest one over cells from any free cell of the
-    first column to any of the last one, with the start before and the goal behind it.
-
-    Args:
-        rng: of the world.
-        difficulty: 0 to 1; picks the share of cells filled before smoothing: 0.15, 0.2, 0.25 or
-            0.3.
-        radius: of the disc around the footprint [m].
-
-    Raises:
-        GeneratorError: the footprint is too large.
-    """
-    fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
-    passes = int(rng.integers(2, 5))
-    tried = 0
-    for _ in range(MAX_ROUNDS):
-        for cells, room in _crossable_fields(_fields(rng, fill, passes)):
-            tried += 1
-            path = _barn_path(rng, room)
-            world = World(_cylinders(cells), start=BARN_START, goal=BARN_GOAL, path=path)
-            if BARN_LENGTHS[0] <= world.length <= BARN_LENGTHS[1] and _lets_through(world, radius):
-                return world
-        if tried > MAX_TRIED:
-            break
-    raise GeneratorError(
-        f"no BARN world lets a footprint of radius {radius:g} m through; use a lower difficulty, "
-        "or another kind of world"
-    )
-
-
-def _lets_through(world: World, radius: float) -> bool:
-    """Whether a footprint can cross that may be larger than BARN's robot."""
-    try:
-        return radius <= BARN_ROBOT_RADIUS or len(shortest_path(world, radius)) > 0
-    except WorldError:
-        return False
-
-
-def _barn_path(rng: np.random.Generator, room: NDArray[np.bool_]) -> Floats:
-    """(points, 2): from the start through the cells that the robot can reach to the goal [m]."""
-    entries, exits = np.flatnonzero(room[:, 0]), np.flatnonzero(room[:, -1])
-    first, last = int(rng.choice(entries)), int(rng.choice(exits))
-    grid = Grid(room, *BARN_FIELD, BARN_CELL_SIDE)
-    cells = search_cells(grid, first * BARN_CELLS, last * BARN_CELLS + BARN_CELLS - 1)
-    way = np.zeros((0, 2)) if cells is None else grid.centres(cells)
-    return np.concatenate([[[BARN_START.x, BARN_START.y]], way, [[BARN_GOAL.x, BARN_GOAL.y]]])
-
-
-def _fields(rng: np.random.Generator, fill: float, passes: int) -> NDArray[np.bool_]:
-    """(fields, 30, 30): random cells, smoothed; the first and the last row are walls."""
-    cells = rng.random((FIELDS_AT_ONCE, BARN_CELLS, BARN_CELLS)) < fill
-    cells[:, 0] = cells[:, -1] = True
-    for _ in range(passes):
-        cells = _smoothed(cells)
-    cells[:, 0] = cells[:, -1] = True
-    return cells
-
-
-def _smoothed(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Smooth fields: five or more of its eight neighbours fill a cell, one or none clears it."""
-    padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1), (1, 1)))
-    around = sum(
-        padded[:, i : i + BARN_CELLS, j : j + BARN_CELLS]
-        for i in range(3)
-        for j in range(3)
-        if (i, j) != (1, 1)
-    )
-    smoothed: NDArray[np.bool_] = (around >= 5) | (cells & (around > 1))
-    return smoothed
-
-
-def _crossable_fields(
-    fields: NDArray[np.bool_],
-) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """Fields that BARN's robot can cross, with as many filled cells as published ones.
-
-    Yields the field's cells, and those in which the robot's centre may be: cells that are connected
-    with the first and the last column.
-    """
-    with require_extra("a world with obstacles", "scipy"):
-        from scipy.ndimage import label  # noqa: PLC0415 - slow to import
-
-    filled, free = fields[:, 1:-1].sum(axis=(1, 2)), _room(fields)
-    as_published = (filled >= BARN_FILLED[0]) & (filled <= BARN_FILLED[1])
-    likely = as_published & np.all(free.any(axis=1), axis=1)
-    for field in np.flatnonzero(likely):
-        regions, _ = label(free[field])
-        through = set(regions[:, 0].tolist()) & set(regions[:, -1].tolist()) - {0}
-        if through:
-            yield fields[field], regions == min(through)
-
-
-def _room(fields: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells in which the centre of BARN's robot may be."""
-    half = BARN_ROBOT_CELLS // 2
-    padded = np.pad(fields, ((0, 0), (half, half), (half, half)))
-    filled = np.zeros_like(fields)
-    for i in range(BARN_ROBOT_CELLS):
-        for j in range(BARN_ROBOT_CELLS):
-            filled |= padded[:, i : i + BARN_CELLS, j : j + BARN_CELLS]
-    return ~filled
-
-
-def _cylinders(cells: NDArray[np.bool_]) -> Floats:
-    """(circles, 3): the field's cylinders, and those of the corridor's three walls."""
-    field = np.argwhere(cells) * BARN_CELL_SIDE + BARN_FIELD
-    xs = BARN_FIELD[0] + BARN_CELL_SIDE * np.arange(BARN_CELLS)
-    ys = 0.225 + BARN_CELL_SIDE * np.arange(33)
-    back = np.column_stack([xs, np.full(BARN_CELLS, 0.075)])
-    sides = [np.column_stack([np.full(33, x), ys]) for x in (xs[0], xs[-1])]
-    centres = np.concatenate([back, *sides, field])
-    return np.column_stack([centres, np.full(len(centres), CYLINDER_RADIUS)])
-
-
-CORRIDOR_LENGTH = 10.0
-"""Length of the corridor, along x [m]."""
-ROOM_DEPTH = 3.0
-"""Depth of the rooms, along y [m]."""
-WIDEST_DOOR = 1.3
-"""Width of doors at difficulty 0 [m]."""
-DOOR_MARGIN = 0.2
-"""How much wider than the footprint's disc doors are at difficulty 1 [m]."""
-
-
-def make_rooms(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Make three or four rooms on each side of a corridor; start and goal are in different rooms.
-
-    With difficulty doors narrow from 1.3 m to the footprint's width and 20 cm, and furniture
-    increases from none to four pieces a room.
-    """
-    door = WIDEST_DOOR + difficulty * (2.0 * radius + DOOR_MARGIN - WIDEST_DOOR)
-    half = rng.uniform(0.6, 0.9)
-    walls = [make_rectangle(0.0, -half - ROOM_DEPTH, CORRIDOR_LENGTH, half + ROOM_DEPTH)]
-    places: list[tuple[float, float, float, float]] = []
-    for side in (-1.0, 1.0):
-        edges = _edges(rng)
-        walls += _walls(rng, edges, side, half, door)
-        low, high = sorted((side * half, side * (half + ROOM_DEPTH)))
-        places += [(left, low, right, high) for left, right in pairwise(edges)]
-    start, goal = rng.permutation(len(places))[:2].tolist()
-    furniture = [_furniture(rng, place, difficulty) for place in places]
-    return World(
-        np.concatenate([round_ones for round_ones, _ in furniture]),
-        np.concatenate([*walls, *(boxes for _, boxes in furniture)]),
-        _somewhere(rng, places[start], radius, rng.uniform(-math.pi, math.pi)),
-        _somewhere(rng, places[goal], radius, None),
-    )
-
-
-def _edges(rng: np.random.Generator) -> list[float]:
-    """Positions of the walls between the rooms of one side, along x [m]."""
-    count = int(rng.integers(3, 5))
-    inner = (np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1)) * CORRIDOR_LENGTH / count
-    return [0.0, *inner.tolist(), CORRIDOR_LENGTH]
-
-
-def _walls(
-    rng: np.random.Generator, edges: list[float], side: float, half: float, door: float
-) -> list[Floats]:
-    """The wall to the corridor with a door to each room, and walls between rooms, some with one."""
-    narrowest = min(right - left for left, right in pairwise(edges))
-    if door > min(narrowest - 0.4, ROOM_DEPTH - 0.6):
-        raise WorldError(f"doors of {door:.2f} m are too wide for these rooms")
-    begin = [rng.uniform(left + 0.2, right - 0.2 - door) for left, right in pairwise(edges)]
-    doors = np.array([[left, left + door] for left in begin])
-    found = [make_wall((0.0, side * half), (CORRIDOR_LENGTH, side * half), doors)]
-    for x in edges[1:-1]:
-        at = rng.uniform(0.3, ROOM_DEPTH - 0.3 - door)
-        gaps = np.array([[at, at + door]]) if rng.random() < 0.5 else np.zeros((0, 2))
-        found.append(make_wall((x, side * half), (x, side * (half + ROOM_DEPTH)), gaps))
-    return found
-
-
-def _furniture(
-    rng: np.random.Generator, place: tuple[float, float, float, float], difficulty: float
-) -> tuple[Floats, Floats]:
-    """Circles and segments of a room's furniture."""
-    pieces = int(rng.binomial(4, difficulty))
-    low, high = np.array(place[:2]) + 0.45, np.array(place[2:]) - 0.45
-    spots = rng.uniform(low, high, (pieces, 2)).tolist()
-    as_box = rng.random(pieces) < 0.5
-    sizes = rng.uniform(0.2, 0.8, (pieces, 2)).tolist()
-    boxes = [make_box(*s, *z) for s, z, b in zip(spots, sizes, as_box, strict=True) if b]
-    circles = [[*s, z[0] / 3.0] for s, z, b in zip(spots, sizes, as_box, strict=True) if not b]
-    return np.array(circles).reshape(-1, 3), np.concatenate([np.zeros((0, 4)), *boxes])
-
-
-def _somewhere(
-    rng: np.random.Generator,
-    place: tuple[float, float, float, float],
-    radius: float,
-    theta: float | None,
-) -> Region:
-    """A random point of a room, away from its walls."""
-    low, high = np.array(place[:2]) + radius + 0.1, np.array(place[2:]) - radius - 0.1
-    if (high <= low).any():
-        raise WorldError(f"a footprint of radius {radius:g} m is too large for these rooms")
-    x, y = rng.uniform(low, high).tolist()
-    return Region(x, y, 0.0, theta)
-
-
-PATH_MARGIN = 0.05
-"""Distance that every path keeps from obstacles on top of the footprint's radius [m]."""
-DEFAULT_RADIUS = 0.25
-"""Radius of the disc around a small robot's footprint, where none is given [m]."""
-EASING_FACTOR = 0.97
-"""Where difficulty varies, every attempt that fails multiplies the next one's difficulty by
-this."""
-MAX_ATTEMPTS = 200
-"""Worlds that are tried before a footprint counts as too large."""
-ARENA_HALF = 4.0
-"""Half the side of the open and the cluttered floor [m]."""
-
 Level = float | tuple[float, float] | None
 """Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world,
 or None, which is (0, 1)."""
+Mask = NDArray[np.bool_]
 
 
 def generate_world(
@@ -290,27 +98,42 @@ def generate_world(
     if not isinstance(number, int | np.integer) or number < 0:
         raise WorldError(f"world number {number!r}: must be a whole number from 0")
     low, high = difficulty_limits(difficulty)
-    rng = _generator(kind, number)
+    rng = _random_generator(kind, number)
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASING_FACTOR if high > low else 1.0
     own = registry.find_own(kind)
-    maker = _MAKERS[kind] if own is None else partial(_crossable, own)
-    world = _solvable(kind, maker, rng, (hard, low, ease), radius)
-    return replace(world, name=f"{kind} {number}")
+    maker = MAKERS[kind] if own is None else own.world
+    problem = ""
+    for attempt in range(MAX_ATTEMPTS):
+        try:
+            world = maker(rng, max(hard * ease**attempt, low), radius)
+            if world.path is None:
+                world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
+            elif own is not None:
+                check_path(world, radius)
+        except GeneratorError:
+            raise
+        except WorldError as error:
+            problem = str(error)
+        else:
+            return replace(world, name=f"{kind} {number}")
+    raise WorldError(
+        f"{kind}: no world of this difficulty lets a footprint of radius {radius:g} m through; "
+        f"use a lower difficulty (the last of {MAX_ATTEMPTS} attempts: {problem})"
+    )
 
 
 def draw_difficulty(kind: str, number: int, difficulty: Level = None) -> float:
-    """The difficulty from which `generate` starts for this world, 0 to 1; doesn't make the world.
+    """The difficulty from which `generate_world` starts for this world, 0 to 1.
 
-    Where no world of this difficulty can be crossed, `generate` makes an easier one, within the
-    range.
+    Where no world of this difficulty can be crossed, `generate_world` makes an easier one, within
+    the range.
     """
     low, high = difficulty_limits(difficulty)
-    return low + (high - low) * _generator(kind, number).uniform()
+    return low + (high - low) * _random_generator(kind, number).uniform()
 
 
-def _generator(kind: str, number: int) -> np.random.Generator:
-    """The random generator of a world."""
+def _random_generator(kind: str, number: int) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
 
 
@@ -330,51 +153,10 @@ def difficulty_limits(difficulty: Level) -> tuple[float, float]:
         sound = False
     if not sound:
         raise WorldError(
-            f"difficulty = {show_value(difficulty)}: must be from 0 to 1, or a range "
-            "(low, high) of "
-            "these"
+            f"difficulty = {show_value(difficulty)}: must be from 0 to 1, or a range (low, high) "
+            "of these"
         )
     return low, high
-
-
-def _crossable(
-    own: OwnGenerator, rng: np.random.Generator, difficulty: float, radius: float
-) -> World:
-    """Call a registered generator once, and check the path of its world."""
-    world = own.world(rng, difficulty, radius)
-    if world.path is not None:
-        check_path(world, radius)
-    return world
-
-
-def _solvable(
-    kind: str,
-    maker: Maker,
-    rng: np.random.Generator,
-    levels: tuple[float, float, float],
-    radius: float,
-) -> World:
-    """Call a generator until it makes a world that can be crossed.
-
-    `levels` are the difficulty, the least one, and the factor by which each attempt that fails
-    makes the next one easier.
-    """
-    hard, least, ease = levels
-    for attempt in range(MAX_ATTEMPTS):
-        try:
-            world = maker(rng, max(hard * ease**attempt, least), radius)
-            if world.path is None:
-                world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
-        except GeneratorError:
-            raise
-        except WorldError as error:
-            last = error
-        else:
-            return world
-    raise WorldError(
-        f"{kind}: no world of this difficulty lets a footprint of radius {radius:g} m through; "
-        f"use a lower difficulty (the last of {MAX_ATTEMPTS} attempts: {last})"
-    )
 
 
 def make_open_floor(rng: np.random.Generator, difficulty: float, radius: float) -> World:
@@ -386,7 +168,10 @@ def make_open_floor(rng: np.random.Generator, difficulty: float, radius: float) 
 
 
 def make_clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Make a walled floor of 8 x 8 m with 10 to 45 cylinders and boxes."""
+    """Make a walled floor of 8 x 8 m with 10 to 45 cylinders and boxes.
+
+    Start, in any heading, and goal are at least half the floor's side apart.
+    """
     count = round(10 + 35 * difficulty)
     round_ones = int(rng.binomial(count, 0.6))
     places = rng.uniform(-ARENA_HALF, ARENA_HALF, (count, 2))
@@ -396,28 +181,224 @@ def make_clutter(rng: np.random.Generator, difficulty: float, radius: float) -> 
         for x, y in places[round_ones:].tolist()
     ]
     walls = make_rectangle(-ARENA_HALF, -ARENA_HALF, ARENA_HALF, ARENA_HALF)
-    start, goal = _far_apart(rng, radius)
-    return World(circles, np.concatenate([walls, *boxes]), start, goal)
-
-
-def _far_apart(rng: np.random.Generator, radius: float) -> tuple[Region, Region]:
-    """A start, in any heading, and a goal, at least half the floor's side apart."""
     inside = ARENA_HALF - radius - 2.0 * PATH_MARGIN
     if inside < 0.6 * ARENA_HALF:
         raise WorldError(f"a footprint of radius {radius:g} m is too large for this floor")
-    while True:
+    ends = np.zeros((2, 2))
+    while math.dist(ends[0], ends[1]) < ARENA_HALF:
         ends = rng.uniform(-inside, inside, (2, 2))
-        if math.dist(ends[0], ends[1]) >= ARENA_HALF:
-            break
     (x, y), (goal_x, goal_y) = ends.tolist()
-    return Region(x, y, 0.0, rng.uniform(-math.pi, math.pi)), Region(goal_x, goal_y)
+    start = Region(x, y, 0.0, rng.uniform(-math.pi, math.pi))
+    return World(circles, np.concatenate([walls, *boxes]), start, Region(goal_x, goal_y))
 
 
-_MAKERS: dict[str, Maker] = {
+def make_smooth_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make a path of 4 to 8 m from the origin, with a curvature of up to 0.5 to 2 1/m."""
+    length, waves = rng.uniform(4.0, 8.0), 3
+    s = np.arange(0.0, length, PATH_SPACING)
+    frequencies, phases = rng.uniform(0.5, 2.0, waves), rng.uniform(-math.pi, math.pi, waves)
+    curvature = np.sin(s[:, None] * frequencies + phases).sum(axis=1)
+    curvature *= (0.5 + 1.5 * difficulty) / np.abs(curvature).max()
+    heading = np.concatenate([[0.0], np.cumsum(curvature[:-1] * PATH_SPACING)])
+    return _follow_steps(heading, np.full(len(heading), PATH_SPACING))
+
+
+def make_waypoint_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make a path of 3 to 6 lines of 0.8 to 2 m, with turns of up to 45 to 120 degrees."""
+    pieces = int(rng.integers(3, 7))
+    sharpest = math.radians(45.0 + 75.0 * difficulty)
+    turns = rng.uniform(-sharpest, sharpest, pieces)
+    turns[0] = 0.0
+    return _follow_steps(np.cumsum(turns), rng.uniform(0.8, 2.0, pieces))
+
+
+def _follow_steps(headings: Floats, lengths: Floats) -> World:
+    """A world whose path begins in the origin and has steps of these headings and lengths."""
+    steps = lengths[:, None] * np.column_stack([np.cos(headings), np.sin(headings)])
+    return world_along(np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]))
+
+
+def make_rooms(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make three or four rooms on each side of a corridor; start and goal are in different rooms.
+
+    With difficulty doors narrow from 1.3 m to the footprint's width and 20 cm, and furniture
+    increases from none to four pieces a room.
+    """
+    door = WIDEST_DOOR + difficulty * (2.0 * radius + DOOR_MARGIN - WIDEST_DOOR)
+    half = rng.uniform(0.6, 0.9)
+    segments = [make_rectangle(0.0, -half - ROOM_DEPTH, CORRIDOR_LENGTH, half + ROOM_DEPTH)]
+    places: list[tuple[float, float, float, float]] = []
+    for side in (-1.0, 1.0):
+        count = int(rng.integers(3, 5))
+        inner = np.arange(1, count) + rng.uniform(-0.15, 0.15, count - 1)
+        edges = [0.0, *(inner * CORRIDOR_LENGTH / count).tolist(), CORRIDOR_LENGTH]
+        segments += _make_room_walls(rng, edges, side, half, door)
+        low, high = sorted((side * half, side * (half + ROOM_DEPTH)))
+        places += [(left, low, right, high) for left, right in pairwise(edges)]
+    start, goal = rng.permutation(len(places))[:2].tolist()
+    circles = [np.zeros((0, 3))]
+    for place in places:
+        some_circles, boxes = _furnish_room(rng, place, difficulty)
+        circles.append(some_circles)
+        segments += boxes
+    return World(
+        np.concatenate(circles),
+        np.concatenate(segments),
+        _draw_place(rng, places[start], radius, rng.uniform(-math.pi, math.pi)),
+        _draw_place(rng, places[goal], radius, None),
+    )
+
+
+def _make_room_walls(
+    rng: np.random.Generator, edges: list[float], side: float, half: float, door: float
+) -> list[Floats]:
+    """The wall to the corridor with a door to each room, and walls between rooms, some with one."""
+    narrowest = min(right - left for left, right in pairwise(edges))
+    if door > min(narrowest - 0.4, ROOM_DEPTH - 0.6):
+        raise WorldError(f"doors of {door:.2f} m are too wide for these rooms")
+    begin = [rng.uniform(left + 0.2, right - 0.2 - door) for left, right in pairwise(edges)]
+    doors = np.array([[left, left + door] for left in begin])
+    walls = [make_wall((0.0, side * half), (CORRIDOR_LENGTH, side * half), doors)]
+    for x in edges[1:-1]:
+        at = rng.uniform(0.3, ROOM_DEPTH - 0.3 - door)
+        gaps = np.array([[at, at + door]]) if rng.random() < 0.5 else np.zeros((0, 2))
+        walls.append(make_wall((x, side * half), (x, side * (half + ROOM_DEPTH)), gaps))
+    return walls
+
+
+def _furnish_room(
+    rng: np.random.Generator, place: tuple[float, float, float, float], difficulty: float
+) -> tuple[Floats, list[Floats]]:
+    """Circles of a room's furniture, and the sides of its boxes."""
+    pieces = int(rng.binomial(4, difficulty))
+    low, high = np.array(place[:2]) + 0.45, np.array(place[2:]) - 0.45
+    spots = rng.uniform(low, high, (pieces, 2)).tolist()
+    as_box = rng.random(pieces) < 0.5
+    sizes = rng.uniform(0.2, 0.8, (pieces, 2)).tolist()
+    boxes = [make_box(*s, *z) for s, z, b in zip(spots, sizes, as_box, strict=True) if b]
+    circles = [[*s, z[0] / 3.0] for s, z, b in zip(spots, sizes, as_box, strict=True) if not b]
+    return np.array(circles).reshape(-1, 3), boxes
+
+
+def _draw_place(
+    rng: np.random.Generator,
+    place: tuple[float, float, float, float],
+    radius: float,
+    theta: float | None,
+) -> Region:
+    """A random point of a room, away from its walls."""
+    low, high = np.array(place[:2]) + radius + 0.1, np.array(place[2:]) - radius - 0.1
+    if (high <= low).any():
+        raise WorldError(f"a footprint of radius {radius:g} m is too large for these rooms")
+    x, y = rng.uniform(low, high).tolist()
+    return Region(x, y, 0.0, theta)
+
+
+def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+    """Make a world like those of BARN (Perille et al. 2020), by its cellular automaton.
+
+    A field of 30 x 30 cells of 0.15 m, with a cylinder in each filled cell, behind a walled
+    corridor of 5 m. Layout and frame are those of the published worlds: start (-2, 3) heading along
+    +y, goal 10 m ahead. BARN's 5 x 5-cell robot can cross it, and a footprint of this radius, too.
+    The path is made like the published ones: a shortest one over cells from any free cell of the
+    first column to any of the last one, with the start before and the goal behind it.
+
+    Args:
+        rng: of the world.
+        difficulty: 0 to 1; picks the share of cells filled before smoothing: 0.15, 0.2, 0.25 or
+            0.3.
+        radius: of the disc around the footprint [m].
+
+    Raises:
+        GeneratorError: the footprint is too large.
+    """
+    fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
+    passes = int(rng.integers(2, 5))
+    tried = 0
+    for _ in range(MAX_ROUNDS):
+        for cells, room in find_crossable(draw_fields(rng, fill, passes)):
+            tried += 1
+            entries, exits = np.flatnonzero(room[:, 0]), np.flatnonzero(room[:, -1])
+            first, last = int(rng.choice(entries)), int(rng.choice(exits))
+            grid = Grid(room, *BARN_FIELD, BARN_CELL_SIDE)
+            way = search_cells(grid, first * BARN_CELLS, last * BARN_CELLS + BARN_CELLS - 1)
+            centres = np.zeros((0, 2)) if way is None else grid.centres(way)
+            ends = ([[end.x, end.y]] for end in (BARN_START, BARN_GOAL))
+            path = np.concatenate([next(ends), centres, next(ends)])
+            world = World(place_cylinders(cells), start=BARN_START, goal=BARN_GOAL, path=path)
+            if not BARN_LENGTHS[0] <= world.length <= BARN_LENGTHS[1]:
+                continue
+            try:
+                if radius > BARN_ROBOT_RADIUS:
+                    shortest_path(world, radius)
+            except WorldError:
+                continue
+            return world
+        if tried > MAX_TRIED:
+            break
+    raise GeneratorError(
+        f"no BARN world lets a footprint of radius {radius:g} m through; use a lower difficulty, "
+        "or another kind of world"
+    )
+
+
+def draw_fields(rng: np.random.Generator, fill: float, passes: int) -> Mask:
+    """(fields, 30, 30): random cells, smoothed; the first and the last row are walls.
+
+    Smoothing: five or more of its eight neighbours fill a cell, one or none clears it.
+    """
+    cells = rng.random((FIELDS_AT_ONCE, BARN_CELLS, BARN_CELLS)) < fill
+    cells[:, 0] = cells[:, -1] = True
+    for _ in range(passes):
+        padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1), (1, 1)))
+        around = sum(_shifted(padded, i, j) for i in range(3) for j in range(3)) - cells
+        cells = (around >= 5) | (cells & (around > 1))
+    cells[:, 0] = cells[:, -1] = True
+    return cells
+
+
+def _shifted(padded: NDArray[Any], i: int, j: int) -> NDArray[Any]:
+    return padded[:, i : i + BARN_CELLS, j : j + BARN_CELLS]
+
+
+def find_crossable(fields: Mask) -> Iterator[tuple[Mask, Mask]]:
+    """Fields that BARN's robot can cross, with as many filled cells as published ones.
+
+    Yields the field's cells, and those in which the robot's centre may be: cells that are connected
+    with the first and the last column.
+    """
+    with require_extra("a world with obstacles", "scipy"):
+        from scipy.ndimage import label  # noqa: PLC0415 - slow to import
+
+    half, cells = BARN_ROBOT_CELLS // 2, range(BARN_ROBOT_CELLS)
+    padded = np.pad(fields, ((0, 0), (half, half), (half, half)))
+    free = ~np.any([_shifted(padded, i, j) for i in cells for j in cells], axis=0)
+    filled = fields[:, 1:-1].sum(axis=(1, 2))
+    as_published = (filled >= BARN_FILLED[0]) & (filled <= BARN_FILLED[1])
+    likely = as_published & np.all(free.any(axis=1), axis=1)
+    for field in np.flatnonzero(likely):
+        regions, _ = label(free[field])
+        through = set(regions[:, 0].tolist()) & set(regions[:, -1].tolist()) - {0}
+        if through:
+            yield fields[field], regions == min(through)
+
+
+def place_cylinders(cells: Mask) -> Floats:
+    """(circles, 3): a BARN field's cylinders, and those of the corridor's three walls."""
+    field = np.argwhere(cells) * BARN_CELL_SIDE + BARN_FIELD
+    xs = BARN_FIELD[0] + BARN_CELL_SIDE * np.arange(BARN_CELLS)
+    ys = 0.225 + BARN_CELL_SIDE * np.arange(33)
+    back = np.column_stack([xs, np.full(BARN_CELLS, 0.075)])
+    sides = [np.column_stack([np.full(33, x), ys]) for x in (xs[0], xs[-1])]
+    centres = np.concatenate([back, *sides, field])
+    return np.column_stack([centres, np.full(len(centres), CYLINDER_RADIUS)])
+
+
+MAKERS: dict[str, Maker] = {
     "open": make_open_floor,
     "clutter": make_clutter,
     "rooms": make_rooms,
     "barn": make_barn,
-    "smooth_path": search.make_smooth_path,
-    "waypoint_path": search.make_waypoint_path,
+    "smooth_path": make_smooth_path,
+    "waypoint_path": make_waypoint_path,
 }

@@ -1,4 +1,9 @@
-"""Obstacles around a robot: ranges of rays, collisions of footprints, and distances."""
+"""Obstacles around a robot: ranges of rays, collisions of footprints, and distances.
+
+Lengths in m, angles in rad. Rays and collisions are scalar functions and loops over obstacles,
+compiled where numba is installed; obstacles out of reach are skipped early. Footprints and rays are
+in the frame of the base: x ahead, y to the left. Distances are computed by NumPy.
+"""
 
 from __future__ import annotations
 
@@ -15,136 +20,12 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
 from acsar_gym.worlds.world import World
 
-CLEARANCE_CHUNK = 2**14
-"""Distances that are computed at a time."""
-
-
-def point_clearance(points: ArrayLike, world: World) -> Floats:
-    """Compute distances of points to the nearest obstacle.
-
-    Args:
-        points: (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: negative inside a circle, zero on a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for points of another shape.
-    """
-    places = _pairs(points)
-    return _chunked(lambda rows: _of_points(places[rows], world), len(places), world)
-
-
-def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
-    """Compute the least distance of straight lines to any obstacle.
-
-    Args:
-        a: beginnings, (N, 2) [m].
-        b: ends, (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: minus the depth where a line enters a circle, zero where it touches or crosses
-        a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for other shapes.
-    """
-    starts, ends = _pairs(a), _pairs(b)
-    if len(starts) != len(ends):
-        raise ValueError(f"{len(starts)} starts and {len(ends)} ends of pieces")
-    return _chunked(lambda rows: _of_pieces(starts[rows], ends[rows], world), len(starts), world)
-
-
-def _pairs(points: ArrayLike) -> Floats:
-    """Check and convert points to (N, 2)."""
-    array = np.asarray(points, np.float64)
-    if array.size == 0:
-        return np.zeros((0, 2))
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise ValueError(f"points must be of shape (N, 2), not {array.shape}")
-    return array
-
-
-def _chunked(distances: Callable[[slice], Floats], count: int, world: World) -> Floats:
-    """Distances of so many rows, computed in chunks."""
-    rows = max(1, CLEARANCE_CHUNK // max(1, world.obstacles))
-    result = np.full(count, np.inf)
-    if world.obstacles:
-        for first in range(0, count, rows):
-            result[first : first + rows] = distances(slice(first, first + rows))
-    return result
-
-
-def _of_points(points: Floats, world: World) -> Floats:
-    """`clearance` of one chunk, (N,)."""
-    p = points.T[..., None]
-    to_circles = _lengths(p - world.circles.T[:2, None]) - world.circles[:, 2]
-    to_segments = _to_pieces(p, world.segments.T[:2, None], world.segments.T[2:, None])
-    return _least(to_circles, to_segments)
-
-
-def _of_pieces(starts: Floats, ends: Floats, world: World) -> Floats:
-    """`segment_clearance` of one chunk, (N,)."""
-    a, b = starts.T[..., None], ends.T[..., None]
-    c, d = world.segments.T[:2, None], world.segments.T[2:, None]
-    to_circles = _to_pieces(world.circles.T[:2, None], a, b) - world.circles[:, 2]
-    # Two segments that don't cross are nearest at one of their four ends.
-    of_ends = np.minimum(_to_pieces(a, c, d), _to_pieces(b, c, d))
-    of_their_ends = np.minimum(_to_pieces(c, a, b), _to_pieces(d, a, b))
-    to_segments = np.where(_cross(a, b, c, d), 0.0, np.minimum(of_ends, of_their_ends))
-    return _least(to_circles, to_segments)
-
-
-def _least(*distances: Floats) -> Floats:
-    """The least value of every row of several arrays (N, obstacles)."""
-    least: Floats = np.concatenate(distances, axis=1).min(axis=1)
-    return least
-
-
-# In the functions below the first axis of a vector is x and y: NumPy is twice as fast that way.
-
-
-def _to_pieces(points: Floats, starts: Floats, ends: Floats) -> Floats:
-    """Distance of points (2, ...) to the lines from `starts` to `ends` (2, ...)."""
-    along, offset = ends - starts, points - starts
-    square = _dot(along, along)
-    share = np.clip(_dot(offset, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    return np.where(share < 1.0, _lengths(offset - share * along), _lengths(points - ends))
-
-
-def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> NDArray[np.bool_]:
-    """Whether the lines a-b and c-d cross; touching and overlapping don't count."""
-    apart_one = _side(a, b, c) * _side(a, b, d)
-    apart_other = _side(c, d, a) * _side(c, d, b)
-    crossing: NDArray[np.bool_] = (apart_one < 0.0) & (apart_other < 0.0)
-    return crossing
-
-
-def _side(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Side of the line from a to b on which c is: 1 left, -1 right, 0 on it."""
-    (abx, aby), (acx, acy) = b - a, c - a
-    side: Floats = np.sign(abx * acy - aby * acx)
-    return side
-
-
-def _dot(one: Floats, other: Floats) -> Floats:
-    """Dot product along the first axis."""
-    product: Floats = one[0] * other[0] + one[1] * other[1]
-    return product
-
-
-def _lengths(vectors: Floats) -> Floats:
-    """Lengths of vectors along the first axis."""
-    lengths: Floats = np.sqrt(_dot(vectors, vectors))
-    return lengths
-
-
 Floats = NDArray[np.float64]
 FULL_TURN = 2.0 * math.pi
 RAY_TOLERANCE = 1e-9
 """Tolerance at both ends of the range of rays that can meet an obstacle [rad]."""
+CLEARANCE_CHUNK = 2**14
+"""Distances that are computed at a time, so that memory stays at a few MB."""
 
 
 @dataclass(frozen=True)
@@ -163,12 +44,32 @@ class Obstacles:
 
         ConfigError for other shapes.
         """
-        circles = _stacked("circles", self.circles, 3, robots)
-        segments = _stacked("segments", self.segments, 4, robots)
+        circles = _stack_rows("circles", self.circles, 3, robots)
+        segments = _stack_rows("segments", self.segments, 4, robots)
         if (circles[:, :, 2] < 0.0).any():
             raise ConfigError("obstacles: the radius of a circle must not be negative")
         sets = max(len(circles), len(segments))
-        return _repeated(circles, sets), _repeated(segments, sets)
+        repeated = (np.broadcast_to(a, (sets, *a.shape[1:])) for a in (circles, segments))
+        circles, segments = map(np.ascontiguousarray, repeated)
+        return circles, segments
+
+
+def _stack_rows(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
+    """Check rows and convert them to (sets, rows, width)."""
+    try:
+        array = np.array(rows, np.float64)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.size == 0:
+        return np.zeros((1, 0, width))
+    array = array[None] if array.ndim == 2 else array
+    if array.ndim != 3 or array.shape[2] != width or array.shape[0] not in (1, robots):
+        raise ConfigError(
+            f"obstacles: {name} must be of shape (n, {width}) or ({robots}, n, {width})"
+        )
+    if not np.isfinite(array).all():
+        raise ConfigError(f"obstacles: {name} must be finite numbers")
+    return array
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +139,7 @@ def make_surroundings(
     """
     circles, segments = obstacles.arrays(robots)
     angles = spec.angles() if spec else np.zeros(0)
+    sides = footprint.outline_sides(config.footprint) if config.footprint is not None else ()
     return Surroundings(
         circles,
         segments,
@@ -249,73 +151,8 @@ def make_surroundings(
         config.lidar_y_offset,
         max(abs(x) for x, _ in config.outline),
         max(abs(y) for _, y in config.outline),
-        _sides(config),
+        np.array([(*a, *b) for a, b in sides]).reshape(-1, 4),
     )
-
-
-def _sides(config: RobotConfig) -> Floats:
-    """(sides, 4): the sides of a polygonal footprint; none where the footprint is a box."""
-    if config.footprint is None:
-        return np.zeros((0, 4))
-    return np.array([(*a, *b) for a, b in footprint.outline_sides(config.footprint)])
-
-
-def _repeated(array: Floats, sets: int) -> Floats:
-    """Repeat one set of obstacles for all sets."""
-    return np.ascontiguousarray(np.broadcast_to(array, (sets, *array.shape[1:])))
-
-
-def _stacked(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
-    """Check rows and convert them to (sets, rows, width)."""
-    try:
-        array = np.array(rows, np.float64)
-    except (TypeError, ValueError):
-        array = np.full(1, np.nan)
-    if array.size == 0:
-        return np.zeros((1, 0, width))
-    array = array[None] if array.ndim == 2 else array
-    if array.ndim != 3 or array.shape[2] != width or array.shape[0] not in (1, robots):
-        raise ConfigError(
-            f"obstacles: {name} must be of shape (n, {width}) or ({robots}, n, {width})"
-        )
-    if not np.isfinite(array).all():
-        raise ConfigError(f"obstacles: {name} must be finite numbers")
-    return np.ascontiguousarray(array)
-
-
-@jit
-def shorten_by_circle(
-    ranges: Floats, x: float, y: float, radius: float, low: int, high: int, directions: Floats
-) -> None:
-    """Shorten the rays low to high that meet the circle at (x, y) in the sensor's frame."""
-    square = x * x + y * y - radius * radius
-    for k in range(low, high + 1):
-        along = x * directions[k, 0] + y * directions[k, 1]
-        inside = along * along - square
-        if inside >= 0.0 and along > 0.0:
-            ranges[k] = min(ranges[k], along - math.sqrt(inside))
-
-
-@jit
-def shorten_by_segment(
-    ranges: Floats,
-    ax: float,
-    ay: float,
-    bx: float,
-    by: float,
-    low: int,
-    high: int,
-    directions: Floats,
-) -> None:
-    """Shorten the rays low to high that meet the segment from a to b in the sensor's frame."""
-    ex, ey = bx - ax, by - ay
-    cross = ax * ey - ay * ex
-    for k in range(low, high + 1):
-        across = directions[k, 0] * ey - directions[k, 1] * ex
-        if abs(across) > 1e-12:
-            distance = cross / across
-            if distance >= 0.0:
-                ranges[k] = min(ranges[k], distance)
 
 
 @jit
@@ -324,11 +161,15 @@ def see_circle(
 ) -> None:
     """Shorten the rays that meet a circle at (x, y) in the sensor's frame, `square` [m^2] away."""
     middle, half = math.atan2(y, x), math.asin(radius / math.sqrt(square)) + RAY_TOLERANCE
-    last = len(ranges) - 1
+    last, apart, directions = len(ranges) - 1, x * x + y * y - radius * radius, around.directions
     for shift in (-FULL_TURN, 0.0, FULL_TURN):
         low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
         high = min(math.floor((middle + half + shift - around.start) / around.step), last)
-        shorten_by_circle(ranges, x, y, radius, low, high, around.directions)
+        for k in range(low, high + 1):
+            along = x * directions[k, 0] + y * directions[k, 1]
+            inside = along * along - apart
+            if inside >= 0.0 and along > 0.0:
+                ranges[k] = min(ranges[k], along - math.sqrt(inside))
 
 
 @jit
@@ -338,11 +179,18 @@ def see_segment(
     """Shorten the rays that meet a segment from a to b in the sensor's frame."""
     one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
     first, last = min(one, one + width) - RAY_TOLERANCE, len(ranges) - 1
+    top, directions = first + abs(width) + 2.0 * RAY_TOLERANCE, around.directions
+    ex, ey = bx - ax, by - ay
+    cross = ax * ey - ay * ex
     for shift in (-FULL_TURN, 0.0, FULL_TURN):
         low = max(math.ceil((first + shift - around.start) / around.step), 0)
-        top = first + abs(width) + 2.0 * RAY_TOLERANCE
         high = min(math.floor((top + shift - around.start) / around.step), last)
-        shorten_by_segment(ranges, ax, ay, bx, by, low, high, around.directions)
+        for k in range(low, high + 1):
+            across = directions[k, 0] * ey - directions[k, 1] * ex
+            if abs(across) > 1e-12:
+                distance = cross / across
+                if distance >= 0.0:
+                    ranges[k] = min(ranges[k], distance)
 
 
 @loop
@@ -384,7 +232,7 @@ def cast_rays(
 
 
 def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
-    """Compute ranges at any bearings, in plain NumPy; `cast` is faster for evenly spaced rays.
+    """Compute ranges at any bearings, in plain NumPy; `cast_rays` is faster for evenly spaced rays.
 
     Args:
         place: x, y in the frame of the world [m].
@@ -394,9 +242,8 @@ def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | 
     Returns:
         (rays,) [m]; inf where there is no obstacle.
     """
-    ranges: Floats = np.full(len(bearings), np.inf)
     if world is None:
-        return ranges
+        return np.full(len(bearings), np.inf)
     cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
     x, y, radius = (world.circles - (*place, 0.0)).T
     along = cos * x + sin * y
@@ -409,7 +256,7 @@ def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | 
         far, share = (ax * ey - ay * ex) / across, (ax * sin - ay * cos) / across
         far = np.where((share >= 0.0) & (share <= 1.0), far, np.inf)
     hits = np.concatenate([near, far], axis=1)
-    ranges[:] = np.min(np.where(hits >= 0.0, hits, np.inf), axis=1, initial=np.inf)
+    ranges: Floats = np.min(np.where(hits >= 0.0, hits, np.inf), axis=1, initial=np.inf)
     return ranges
 
 
@@ -508,25 +355,120 @@ def circle_meets_polygon(x: float, y: float, radius: float, polygon: Floats) -> 
 def segment_meets_polygon(ax: float, ay: float, bx: float, by: float, polygon: Floats) -> bool:
     """Whether a segment from a to b touches a polygon, (sides, 4), or lies within it."""
     for n in range(len(polygon)):
-        if segments_meet(
-            ax, ay, bx, by, polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
-        ):
+        cx, cy, dx, dy = polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
+        if max(ax, bx) < min(cx, dx) or max(cx, dx) < min(ax, bx):
+            continue
+        if max(ay, by) < min(cy, dy) or max(cy, dy) < min(ay, by):
+            continue
+        ex, ey, fx, fy = bx - ax, by - ay, dx - cx, dy - cy
+        c_side, d_side = ex * (cy - ay) - ey * (cx - ax), ex * (dy - ay) - ey * (dx - ax)
+        a_side, b_side = fx * (ay - cy) - fy * (ax - cx), fx * (by - cy) - fy * (bx - cx)
+        if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
             return True
     return is_inside(ax, ay, polygon)
 
 
-@jit
-def segments_meet(
-    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
-) -> bool:
-    """Whether the segments a-b and c-d have a point in common."""
-    if max(ax, bx) < min(cx, dx) or max(cx, dx) < min(ax, bx):
-        return False
-    if max(ay, by) < min(cy, dy) or max(cy, dy) < min(ay, by):
-        return False
-    ex, ey, fx, fy = bx - ax, by - ay, dx - cx, dy - cy
-    c_side = ex * (cy - ay) - ey * (cx - ax)
-    d_side = ex * (dy - ay) - ey * (dx - ax)
-    a_side = fx * (ay - cy) - fy * (ax - cx)
-    b_side = fx * (by - cy) - fy * (bx - cx)
-    return c_side * d_side <= 0.0 and a_side * b_side <= 0.0
+def point_clearance(points: ArrayLike, world: World) -> Floats:
+    """Compute distances of points to the nearest obstacle.
+
+    Args:
+        points: (N, 2) [m].
+        world: with the obstacles.
+
+    Returns:
+        (N,) [m]: negative inside a circle, zero on a segment, inf without obstacles.
+
+    Raises:
+        ValueError: for points of another shape.
+    """
+    places = _validate_points(points)
+    centres, radii = world.circles.T[:2, None], world.circles[:, 2]
+    starts, ends = world.segments.T[:2, None], world.segments.T[2:, None]
+
+    def measure(rows: slice) -> tuple[Floats, Floats]:
+        p = places[rows].T[..., None]
+        return _lengths(p - centres) - radii, _distances_to_lines(p, starts, ends)
+
+    return _least_distances(measure, len(places), world)
+
+
+def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
+    """Compute the least distance of straight lines to any obstacle.
+
+    Args:
+        a: beginnings, (N, 2) [m].
+        b: ends, (N, 2) [m].
+        world: with the obstacles.
+
+    Returns:
+        (N,) [m]: minus the depth where a line enters a circle, zero where it touches or crosses
+        a segment, inf without obstacles.
+
+    Raises:
+        ValueError: for other shapes.
+    """
+    starts, ends = _validate_points(a), _validate_points(b)
+    if len(starts) != len(ends):
+        raise ValueError(f"{len(starts)} starts and {len(ends)} ends of pieces")
+    centres, radii = world.circles.T[:2, None], world.circles[:, 2]
+    c, d = world.segments.T[:2, None], world.segments.T[2:, None]
+
+    def measure(rows: slice) -> tuple[Floats, Floats]:
+        a, b = starts[rows].T[..., None], ends[rows].T[..., None]
+        # Two segments that don't cross are nearest at one of their four ends.
+        of_ends = np.minimum(_distances_to_lines(a, c, d), _distances_to_lines(b, c, d))
+        of_theirs = np.minimum(_distances_to_lines(c, a, b), _distances_to_lines(d, a, b))
+        cross = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
+        to_segments = np.where(cross, 0.0, np.minimum(of_ends, of_theirs))
+        return _distances_to_lines(centres, a, b) - radii, to_segments
+
+    return _least_distances(measure, len(starts), world)
+
+
+def _validate_points(points: ArrayLike) -> Floats:
+    array = np.asarray(points, np.float64)
+    if array.size == 0:
+        return np.zeros((0, 2))
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ValueError(f"points must be of shape (N, 2), not {array.shape}")
+    return array
+
+
+def _least_distances(
+    measure: Callable[[slice], tuple[Floats, Floats]], count: int, world: World
+) -> Floats:
+    """The least distance of each of so many rows to circles and segments, measured in chunks."""
+    rows = max(1, CLEARANCE_CHUNK // max(1, world.obstacles))
+    least = np.full(count, np.inf)
+    for first in range(0, count if world.obstacles else 0, rows):
+        chunk = slice(first, first + rows)
+        least[chunk] = np.concatenate(measure(chunk), axis=1).min(axis=1)
+    return least
+
+
+# In the functions below the first axis of a vector is x and y: NumPy is twice as fast that way.
+
+
+def _distances_to_lines(points: Floats, starts: Floats, ends: Floats) -> Floats:
+    """Distance of points (2, ...) to the lines from `starts` to `ends` (2, ...)."""
+    along, offset = ends - starts, points - starts
+    square = _dot(along, along)
+    share = np.clip(_dot(offset, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return np.where(share < 1.0, _lengths(offset - share * along), _lengths(points - ends))
+
+
+def _side(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Side of the line from a to b on which c is: 1 left, -1 right, 0 on it."""
+    (abx, aby), (acx, acy) = b - a, c - a
+    side: Floats = np.sign(abx * acy - aby * acx)
+    return side
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    product: Floats = one[0] * other[0] + one[1] * other[1]
+    return product
+
+
+def _lengths(vectors: Floats) -> Floats:
+    lengths: Floats = np.sqrt(_dot(vectors, vectors))
+    return lengths

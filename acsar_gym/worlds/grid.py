@@ -60,13 +60,7 @@ def _margin(radius: float) -> float:
 
 
 def count_cells(box: Floats, radius: float, side: float) -> float:
-    """How many cells a box needs with its margins.
-
-    Args:
-        box: least x and y, largest x and y [m].
-        radius: of the disc [m].
-        side: of a cell [m].
-    """
+    """How many cells of a side [m] a box (least x, y, largest x, y) needs with its margins."""
     width, height = (box[2:] - box[:2] + 2.0 * _margin(radius)).tolist()
     return float(width * height / side**2)
 
@@ -94,47 +88,37 @@ def free_cells(
         ends: (n, 2), ends of the path [m]; the grid covers them and the world.
         reach: the grid covers no more than this around the ends [m].
     """
-    box, margin = (
-        np.array(world.bounds) if ends is None else bounds_with(world, ends),
-        _margin(radius),
-    )
-    around = world
-    if ends is not None and math.isfinite(reach):
-        box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
-        box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
-        around = crop_world(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
+    box, margin = np.array(world.bounds), _margin(radius)
+    if ends is not None:
+        box = bounds_with(world, ends)
+        if math.isfinite(reach):
+            box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
+            box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
+            world = crop_world(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
     left, low = (box[:2] - margin).tolist()
     width, height = (box[2:] - box[:2] + 2.0 * margin).tolist()
+    circles, segments = world.circles, world.segments
+    sizes = [np.repeat(2.0 * circles[:, 2:], 2, axis=1), np.abs(segments[:, 2:] - segments[:, :2])]
+    boxes = np.minimum(np.concatenate(sizes) + 2.0 * radius, (width, height))
     side = CELL_SIDE * max(
         1.0,
         math.sqrt(width * height / MAX_CELLS) / CELL_SIDE,
-        math.sqrt(_work(around, radius, width, height) / MAX_DISTANCES) / CELL_SIDE,
+        math.sqrt(float(boxes.prod(axis=1).sum()) / MAX_DISTANCES) / CELL_SIDE,
     )
     x, y = (math.floor(least / side) + 0.5 for least in (left, low))
     free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
     grid = Grid(free, x * side, y * side, side)
     radius = max(radius, WALL_SHARE * side)
-    for cx, cy, r in around.circles.tolist():
-        _block(grid, (cx, cy, cx, cy), r + radius)
-    for x1, y1, x2, y2 in around.segments.tolist():
-        _block(grid, (x1, y1, x2, y2), radius)
+    for cx, cy, r in circles.tolist():
+        _block_cells(grid, (cx, cy, cx, cy), r + radius)
+    for line in segments.tolist():
+        _block_cells(grid, line, radius)
     return grid
 
 
-def _work(world: World, radius: float, width: float, height: float) -> float:
-    """Sum of the bounding boxes of all obstacles, as far as they can lie in the grid [m^2]."""
-    sizes = np.concatenate(
-        [
-            np.repeat(2.0 * world.circles[:, 2:], 2, axis=1),
-            np.abs(world.segments[:, 2:] - world.segments[:, :2]),
-        ]
-    )
-    return float(np.minimum(sizes + 2.0 * radius, (width, height)).prod(axis=1).sum())
-
-
-def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -> None:
+def _block_cells(grid: Grid, line: tuple[float, float, float, float], radius: float) -> None:
     """Mark the cells nearer than `radius` to a line as not free."""
-    x1, y1, x2, y2 = ends
+    x1, y1, x2, y2 = line
     reach = radius - PATH_SLACK / 2.0
     low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
     low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
@@ -150,26 +134,34 @@ def _block(grid: Grid, ends: tuple[float, float, float, float], radius: float) -
 
 
 def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
-    """Find the cells of a shortest path between two cells; None where there is none."""
-    with require_extra("a world with obstacles", "scipy"):
-        from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415 - slow to import
+    """Find the cells of a shortest path between two cells; None where there is none.
 
+    Neighbours are the eight cells around a cell; diagonals don't cut corners.
+    """
+    with require_extra("a world with obstacles", "scipy"):
+        from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
+        from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
+
+    free, number = grid.free, np.arange(grid.free.size).reshape(grid.free.shape)
+    ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
+    square = ahead[:, :-1] & ahead[:, 1:]
+    pairs = (
+        (number[:-1][ahead], number[1:][ahead], 1.0),
+        (number[:, :-1][side], number[:, 1:][side], 1.0),
+        (number[:-1, :-1][square], number[1:, 1:][square], math.sqrt(2.0)),
+        (number[1:, :-1][square], number[:-1, 1:][square], math.sqrt(2.0)),
+    )
+    rows, columns = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+    costs = np.concatenate([np.full(len(one), cost * grid.side) for one, _, cost in pairs])
+    graph = csr_array((costs, (rows, columns)), shape=(free.size, free.size))
     search_from: Any = dijkstra  # its stubs know no single start
-    _, before = search_from(_graph(grid), directed=False, indices=start, return_predecessors=True)
+    _, before = search_from(graph, directed=False, indices=start, return_predecessors=True)
     if start != goal and before[goal] < 0:
         return None
     way = [goal]
     while way[-1] != start:
         way.append(int(before[way[-1]]))
     return np.array(way[::-1])
-
-
-def _graph(grid: Grid) -> Any:
-    """Neighbouring free cells as a sparse matrix of distances."""
-    from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
-
-    rows, columns, costs = _edges(grid)
-    return csr_array((costs, (rows, columns)), shape=(grid.free.size, grid.free.size))
 
 
 def may_leave(grid: Grid, start: int, goal: int) -> bool:
@@ -180,23 +172,3 @@ def may_leave(grid: Grid, start: int, goal: int) -> bool:
     parts = label(grid.free, np.ones((3, 3)))[0]
     edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
     return bool(np.isin(parts.flat[[start, goal]], edges).all())
-
-
-def _edges(grid: Grid) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats]:
-    """Pairs of neighbouring free cells and their distances; diagonals don't cut corners."""
-    free = grid.free
-    number = np.arange(free.size).reshape(free.shape)
-    ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
-    square = ahead[:, :-1] & ahead[:, 1:]
-    kinds = (
-        (number[:-1][ahead], number[1:][ahead], 1.0),
-        (number[:, :-1][side], number[:, 1:][side], 1.0),
-        (number[:-1, :-1][square], number[1:, 1:][square], math.sqrt(2.0)),
-        (number[1:, :-1][square], number[:-1, 1:][square], math.sqrt(2.0)),
-    )
-    costs = [np.full(len(one), cost * grid.side) for one, _, cost in kinds]
-    return (
-        np.concatenate([one for one, _, _ in kinds]),
-        np.concatenate([other for _, other, _ in kinds]),
-        np.concatenate(costs),
-    )

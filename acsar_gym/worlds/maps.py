@@ -17,17 +17,16 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field
 
-from acsar_gym.errors import MissingExtraError, WorldError, show_value
-from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES
+from acsar_gym.config.section import Section
+from acsar_gym.errors import ConfigError, MissingExtraError, WorldError, show_value
+from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 PICTURE_SUFFIXES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
 PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 """Formats that Pillow may try; PGM is a PPM for it."""
-MAX_KEYS = 100
 MAX_MAP_PIXELS = 4096 * 4096
 UNSOUND_PICTURE = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
 PLAIN_MAGIC = (b"P1", b"P2", b"P3")
@@ -48,20 +47,18 @@ PICTURE_ERRORS = (
 """Exceptions that Pillow raises for broken pictures."""
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Size = Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
-Angle = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 
-class MapSettings(BaseModel):
+class MapSettings(Section):
     """The YAML of a map; http://wiki.ros.org/map_server describes it."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(extra="ignore")
 
     image: Annotated[str, Field(min_length=1, max_length=1000)]
     """File of the picture; a relative path starts at the YAML's folder."""
-    resolution: Size
+    resolution: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
     """Size of a pixel [m]."""
-    origin: tuple[Coordinate, Coordinate, Angle]
+    origin: tuple[Coordinate, Coordinate, Annotated[float, Field(strict=True)]]
     """x, y [m] and yaw [rad] of the lower left corner of the lower left pixel."""
     negate: bool = False
     """Whether white is occupied, instead of black."""
@@ -80,24 +77,16 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
     Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
     """
     fields = MapSettings.model_fields
-    if len(data) > MAX_KEYS:
-        raise WorldError(f"has {len(data):,} keys, at most {MAX_KEYS} are read")
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
             raise WorldError(f"unknown key {show_value(key)}; did you mean {near[0]!r}?")
+    missing = [key for key in fields if fields[key].is_required() and data.get(key) is None]
+    if missing:
+        raise WorldError(f"{', '.join(missing)}: is missing: add it")
     try:
-        return MapSettings.model_validate({key: data[key] for key in fields if key in data})
-    except ValidationError as error:
-        parts = [_problem(item) for item in error.errors(include_url=False)]
-        raise WorldError("; ".join(parts)) from None
-
-
-def _problem(item: Mapping[str, Any]) -> str:
-    """One line for a validation error."""
-    name = ".".join(map(str, item["loc"]))
-    if item["type"] == "missing":
-        return f"{name}: is missing: add it"
-    return f"{name} = {show_value(item['input'])}: {item['msg'].replace('Input should', 'must')}"
+        return MapSettings.model_validate(data)
+    except ConfigError as error:
+        raise WorldError(str(error)) from None
 
 
 def map_segments(picture: bytes, config: MapSettings) -> Floats:
@@ -114,8 +103,10 @@ def map_segments(picture: bytes, config: MapSettings) -> Floats:
         WorldError: the picture is broken, too large or too detailed.
         MissingExtraError: Pillow isn't installed.
     """
+    levels, shades, opaque = _read_levels(picture)
+    mask = occupied_shades(shades, config)[levels]
+    lines = trace_outlines(mask if opaque is None else mask & opaque) * config.resolution
     x, y, yaw = config.origin
-    lines = trace_outlines(_mask(picture, config)) * config.resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
     turned = lines.reshape(-1, 2) @ np.array([[cos, sin], [-sin, cos]])
     moved: Floats = (turned + np.array([x, y])).reshape(-1, 4)
@@ -130,12 +121,10 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
         config: settings of the map.
     """
     bright = 1.0 - shades if config.negate else shades
-    if config.mode == "raw":
-        percent = np.round(bright * 255.0)
-        raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
-        return raw
+    percent = np.round(bright * 255.0)
+    raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
     dark: Mask = 1.0 - bright > config.occupied_thresh
-    return dark
+    return raw if config.mode == "raw" else dark
 
 
 def trace_outlines(mask: Mask) -> Floats:
@@ -151,8 +140,8 @@ def trace_outlines(mask: Mask) -> Floats:
         WorldError: for more than 20,000.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
-    level, left, right = _runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
-    upright, low, high = _runs(np.diff(filled, axis=1)[1:-1].T != 0)
+    level, left, right = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
+    upright, low, high = _find_runs(np.diff(filled, axis=1)[1:-1].T != 0)
     if len(level) + len(upright) > MAX_OBSTACLES:
         raise WorldError(
             f"its outlines are {len(level) + len(upright):,} segments, at most {MAX_OBSTACLES:,} "
@@ -163,65 +152,50 @@ def trace_outlines(mask: Mask) -> Floats:
     return np.concatenate([rows, columns]).astype(np.float64)
 
 
-def _runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def _find_runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Line, first and one past the last index of every run of true values along lines."""
     steps = np.diff(np.pad(edges, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     lines, firsts = np.nonzero(steps == 1)
     return lines, firsts, np.nonzero(steps == -1)[1]
 
 
-def _mask(picture: bytes, config: MapSettings) -> Mask:
-    """Which pixels of a picture file's content are occupied; transparent ones aren't."""
-    levels, shades, opaque = _levels(picture)
-    mask: Mask = occupied_shades(shades, config)[levels]
-    return mask if opaque is None else mask & opaque
+def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
+    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque.
 
-
-def _levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque."""
+    A level is the grey value or the sum of three colours, to use less memory.
+    """
     try:
         from PIL import Image  # noqa: PLC0415
     except ImportError:
         raise MissingExtraError("reading a map's picture", "pictures") from None
+    plain = picture[:2] in PLAIN_MAGIC
     if picture[:1] == b"P":
         header = PNM_HEADER.match(picture[:MAX_HEADER])
-        if not header or (picture[:2] in PLAIN_MAGIC and picture.find(b"#", header.end()) >= 0):
+        if not header or (plain and picture.find(b"#", header.end()) >= 0):
             raise WorldError(UNSOUND_PICTURE)
     if picture[:2] in (b"\x89P", b"\xff\xd8") and len(picture) > MAX_PACKED_BYTES:
         raise WorldError(f"has more than {MAX_PACKED_BYTES / 1e6:g} MB: save it as PGM")
+    most = MAX_PLAIN_PIXELS if plain else MAX_MAP_PIXELS
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(picture), formats=PILLOW_FORMATS) as image:
                 width, height = image.size
-                _check_size(
-                    width,
-                    height,
-                    MAX_PLAIN_PIXELS if picture[:2] in PLAIN_MAGIC else MAX_MAP_PIXELS,
-                )
-                return _brightness(image)
+                if width * height > most:
+                    binary = ", or save it in binary form" if plain else ""
+                    raise WorldError(
+                        f"is {width:,} x {height:,} pixels, more than {most:,}: crop or shrink "
+                        f"it{binary}"
+                    )
+                if image.mode.startswith("I"):  # 16 bits, which Pillow would clip, not scale
+                    grey = np.clip(np.asarray(image), 0, 65535)
+                    return grey, np.arange(65536) / 65535.0, None
+                if image.mode in ("1", "L"):
+                    return np.asarray(image.convert("L")), np.arange(256) / 255.0, None
+                pixels = np.asarray(image.convert("RGBA"))
     except Image.DecompressionBombError:
         raise WorldError(f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it") from None
     except PICTURE_ERRORS:
         raise WorldError(UNSOUND_PICTURE) from None
-
-
-def _check_size(width: int, height: int, most: int) -> None:
-    """WorldError where a picture has too many pixels."""
-    if width * height > most:
-        plain = ", or save it in binary form" if most == MAX_PLAIN_PIXELS else ""
-        raise WorldError(
-            f"is {width:,} x {height:,} pixels, more than {most:,}: crop or shrink it{plain}"
-        )
-
-
-def _brightness(image: Any) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """As `_levels`; a level is the grey value or the sum of three colours, to use less memory."""
-    if image.mode.startswith("I"):  # 16 bits, which Pillow would clip instead of scaling
-        grey = np.clip(np.asarray(image), 0, 65535)
-        return grey, np.arange(65536) / 65535.0, None
-    if image.mode in ("1", "L"):
-        return np.asarray(image.convert("L")), np.arange(256) / 255.0, None
-    pixels = np.asarray(image.convert("RGBA"))
     levels = pixels[:, :, 0].astype(np.uint16) + pixels[:, :, 1] + pixels[:, :, 2]
     return levels, np.arange(766) / 3.0 / 255.0, pixels[:, :, 3] == 255

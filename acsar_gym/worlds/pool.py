@@ -84,21 +84,30 @@ class Pool:
         Raises:
             WorldError: for anything else.
         """
-        worlds = _given(source)
+        kind, worlds = "given", None
+        if isinstance(source, str | Path):
+            kind, worlds = str(source), read_worlds(source)
+        else:
+            given = [source] if isinstance(source, World) else source
+            worlds = list(given) if isinstance(given, Sequence) else []
+            if not worlds or not all(isinstance(world, World) for world in worlds):
+                raise WorldError(
+                    f"worlds = {show_value(source)}: must be a file, a folder, a list of World, or "
+                    f"a kind of world ({', '.join(registry.list_kinds())})"
+                )
         if worlds is not None:
-            given = str(source) if isinstance(source, str | Path) else "given"
             ready = [check_world(world, radius) for world in worlds]
-            return cls(given, range(len(ready)), ready.__getitem__, radius)
-        name, numbers = _numbers(str(source), count)
+            return cls(kind, range(len(ready)), ready.__getitem__, radius)
+        name, numbers = _parse_source(str(source), count)
         generators.check_kind(name.kind, difficulty)
         module = name.module or registry.home_module(name.kind)
-        make, kind = partial(_generated, module, name.kind, difficulty, radius), name.kind
-        return cls(kind, numbers, make, radius, difficulty, generated=True)
+        make = partial(_make_world, module, name.kind, difficulty, radius)
+        return cls(name.kind, numbers, make, radius, difficulty, generated=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles make their worlds again."""
-        told = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
-        return partial(Pool, generated=self.generated), told
+        arguments = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
+        return partial(Pool, generated=self.generated), arguments
 
     def __str__(self) -> str:
         """Title of a table, such as "clutter 0 to 199 (test split)"."""
@@ -131,12 +140,11 @@ class Pool:
             raise WorldError(
                 f"difficulty: {len(self):,} worlds, at most {MAX_RANKED:,} can be ordered"
             )
-        levels = [
-            generators.draw_difficulty(self.kind, number, self.difficulty)
-            for number in self.numbers
-        ]
+        levels = np.array(
+            [generators.draw_difficulty(self.kind, n, self.difficulty) for n in self.numbers]
+        )
         order = np.argsort(levels, kind="stable").astype(np.int64)
-        return order, np.array(levels)[order]
+        return order, levels[order]
 
     def ranks(self, difficulty: Level) -> range:
         """Range of ranks (see `by_difficulty`) whose difficulty is in a range (low, high).
@@ -154,7 +162,7 @@ class Pool:
         return range(int(first), int(last))
 
 
-def _generated(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
+def _make_world(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
     """Make a world, also in a process that hasn't imported the generator's module yet."""
     registry.import_generator(module, kind)
     return cache.cached_world(kind, number, difficulty, radius)
@@ -181,22 +189,6 @@ def check_world(world: World, radius: float) -> World:
     return world
 
 
-def _given(source: Any) -> list[World] | None:
-    """Worlds that exist already; None for the name of a generator."""
-    if isinstance(source, World):
-        return [source]
-    if isinstance(source, str | Path):
-        return read_worlds(source)
-    worlds = list(source) if isinstance(source, Sequence) else []
-    if not worlds or not all(isinstance(world, World) for world in worlds):
-        raise WorldError(
-            f"worlds = {show_value(source)}: must be a file, a folder, a list of World, "
-            "or a kind of "
-            f"world ({', '.join(registry.list_kinds())})"
-        )
-    return worlds
-
-
 def read_worlds(source: str | Path) -> list[World] | None:
     """Read worlds of a file or a folder; None for the name of a generator.
 
@@ -211,30 +203,27 @@ def read_worlds(source: str | Path) -> list[World] | None:
             return files.load_folder(path)
         return [files.load_world(path)] if named or path.exists() else None
     except (OSError, ValueError) as error:
-        raise WorldError(
-            f"worlds = {show_value(str(source))}: can't be read: {explain_error(error)}"
-        ) from None
+        reason = explain_error(error)
+        raise WorldError(f"worlds = {show_value(str(source))}: can't be read: {reason}") from None
 
 
-def _numbers(text: str, count: int | None) -> tuple[registry.WorldsName, range]:
-    """The parts of a name, and the numbers of its worlds."""
+def _parse_source(text: str, count: int | None) -> tuple[registry.WorldsName, range]:
+    """The parts of a generator's name, and the numbers of its worlds."""
     name = registry.parse_name(text)
     if name is None:
         raise WorldError(
             f"worlds = {show_value(text)}: must be like 'clutter:test', 'clutter:50', "
-            "'clutter:50-99' "
-            "or a path"
+            "'clutter:50-99' or a path"
         )
-    said = name.numbers
-    first, _, last = said.partition("-")
+    first, _, last = name.numbers.partition("-")
     if last:
         numbers = range(int(first), int(last) + 1)
     elif first.isdigit():
         numbers = range(int(first))
-    elif not said and count is not None:
+    elif not first and count is not None:
         numbers = range(count)
     else:
-        numbers = registry.split_numbers(name.kind, said or registry.TRAIN)
+        numbers = registry.split_numbers(name.kind, first or registry.TRAIN)
     if not numbers:
         raise WorldError(f"worlds = {text!r}: holds no world")
     if numbers[-1] - numbers[0] >= MAX_NUMBERS:

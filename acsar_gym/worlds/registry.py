@@ -1,6 +1,6 @@
 """Generators of worlds by name, and the splits of their worlds.
 
-"clutter:test", "mine.module:corridors:0-99".
+A name of worlds is like "clutter:test", "clutter:50" or "mine.module:corridors:0-99".
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import importlib.util
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import FunctionType
@@ -21,103 +21,6 @@ from typing import TYPE_CHECKING, Any
 from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
 from acsar_gym.worlds.world import World
 
-
-def hash_function(function: Any) -> str:
-    """Hash the source of a function's module, and of the user's own modules that it imports.
-
-    Only the versions of other installed packages count; this package has a hash of its own.
-
-    Args:
-        function: a generator of worlds.
-
-    Returns:
-        The hash; empty for anything but a plain function of a module, such as a closure or a
-        function with default arguments that aren't numbers or strings, and where there is no
-        source file, as in a notebook.
-    """
-    if not isinstance(function, FunctionType) or function.__closure__:
-        return ""
-    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
-    sources = hash_modules(function.__module__) if all(map(_exact, defaults)) else ""
-    said = f"{function.__qualname__} {defaults} {sources}"
-    return hashlib.sha256(said.encode()).hexdigest() if sources else ""
-
-
-def hash_modules(*modules: str) -> str:
-    """Hash the sources of modules, and of the user's own modules that they import.
-
-    Args:
-        *modules: their names.
-
-    Returns:
-        The hash; empty where a module has no source file.
-    """
-    said = hashlib.sha256()
-    try:
-        for module in modules:
-            for name, content in sorted(_sources(module).items()):
-                said.update(f"{name} {len(content)} ".encode() + content)
-    except (OSError, SyntaxError, ValueError):
-        return ""
-    return said.hexdigest()
-
-
-def _exact(value: Any) -> bool:
-    """Whether the value's repr() is all of it."""
-    if isinstance(value, tuple):
-        return all(map(_exact, value))
-    return value is None or type(value) in (bool, int, float, str)
-
-
-def _sources(first: str) -> dict[str, bytes]:
-    """Contents of a module and of all that it imports, directly or indirectly, by their names."""
-    found: dict[str, bytes] = {}
-    waiting = [first]
-    while waiting:
-        name = waiting.pop()
-        file = _file(name)
-        if name in found or (file is None and name != first):
-            continue
-        if file is None:
-            raise OSError(name)
-        if _installed(file) and name.partition(".")[0] != first.partition(".")[0]:
-            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
-            continue
-        found[name] = file.read_bytes()
-        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        waiting += _imported_modules(found[name], package)
-    return found
-
-
-def _imported_modules(source: bytes, package: str) -> Iterator[str]:
-    """Names of modules that source code may import, except Python's own and this package's."""
-    for node in ast.walk(ast.parse(source)):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        for name in names:
-            if name.partition(".")[0] not in {*sys.stdlib_module_names, "acsar_gym"}:
-                yield name
-
-
-def _file(name: str) -> Path | None:
-    """The source file of a module; None where there is none."""
-    module = sys.modules.get(name)
-    try:
-        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
-    except (ImportError, AttributeError, ValueError):
-        return None
-    return Path(file) if file and file.endswith(".py") else None
-
-
-def _installed(file: Path) -> bool:
-    """Whether a file belongs to an installed package."""
-    return bool({"site-packages", "dist-packages"} & {*file.parts})
-
-
 if TYPE_CHECKING:
     import numpy as np
 
@@ -125,7 +28,21 @@ BUILT_IN_KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_p
 """Names of the generators of this package."""
 MAX_GENERATOR_NAME = 40
 """Most characters of a name."""
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
+TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
+SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
+"""What may follow the name of a kind, as in "clutter:test"."""
+_SPLIT_NUMBERS = {
+    TRAIN: range(1000, 1400),
+    VALIDATION: range(900, 964),
+    TEST: range(200),
+    BENCHMARK: range(100_000, 101_000),
+}
+"""Those of the benchmark are far from numbers that anybody would train in by hand."""
+_BARN_TEST = range(300)
+"""As many as BARN has published."""
+_NUMBERS = rf"(?::({'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?"
+_KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS}")
+_FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS}", re.ASCII)
 
 Maker = Callable[["np.random.Generator", float, float], World]
 """Takes (rng, difficulty, footprint radius [m]), and makes a world that may not be solvable."""
@@ -141,13 +58,18 @@ class OwnGenerator:
 
     name: str
     make: Maker
-    home: str
-    """The module of `make`, which should be the one that registers it."""
     source: str
     """Hash of the source that its worlds depend on; empty where it can't be known."""
 
-    def __str__(self) -> str:
-        return f"generator {self.name!r} of {self.home}"
+    @property
+    def home(self) -> str:
+        """The module of `make`, which should be the one that registers it."""
+        return str(getattr(self.make, "__module__", None) or type(self.make).__module__)
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Module and name of `make`."""
+        return self.home, str(getattr(self.make, "__qualname__", type(self.make).__qualname__))
 
     def world(self, rng: np.random.Generator, difficulty: float, radius: float) -> World:
         """Call the generator once.
@@ -156,15 +78,16 @@ class OwnGenerator:
             GeneratorError: it raised an error, or returned something else than a World.
             WorldError: this attempt failed; the next one may succeed.
         """
+        this = f"generator {self.name!r} of {self.home}"
         try:
-            made = self.make(rng, difficulty, radius)
+            world = self.make(rng, difficulty, radius)
         except WorldError:
             raise
         except Exception as error:
-            raise GeneratorError(f"{self}: raised {one_line_error(error)}") from error
-        if not isinstance(made, World):
-            raise GeneratorError(f"{self}: returned {show_value(made)}, must return a World")
-        return made
+            raise GeneratorError(f"{this}: raised {one_line_error(error)}") from error
+        if not isinstance(world, World):
+            raise GeneratorError(f"{this}: returned {show_value(world)}, must return a World")
+        return world
 
 
 _OWN: dict[str, OwnGenerator] = {}
@@ -198,23 +121,12 @@ def register(name: str, make: Maker) -> None:
         ConfigError: for another form of name, one that is taken, or a `make` that can't be called
             with three arguments. The same function of the same module may be registered again.
     """
-    if not isinstance(name, str) or not _NAME.fullmatch(name) or len(name) > MAX_GENERATOR_NAME:
+    form = rf"[a-z][a-z0-9_]{{0,{MAX_GENERATOR_NAME - 1}}}"
+    if not isinstance(name, str) or not re.fullmatch(form, name):
         raise ConfigError(
-            f"register({show_value(name)}): a generator's name must be lower-case "
-            "letters, digits and "
-            f"underscores, at most {MAX_GENERATOR_NAME}, beginning with a letter"
+            f"register({show_value(name)}): a generator's name must be lower-case letters, digits "
+            f"and underscores, at most {MAX_GENERATOR_NAME}, beginning with a letter"
         )
-    _check_callable(name, make)
-    home, other = _home(make), _OWN.get(name)
-    taken = other is not None and (_home(other.make), _called(other.make)) != (home, _called(make))
-    if name in BUILT_IN_KINDS or taken:
-        owner = "acsar_gym" if other is None else other.home
-        raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
-    _OWN[name] = OwnGenerator(name, make, home, hash_function(make))
-
-
-def _check_callable(name: str, make: Any) -> None:
-    """ConfigError for something that can't be called with three arguments."""
     try:
         inspect.signature(make).bind(None, 0.0, 0.0)
     except (TypeError, ValueError):
@@ -222,16 +134,11 @@ def _check_callable(name: str, make: Any) -> None:
             f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
         ) from None
-
-
-def _home(make: Maker) -> str:
-    """Name of the module of a generator."""
-    return str(getattr(make, "__module__", None) or type(make).__module__)
-
-
-def _called(make: Maker) -> str:
-    """Name of a generator within its module."""
-    return str(getattr(make, "__qualname__", type(make).__qualname__))
+    new, other = OwnGenerator(name, make, hash_function(make)), _OWN.get(name)
+    if name in BUILT_IN_KINDS or (other is not None and other.place != new.place):
+        owner = "acsar_gym" if other is None else other.home
+        raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
+    _OWN[name] = new
 
 
 def one_line_error(error: BaseException) -> str:
@@ -258,9 +165,8 @@ def check_registered(kind: str) -> None:
     """Raise WorldError for a name that no generator has."""
     if kind not in list_kinds():
         raise WorldError(
-            f"unknown kind of world {kind!r}{suggest_name(kind, list_kinds())}; that of "
-            "another package "
-            "is named with the module that registers it, as in "
+            f"unknown kind of world {kind!r}{suggest_name(kind, list_kinds())}; that of another "
+            "package is named with the module that registers it, as in "
             f"'mine.module:{kind[:MAX_GENERATOR_NAME]}'"
         )
 
@@ -275,30 +181,20 @@ def import_generator(module: str, kind: str) -> None:
         return
     if "" not in sys.path:
         sys.path.append("")  # modules in the current folder
+    where = f"worlds = '{module}:{kind}'"
     try:
         importlib.import_module(module)
     except ImportError as error:
         raise WorldError(
-            f"worlds = '{module}:{kind}': can't import {module}: {one_line_error(error)}; "
-            "install it, or "
-            "name its folder in PYTHONPATH"
+            f"{where}: can't import {module}: {one_line_error(error)}; install it, or name its "
+            "folder in PYTHONPATH"
         ) from None
     except (Exception, SystemExit) as error:
-        raise WorldError(
-            f"worlds = '{module}:{kind}': importing {module} raised {one_line_error(error)}"
-        ) from error
+        raise WorldError(f"{where}: importing {module} raised {one_line_error(error)}") from error
     if kind not in _OWN:
         raise WorldError(
-            f"worlds = '{module}:{kind}': importing {module} registers no {kind!r}"
-            f"{suggest_name(kind, list_kinds())}"
+            f"{where}: importing {module} registers no {kind!r}{suggest_name(kind, list_kinds())}"
         )
-
-
-_NUMBERS_PATTERN = r"(?::(train|validation|test|benchmark|\d{1,15}(?:-\d{1,15})?))?"
-_KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS_PATTERN}")
-_FOREIGN = re.compile(
-    rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS_PATTERN}", re.ASCII
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,8 +216,7 @@ class WorldsName:
 
 def parse_name(text: str) -> WorldsName | None:
     """Split a name into its parts; None for a text of another form. Imports nothing."""
-    match = _KIND.fullmatch(text)
-    if match:
+    if match := _KIND.fullmatch(text):
         return WorldsName("", match[1], match[2] or "")
     match = _FOREIGN.fullmatch(text)
     if match is None or match[1] in BUILT_IN_KINDS:
@@ -348,20 +243,6 @@ def parse_known_name(text: str) -> WorldsName | None:
     return name if name.kind in list_kinds() else None
 
 
-TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
-SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
-"""What may follow the name of a kind, as in "clutter:test"."""
-_NUMBERS = {
-    TRAIN: range(1000, 1400),
-    VALIDATION: range(900, 964),
-    TEST: range(200),
-    BENCHMARK: range(100_000, 101_000),
-}
-"""Those of the benchmark are far from numbers that anybody would train in by hand."""
-_BARN_TEST = range(300)
-"""As many as BARN has published."""
-
-
 def split_numbers(kind: str, split: str) -> range:
     """World numbers of a split.
 
@@ -369,7 +250,7 @@ def split_numbers(kind: str, split: str) -> range:
     299 of BARN), and 100000 to 100999 for the benchmark, whose worlds nobody has looked at while
     methods were chosen.
     """
-    return _BARN_TEST if (kind, split) == ("barn", TEST) else _NUMBERS[split]
+    return _BARN_TEST if (kind, split) == ("barn", TEST) else _SPLIT_NUMBERS[split]
 
 
 def find_split(kind: str, some: range) -> str:
@@ -388,3 +269,92 @@ def add_test_split(source: Any) -> Any:
     """
     name = parse_known_name(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"
+
+
+def hash_function(function: Any) -> str:
+    """Hash the source of a function's module, and of the user's own modules that it imports.
+
+    Only the versions of other installed packages count; this package has a hash of its own.
+
+    Args:
+        function: a generator of worlds.
+
+    Returns:
+        The hash; empty for anything but a plain function of a module, such as a closure or a
+        function with default arguments that aren't numbers or strings, and where there is no
+        source file, as in a notebook.
+    """
+    if not isinstance(function, FunctionType) or function.__closure__:
+        return ""
+    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
+    sources = hash_modules(function.__module__) if all(map(_repr_is_exact, defaults)) else ""
+    text = f"{function.__qualname__} {defaults} {sources}"
+    return hashlib.sha256(text.encode()).hexdigest() if sources else ""
+
+
+def _repr_is_exact(value: Any) -> bool:
+    """Whether the value's repr() is all of it."""
+    if isinstance(value, tuple):
+        return all(map(_repr_is_exact, value))
+    return value is None or type(value) in (bool, int, float, str)
+
+
+def hash_modules(*modules: str) -> str:
+    """Hash the sources of modules, and of the user's own modules that they import.
+
+    Args:
+        *modules: their names.
+
+    Returns:
+        The hash; empty where a module has no source file.
+    """
+    digest = hashlib.sha256()
+    try:
+        for module in modules:
+            for name, content in sorted(_read_sources(module).items()):
+                digest.update(f"{name} {len(content)} ".encode() + content)
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return digest.hexdigest()
+
+
+def _read_sources(first: str) -> dict[str, bytes]:
+    """Contents of a module and of all that it imports, directly or indirectly, by their names.
+
+    Python's own modules and this package's don't count; of installed ones only their version.
+    """
+    found: dict[str, bytes] = {}
+    waiting = [first]
+    while waiting:
+        name = waiting.pop()
+        file = _source_file(name)
+        if file is None and name == first:
+            raise OSError(name)
+        if file is None or name in found:
+            continue
+        installed = {"site-packages", "dist-packages"} & {*file.parts}
+        if installed and name.partition(".")[0] != first.partition(".")[0]:
+            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            continue
+        found[name] = file.read_bytes()
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+        imported: list[str] = []
+        for node in ast.walk(ast.parse(found[name])):
+            if isinstance(node, ast.Import):
+                imported += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        ours = {*sys.stdlib_module_names, "acsar_gym"}
+        waiting += [module for module in imported if module.partition(".")[0] not in ours]
+    return found
+
+
+def _source_file(name: str) -> Path | None:
+    """The source file of a module; None where there is none."""
+    module = sys.modules.get(name)
+    try:
+        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(file) if file and file.endswith(".py") else None

@@ -1,7 +1,4 @@
-"""A world: circles and segments around a robot, start and goal.
-
-And the scene that a link builds.
-"""
+"""A world: circles and segments around a robot, start and goal; the scene that a link builds."""
 
 from __future__ import annotations
 
@@ -16,7 +13,12 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, show_value
 
+if TYPE_CHECKING:
+    from acsar_gym.physics import Physics
+
 Floats = NDArray[np.float64]
+Pose = tuple[float, float, float]
+"""x [m], y [m], theta [rad]."""
 MAX_OBSTACLES = 20_000
 """A world with more circles and segments than this is refused."""
 MAX_COORDINATE = 1e4
@@ -45,9 +47,8 @@ class Region:
             sound = False
         if not sound or self.radius < 0.0:
             raise WorldError(
-                f"region {show_value(numbers)}: x, y, radius [m] and theta [rad] must be "
-                "numbers of at "
-                f"most {MAX_COORDINATE:g}, the radius not negative"
+                f"region {show_value(numbers)}: x, y, radius [m] and theta [rad] must be numbers "
+                f"of at most {MAX_COORDINATE:g}, the radius not negative"
             )
 
 
@@ -73,10 +74,9 @@ class World:
     """For pictures and reports."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "circles", _rows("circles", self.circles, 3))
-        object.__setattr__(self, "segments", _rows("segments", self.segments, 4))
-        if self.path is not None:
-            object.__setattr__(self, "path", _rows("path", self.path, 2))
+        for name, width in (("circles", 3), ("segments", 4), ("path", 2)):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _validate_rows(name, getattr(self, name), width))
         if (self.circles[:, 2] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
         if self.obstacles > MAX_OBSTACLES:
@@ -99,18 +99,17 @@ class World:
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
         """Least x and y, largest x and y of everything in the world [m]."""
-        circles, segments = self.circles, self.segments
-        points = [circles[:, :2] - circles[:, 2:], circles[:, :2] + circles[:, 2:]]
-        points += [segments[:, :2], segments[:, 2:]]
+        ends = np.array([[end.x, end.y, end.radius] for end in (self.start, self.goal)])
+        discs = np.concatenate([self.circles, ends])
+        points = [discs[:, :2] - discs[:, 2:], discs[:, :2] + discs[:, 2:]]
+        points += [self.segments[:, :2], self.segments[:, 2:]]
         points += [] if self.path is None else [self.path]
-        for region in (self.start, self.goal):
-            points += [np.array([[region.x, region.y]]) + s * region.radius for s in (-1.0, 1.0)]
         every = np.concatenate(points)
         (left, low), (right, high) = every.min(axis=0), every.max(axis=0)
         return float(left), float(low), float(right), float(high)
 
 
-def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
+def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
     """A read-only copy of (n, width) finite numbers; WorldError for anything else."""
     try:
         array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
@@ -126,56 +125,6 @@ def _rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
         raise WorldError(f"{name}: must be finite numbers of at most {MAX_COORDINATE:g} m")
     array.setflags(write=False)
     return array
-
-
-if TYPE_CHECKING:
-    from acsar_gym.physics import Physics
-
-Pose = tuple[float, float, float]
-"""x [m], y [m], theta [rad]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """A robot at rest at `start`, a world around it, and a goal, which only pictures show.
-
-    Everything is in the frame of the world, as is a simulator's ground truth. The odometry frame
-    begins at `start`.
-    """
-
-    start: Pose = (0.0, 0.0, 0.0)
-    """x [m], y [m], theta [rad]."""
-    goal: tuple[float, float] | None = None
-    """x, y [m]; None: not shown."""
-    world: World | None = None
-    """Obstacles; None on an open floor."""
-    physics: Physics | None = None
-    """The simulated robot's physics in this episode; None: as configured."""
-
-
-def to_world(start: Pose, pose: Pose) -> Pose:
-    """Transform a pose from the odometry frame that begins at `start` into the world's frame."""
-    x, y, theta = start
-    cos, sin = math.cos(theta), math.sin(theta)
-    return (
-        x + cos * pose[0] - sin * pose[1],
-        y + sin * pose[0] + cos * pose[1],
-        math.remainder(theta + pose[2], math.tau),
-    )
-
-
-def to_odometry(start: Pose, pose: Pose) -> Pose:
-    """Transform a pose from the world's frame into the odometry frame that begins at `start`."""
-    dx, dy = pose[0] - start[0], pose[1] - start[1]
-    cos, sin = math.cos(start[2]), math.sin(start[2])
-    theta = math.remainder(pose[2] - start[2], math.tau)
-    return cos * dx + sin * dy, cos * dy - sin * dx, theta
-
-
-def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
-    """Transform a point [m] from the odometry frame that begins at `start` to the world's."""
-    x, y, _ = to_world(start, (*point, 0.0))
-    return x, y
 
 
 def make_box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> Floats:
@@ -209,3 +158,46 @@ def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Float
     along = (np.array(end) - start) / length
     ends: Floats = (np.array(start) + pieces.reshape(-1, 1) * along).reshape(-1, 4)
     return ends
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A robot at rest at `start`, a world around it, and a goal, which only pictures show.
+
+    Everything is in the frame of the world, as is a simulator's ground truth. The odometry frame
+    begins at `start`.
+    """
+
+    start: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]."""
+    goal: tuple[float, float] | None = None
+    """x, y [m]; None: not show_value."""
+    world: World | None = None
+    """Obstacles; None on an open floor."""
+    physics: Physics | None = None
+    """The simulated robot's physics in this episode; None: as configured."""
+
+
+def to_world(start: Pose, pose: Pose) -> Pose:
+    """Transform a pose from the odometry frame that begins at `start` into the world's frame."""
+    x, y, theta = start
+    cos, sin = math.cos(theta), math.sin(theta)
+    return (
+        x + cos * pose[0] - sin * pose[1],
+        y + sin * pose[0] + cos * pose[1],
+        math.remainder(theta + pose[2], math.tau),
+    )
+
+
+def to_odometry(start: Pose, pose: Pose) -> Pose:
+    """Transform a pose from the world's frame into the odometry frame that begins at `start`."""
+    dx, dy = pose[0] - start[0], pose[1] - start[1]
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    theta = math.remainder(pose[2] - start[2], math.tau)
+    return cos * dx + sin * dy, cos * dy - sin * dx, theta
+
+
+def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
+    """Transform a point [m] from the odometry frame that begins at `start` to the world's."""
+    x, y, _ = to_world(start, (*point, 0.0))
+    return x, y

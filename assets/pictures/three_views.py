@@ -22,12 +22,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from acsar_gym.links.base import camera_of
+from acsar_gym.render.canvas import INK_COLOUR
 from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
     FLOOR_COLOUR,
     GOAL_COLOUR,
     GRID_COLOUR,
-    INK_COLOUR,
     OBSTACLE_COLOUR,
     ODOM_COLOUR,
     PLAN_COLOUR,

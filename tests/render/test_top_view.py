@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+import io
 import math
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image as Pillow
 from top_view_tools import COURT, FRAME
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
-from acsar_gym.render.canvas import View, _spaced
+from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.render.canvas import View, round_length
 from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
     DECK_COLOUR,
@@ -26,9 +30,10 @@ from acsar_gym.render.top_view import (
     RgbImage,
     TopView,
     TopViewFrame,
-    _thinned,
-    draw_sheet,
+    save_picture,
+    thin_path,
 )
+from acsar_gym.tools.atlas import draw_tile
 from acsar_gym.worlds import Pose, Region, World
 
 
@@ -138,7 +143,7 @@ def test_a_world_looks_the_same_wherever_it_lies(config: RobotConfig) -> None:
     )
     frame = replace(FRAME, world=moved, odom=(x, y, 0.0), goal=(x + 4.0, y + 0.25))
     assert TopView(config).draw(frame).tobytes() == TopView(config).draw(FRAME).tobytes()
-    assert draw_sheet([moved], 1, 200).tobytes() == draw_sheet([COURT], 1, 200).tobytes()
+    assert draw_tile(moved, 200).tobytes() == draw_tile(COURT, 200).tobytes()
 
 
 def test_the_same_frame_is_the_same_picture(config: RobotConfig, top: TopView) -> None:
@@ -195,33 +200,13 @@ def test_the_worlds_path_is_dashed(top: TopView) -> None:
 
 
 def test_long_paths_are_thinned_but_end_where_they_end() -> None:
-    assert _thinned([]).shape == (0, 2)
+    assert thin_path([]).shape == (0, 2)
     for count in (1, 2, 999, 1000, 1001, 4097, 100_003):
         path = [(float(i), -float(i)) for i in range(count)]
-        thin = _thinned(path)
+        thin = thin_path(path)
         assert len(thin) == count if count <= 1000 else 500 <= len(thin) <= 1001
         assert thin[0].tolist() == [0.0, 0.0]
         assert thin[-1].tolist() == list(path[-1])
-
-
-def test_points_within_a_pixel_are_drawn_as_one() -> None:
-    way = np.column_stack([np.linspace(0.0, 100.0, 1001), np.zeros(1001)])
-    spaced = _spaced(way, 2.0)
-    assert len(spaced) == pytest.approx(51, abs=2)
-    assert spaced[0].tolist() == [0.0, 0.0]
-    assert spaced[-1].tolist() == [100.0, 0.0]
-    assert np.diff(spaced[:, 0]).max() == pytest.approx(2.0, abs=0.11)
-    far = way[::100]
-    assert np.array_equal(_spaced(far, 2.0), far)
-    assert len(_spaced(np.zeros((5, 2)), 2.0)) == 2
-
-
-def test_a_thinned_path_looks_the_same(top: TopView) -> None:
-    turns = np.linspace(0.0, 6.0, 50_001)
-    path = list(zip(1.5 + np.cos(turns), np.sin(turns), strict=True))
-    image = top.draw(replace(FRAME, true_path=path))
-    for x, y in path[::2500]:
-        assert near(image, top.view, (x, y), TRUTH_COLOUR)
 
 
 def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:
@@ -239,16 +224,6 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     assert colour(image, top.view, *at(0.0, 1.0)) == SEEN_COLOURS[0]
     for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
-
-
-def test_a_range_that_is_none_reaches_as_far_as_the_lidar(top: TopView) -> None:
-    angles = np.linspace(-0.5, 0.5, 5)
-    pictures = [
-        top.draw(TopViewFrame(rays=(angles, np.full(5, away)), reach=0.5))
-        for away in (math.inf, 9.0, 0.5)
-    ]
-    assert pictures[0].tobytes() == pictures[1].tobytes() == pictures[2].tobytes()
-    assert pictures[0].tobytes() != top.draw(TopViewFrame()).tobytes()
 
 
 def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
@@ -299,16 +274,6 @@ def test_what_stands_still_is_drawn_once(top: TopView) -> None:
     assert (top.layers, top.view) == (4, view)
 
 
-def test_a_goal_that_moves_through_a_world_is_kept_in_view(top: TopView) -> None:
-    top.draw(replace(FRAME, odom=(-9.0, 0.0, 0.0)))
-    grown, layers = top.view, top.layers
-    top.draw(replace(FRAME, goal=(1.0, 1.0)))
-    assert (top.view, top.layers) == (grown, layers)
-    top.draw(replace(FRAME, goal=(1.0, 30.0)))
-    assert top.layers == layers + 1
-    assert top.view.shows(1.0, 30.0, 10.0)
-
-
 def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
     top = TopView(config)
     frame = TopViewFrame(goal=(1.0, 1.0))
@@ -340,3 +305,39 @@ def test_tiny_robots_are_ringed(config: RobotConfig) -> None:
 def test_sizes_that_cannot_be(config: RobotConfig, size: object) -> None:
     with pytest.raises(ConfigError, match=r"size = .*64 to 4096 pixels"):
         TopView(config, size)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("most", "length"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (7.0, 5.0), (0.3, 0.2), (99.0, 50.0)]
+)
+def test_scale_bars_are_of_round_lengths(most: float, length: float) -> None:
+    assert round_length(most) == pytest.approx(length)
+
+
+def test_pictures_are_saved_as_png(tmp_path: Path, top: TopView) -> None:
+    image = top.draw(FRAME)
+    for name in ("a.png", "B.PNG"):
+        save_picture(image, tmp_path / name)
+        file = io.BytesIO((tmp_path / name).read_bytes())
+        with Pillow.open(file) as read:
+            assert read.format == "PNG"
+            assert np.array_equal(np.asarray(read), image)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("a.jpg", "PNG"), ("a", "PNG"), ("none/a.png", "No such file"), (".png", "PNG")],
+)
+def test_pictures_that_cannot_be_saved(tmp_path: Path, name: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"{name}: .*{message}") as caught:
+        save_picture(np.zeros((2, 2, 3), np.uint8), tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / name).exists()
+
+
+def test_without_pillow_the_extra_is_named(
+    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
+        TopView(config)

@@ -89,14 +89,6 @@ def test_as_full_as_the_published_ones(worlds: list[World]) -> None:
     assert max(fills) > 0.22
 
 
-def test_as_many_cylinders_as_in_the_published_ones(worlds: list[World]) -> None:
-    counts = [len(world.circles) for world in worlds]
-    assert min(counts) >= 181
-    assert max(counts) <= 365
-    assert all(len(world.segments) == 0 for world in worlds)
-    assert all((world.circles[:, 2] == 0.075).all() for world in worlds)
-
-
 def test_ways_as_long_as_in_the_published_ones(worlds: list[World]) -> None:
     lengths = [world.length for world in worlds]
     assert min(lengths) >= 10.0
@@ -129,27 +121,17 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
     for world in files.load_folder(PUBLISHED):
         assert (world.start, world.goal) == (generators.BARN_START, generators.BARN_GOAL)
         field = field_of(world)
-        made = generators._cylinders(field)
+        made = generators.place_cylinders(field)
         assert len(made) == len(world.circles)
         both = [rows[np.lexsort(np.rint(rows.T * 1e3))] for rows in (made, world.circles)]
         assert both[0] == pytest.approx(both[1], abs=1e-6)
         assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
-        assert len(list(generators._crossable_fields(field[None]))) == 1
-
-
-def test_cells_are_smoothed_by_the_published_rule() -> None:
-    rng = np.random.default_rng(0)
-    for share in (0.15, 0.3, 0.5):
-        cells = rng.random((4, 30, 30)) < share
-        smoothed = generators._smoothed(cells)
-        for one, result in zip(cells, smoothed, strict=True):
-            assert np.array_equal(result, slowly_smoothed(one))
-        assert not np.array_equal(smoothed, cells)
+        assert len(list(generators.find_crossable(field[None]))) == 1
 
 
 @pytest.mark.parametrize("passes", [2, 3, 4])
 def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None:
-    made = generators._fields(np.random.default_rng(4), 0.25, passes)
+    made = generators.draw_fields(np.random.default_rng(4), 0.25, passes)
     assert made.shape == (generators.FIELDS_AT_ONCE, 30, 30)
     raw = np.random.default_rng(4).random(made.shape) < 0.25
     assert raw.mean() == pytest.approx(0.25, abs=0.01)
@@ -159,14 +141,6 @@ def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None
             cells = slowly_smoothed(cells)  # noqa: PLW2901
         cells[[0, -1]] = True
         assert np.array_equal(cells, field)
-
-
-def test_room_is_where_the_robot_fits() -> None:
-    fields = generators._fields(np.random.default_rng(5), 0.2, 3)[:8]
-    for field, room in zip(fields, generators._room(fields), strict=True):
-        slow = [[fits(field, row, column) for column in range(30)] for row in range(30)]
-        assert np.array_equal(room, slow)
-        assert room.any()
 
 
 def test_ways_over_cells_are_the_robots(worlds: list[World]) -> None:
@@ -182,12 +156,6 @@ def test_ways_over_cells_are_the_robots(worlds: list[World]) -> None:
         centre_line = path[1:-1]
         nearest = segment_clearance(centre_line[:-1], centre_line[1:], world).min()
         assert nearest >= generators.BARN_ROBOT_RADIUS - 1e-9
-
-
-def test_entries_and_exits_are_anywhere(worlds: list[World]) -> None:
-    for end in (1, -2):
-        rows = {int(cells_of(way(world)[end][None])[0, 0]) for world in worlds}
-        assert len(rows) >= 20
 
 
 def test_barns_robot_crosses_every_world(worlds: list[World]) -> None:
@@ -210,15 +178,6 @@ def test_a_wider_footprint_gets_worlds_that_it_can_cross() -> None:
     assert blocked > 0
 
 
-def test_worlds_fill_with_difficulty() -> None:
-    fills = [
-        np.mean([fill(generate_world("barn", number, level)) for number in range(20)])
-        for level in (0.1, 0.3, 0.6, 0.9)
-    ]
-    assert fills == sorted(fills)
-    assert fills[-1] > 2.0 * fills[0]
-
-
 @pytest.mark.parametrize(
     ("low", "high", "same"), [(0.0, 0.24, True), (0.24, 0.26, False), (0.76, 1.0, True)]
 )
@@ -237,7 +196,7 @@ def test_a_field_is_crossable_where_five_cells_are_free(door: int, count: int) -
     field[[0, -1]] = True
     field[:, 15:17] = True
     field[10 : 10 + door, 15:17] = False
-    found = list(generators._crossable_fields(field[None]))
+    found = list(generators.find_crossable(field[None]))
     assert len(found) == count
     for cells, room in found:
         assert np.array_equal(cells, field)
@@ -251,7 +210,7 @@ def test_the_room_is_connected_with_both_ends() -> None:
     field[[0, -1]] = True
     field[15, :] = True
     field[20, 10:] = field[20:, 10] = True
-    found = list(generators._crossable_fields(field[None]))
+    found = list(generators.find_crossable(field[None]))
     assert len(found) == 1
     room = found[0][1]
     assert not room[15:].any()
@@ -266,4 +225,4 @@ def test_fields_emptier_or_fuller_than_the_published_ones_are_left_out(
     field[[0, -1]] = True
     rows, columns = np.divmod(np.arange(filled), 30)
     field[1 + rows, columns] = True
-    assert len(list(generators._crossable_fields(field[None]))) == count
+    assert len(list(generators.find_crossable(field[None]))) == count

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import difficulty, files
+from acsar_gym.worlds import files
 from acsar_gym.worlds.difficulty import (
     VISIBILITY_RAYS,
     VISIBILITY_REACH,
     Difficulty,
     measure_difficulty,
 )
-from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
 from acsar_gym.worlds.world import World
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
@@ -88,24 +85,6 @@ def test_more_points_on_a_path_change_nothing() -> None:
         assert getattr(few, name) == pytest.approx(getattr(many, name))
 
 
-def test_rays_are_those_of_the_range_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    circles = np.column_stack([rng.uniform(-4, 4, (30, 2)), rng.uniform(0.0, 0.4, 30)])
-    starts = rng.uniform(-4, 4, (30, 2))
-    segments = np.column_stack([starts, starts + rng.uniform(-2, 2, (30, 2))])
-    config = RobotConfig.preset("acsar").with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
-    around = make_surroundings(
-        Obstacles(circles, segments), RaySpec(VISIBILITY_RAYS, VISIBILITY_REACH), 1, config
-    )
-    monkeypatch.setattr(difficulty, "RAY_CHUNK", 5000)
-    places = rng.uniform(-4, 4, (20, 2))
-    found = difficulty._ranges(places, World(circles, segments))
-    for place, ranges in zip(places, found, strict=True):
-        expected = np.empty(VISIBILITY_RAYS)
-        cast_rays(place[0], place[1], -1.0, 0.0, 0, around, expected)  # the first ray to the back
-        np.testing.assert_allclose(ranges, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("path", "message"),
     [
@@ -130,12 +109,9 @@ def test_bad_radii_are_refused(radius: float) -> None:
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
-def test_published_worlds_are_measured_in_no_time() -> None:
-    worlds = files.load_folder(BARN)
-    begin = time.process_time()
-    found = [measure_difficulty(world) for world in worlds]
-    assert time.process_time() - begin < 0.1 * len(worlds)
-    for world, one in zip(worlds, found, strict=True):
+def test_published_worlds_are_of_middling_difficulty() -> None:
+    for world in files.load_folder(BARN):
+        one = measure_difficulty(world)
         assert 0.3 < one.closest_obstacle < one.visibility < VISIBILITY_REACH
         assert one.characteristic_dimension < 2.0 * one.visibility
         assert 0.0 < one.dispersion < 8.0

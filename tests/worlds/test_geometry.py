@@ -1,22 +1,33 @@
-"""Rays and collisions against brute force in plain NumPy."""
+"""Rays, collisions and distances against brute force, by hand, and against PyBullet."""
 
 from __future__ import annotations
 
 import math
+import resource
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.physics.bullet import BulletBody
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.generators import generate_world
 from acsar_gym.worlds.geometry import (
+    CLEARANCE_CHUNK,
     Obstacles,
     RaySpec,
     Surroundings,
     cast_rays,
     footprint_collides,
     make_surroundings,
+    measure_ranges,
+    point_clearance,
+    segment_clearance,
 )
 
 CONFIG = RobotConfig.preset("acsar")
@@ -90,80 +101,6 @@ def test_from_inside_an_obstacle_everything_is_near() -> None:
     assert (seen(around, (0.5, 0.0, 0.0)) == 0.0).all()
 
 
-SPACING = 0.0031
-"""No point of the footprint is farther from the nearest point of its grid [m]."""
-
-
-def footprint(pose: Pose, scale: float) -> np.ndarray[Any, Any]:
-    """A grid of points all over the footprint, its border and corners included."""
-    half = scale * np.array([CONFIG.body.length, CONFIG.body.width]) / 2.0
-    grid = np.stack(np.meshgrid(np.linspace(-1, 1, 81), np.linspace(-1, 1, 81)), axis=-1)
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    turned = grid.reshape(-1, 2) * half @ np.array([[c, s], [-s, c]]) + np.array(pose[:2])
-    return np.asarray(turned)
-
-
-def gap_to_circles(points: Any, circles: Any) -> float:
-    return min(float(np.linalg.norm(points - c[:2], axis=1).min() - c[2]) for c in circles)
-
-
-def gap_to_segments(points: Any, segments: Any) -> float:
-    best = math.inf
-    for x1, y1, x2, y2 in segments:
-        start, along = np.array([x1, y1]), np.array([x2 - x1, y2 - y1])
-        share = np.clip((points - start) @ along / (along @ along), 0.0, 1.0)
-        apart = points - start - share[:, None] * along
-        best = min(best, float(np.linalg.norm(apart, axis=1).min()))
-    return best
-
-
-@pytest.mark.parametrize("kind", ["circles", "segments"])
-def test_collisions_are_those_of_a_dense_grid_of_points(kind: str) -> None:
-    """What meets a slightly smaller footprint is hit, what misses every point is not."""
-    rng = np.random.default_rng(3)
-    gaps = {"circles": gap_to_circles, "segments": gap_to_segments}
-    hits = misses = 0
-    for seed in range(80):
-        circles, segments = scene(seed)
-        pose = (*rng.uniform(-4, 4, 2), rng.uniform(-7.0, 7.0))
-        if kind == "circles":
-            around, shapes, gap = Obstacles(circles), circles, gaps[kind]
-        else:
-            around, shapes, gap = Obstacles((), segments), segments, gaps[kind]
-        tools = make_surroundings(around, None, 1, CONFIG)
-        found = footprint_collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, tools)
-        if gap(footprint(pose, 0.96), shapes) <= SPACING:
-            assert found
-            hits += 1
-        elif gap(footprint(pose, 1.0), shapes) > SPACING:
-            assert not found
-            misses += 1
-    assert hits > 5
-    assert misses > 5
-
-
-@pytest.mark.parametrize(
-    ("pose", "hit"),
-    [
-        ((0.0, 0.0, 0.0), False),
-        ((0.031, 0.0, 0.0), True),
-        ((0.029, 0.0, 0.0), False),
-        ((0.0, 0.0, math.pi / 4), True),
-    ],
-)
-def test_a_wall_just_ahead_is_touched_exactly(pose: Pose, hit: bool) -> None:
-    """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
-    around = make_surroundings(Obstacles((), [[0.2, -5.0, 0.2, 5.0]]), None, 1, CONFIG)
-    assert (
-        footprint_collides(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around) == hit
-    )
-
-
-def test_a_wall_through_the_footprint_is_touched_though_no_end_is_inside() -> None:
-    around = make_surroundings(Obstacles((), [[0.0, -5.0, 0.0, 5.0]]), None, 1, CONFIG)
-    assert footprint_collides(0.05, 0.0, 1.0, 0.0, 0, around)
-
-
 @pytest.mark.parametrize(
     ("circles", "segments"),
     [
@@ -184,3 +121,259 @@ def test_malformed_obstacles_are_one_clear_error(circles: Any, segments: Any) ->
 def test_malformed_sensors_are_one_clear_error(spec: tuple[Any, ...]) -> None:
     with pytest.raises(ConfigError, match="must"):
         RaySpec(*spec)
+
+
+NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
+STAR = tuple(
+    (r * math.cos(a), r * math.sin(a))
+    for r, a in zip([0.35, 0.1] * 5, np.arange(10) * math.pi / 5.0, strict=True)
+)
+ASIDE = ((0.5, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.5, -0.1))
+SHAPES: dict[str, Any] = {"notched": NOTCHED, "star": STAR, "aside": ASIDE}
+GRID = 0.004
+"""Between the points of a grid over a footprint [m]."""
+
+
+def hits(config: RobotConfig, circles: Any, segments: Any, poses: Any) -> list[bool]:
+    around = make_surroundings(Obstacles(circles, segments), None, 1, config)
+    return [
+        footprint_collides(x, y, math.cos(a), math.sin(a), 0, around) for x, y, a in poses.tolist()
+    ]
+
+
+def points(outline: Any, grow: float) -> Any:
+    """A grid over an outline, moved outwards or inwards by `grow` along x or y [m]."""
+    span = np.arange(-0.6, 0.6, GRID)
+    x, y = (axis.ravel() for axis in np.meshgrid(span, span))
+    inside = np.zeros(len(x), np.bool_)
+    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if ay != by:
+            inside ^= ((ay > y) != (by > y)) & (x < ax + (bx - ax) * (y - ay) / (by - ay))
+    held = np.column_stack([x, y])[inside]
+    if grow < 0.0:
+        apart = [to_segments(held, [[*a, *b]]) for a, b in sides(outline)]
+        held = held[np.min(apart, axis=0) > -grow]
+    return held
+
+
+def sides(outline: Any) -> Any:
+    return zip(outline, (*outline[1:], outline[0]), strict=True)
+
+
+def to_segments(places: Any, segments: Any) -> Any:
+    """Distance of every point to the nearest segment [m]."""
+    best = np.full(len(places), np.inf)
+    for x1, y1, x2, y2 in np.asarray(segments):
+        start, along = np.array([x1, y1]), np.array([x2 - x1, y2 - y1])
+        share = np.clip((places - start) @ along / (along @ along), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(places - start - share[:, None] * along, axis=1))
+    return best
+
+
+def gap(places: Any, circles: Any, segments: Any) -> float:
+    """From the nearest point to the nearest obstacle [m]."""
+    apart = np.linalg.norm(places[:, None] - circles[None, :, :2], axis=2) - circles[:, 2]
+    to_circles = float(apart.min(initial=math.inf))
+    return min(to_circles, float(to_segments(places, segments).min(initial=math.inf)))
+
+
+@pytest.mark.parametrize("kind", ["circles", "segments"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_collisions_are_those_of_a_dense_grid_of_points(name: str, kind: str) -> None:
+    rng, config = np.random.default_rng(1), CONFIG.with_(footprint=SHAPES[name])
+    outline = config.outline
+    whole, core = points(outline, 0.0), points(outline, -GRID)
+    counts = {True: 0, False: 0}
+    for _ in range(60):
+        circles = np.column_stack([rng.uniform(-1.0, 1.0, (3, 2)), rng.uniform(0.0, 0.2, 3)])
+        starts = rng.uniform(-1.0, 1.0, (3, 2))
+        segments = np.column_stack([starts, starts + rng.uniform(-0.5, 0.5, (3, 2))])
+        pose = np.array([[*rng.uniform(-0.3, 0.3, 2), rng.uniform(-7.0, 7.0)]])
+        c, s = math.cos(pose[0, 2]), math.sin(pose[0, 2])
+        turn = np.array([[c, s], [-s, c]])
+        there = circles[:0] if kind == "segments" else circles
+        walls = segments[:0] if kind == "circles" else segments
+        found = hits(config, there, walls, pose)[0]
+        if gap(core @ turn + pose[0, :2], there, walls) <= GRID / 2.0:
+            assert found
+            counts[True] += 1
+        elif gap(whole @ turn + pose[0, :2], there, walls) > 2.0 * GRID:
+            assert not found
+            counts[False] += 1
+    assert min(counts.values()) > 5
+
+
+def test_a_rectangle_given_as_a_polygon_is_the_box() -> None:
+    rng = np.random.default_rng(2)
+    polygon = CONFIG.with_(footprint=CONFIG.outline)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        circles = np.column_stack([rng.uniform(-2, 2, (8, 2)), rng.uniform(0.0, 0.3, 8)])
+        starts = rng.uniform(-2, 2, (8, 2))
+        segments = np.column_stack([starts, starts + rng.uniform(-1, 1, (8, 2))])
+        poses = rng.uniform(-2.0, 2.0, (200, 3))
+        found = hits(CONFIG, circles, segments, poses)
+        assert hits(polygon, circles, segments, poses) == found
+        assert 0 < sum(found) < 200
+
+
+@pytest.mark.parametrize(
+    ("x", "theta", "hit"),
+    [(0.0, 0.0, False), (0.031, 0.0, True), (0.029, 0.0, False), (0.0, math.pi / 4, True)],
+)
+def test_a_wall_just_ahead_is_touched_exactly(x: float, theta: float, hit: bool) -> None:
+    """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
+    assert hits(CONFIG, (), [[0.2, -5.0, 0.2, 5.0]], np.array([[x, 0.0, theta]])) == [hit]
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "hit"),
+    [
+        ((0.25, 0.0, 0.04), False),  # in the notch
+        ((0.25, 0.0, 0.14), True),
+        ((-0.1, 0.0, 0.01), True),  # within
+        ((0.0, 0.0, 5.0), True),  # around
+        ((-0.26, 0.26, 0.08), False),  # beyond a corner
+        ((-0.26, 0.26, 0.09), True),
+        ((0.2, -0.02, 0.2, 0.02), False),  # in the notch
+        ((0.2, -0.5, 0.2, 0.5), True),  # through both horns
+        ((-0.1, 0.0, -0.05, 0.0), True),  # within
+        ((0.3, -0.1, 0.3, 0.1), False),  # before the notch
+        ((-0.2, 0.5, -0.2, -0.5), True),  # along a side
+        ((-0.5, 0.2001, 0.5, 0.2001), False),
+    ],
+)
+def test_obstacles_in_and_beside_a_notch(obstacle: tuple[float, ...], hit: bool) -> None:
+    config, pose = CONFIG.with_(footprint=NOTCHED), np.zeros((1, 3))
+    if len(obstacle) == 3:
+        assert hits(config, [obstacle], (), pose) == [hit]
+    else:
+        assert hits(config, (), [obstacle], pose) == [hit]
+        assert hits(config, (), [(*obstacle[2:], *obstacle[:2])], pose) == [hit]
+
+
+ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # type: ignore[arg-type]
+SHARES = np.linspace(0.0, 1.0, 401)[:, None]
+coordinates = st.floats(-20.0, 20.0).map(lambda value: round(value, 3))
+
+
+def rows(width: int, most: int = 6) -> st.SearchStrategy[Any]:
+    return st.integers(0, most).flatmap(
+        lambda count: arrays(np.float64, (count, width), elements=coordinates)
+    )
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> World:
+    circles, segments = draw(rows(3)), draw(rows(4))
+    circles[:, 2:] = np.abs(circles[:, 2:]) / 10.0
+    return World(circles, segments)
+
+
+def samples(a: Any, b: Any) -> Any:
+    """Points on the piece from a to b and the farthest that any of its points is from them."""
+    return a + SHARES * (b - a), float(np.hypot(*(b - a))) / (len(SHARES) - 1) / 2.0
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        *(((0.0, 2.0), None, 1.5), ((1.5, 0.0), None, 0.5), ((2.0, 0.3), None, 0.0)),
+        *(((2.0, 3.0), None, 2.0), ((5.0, 5.0), None, 5.0), ((0.1, 0.0), None, -0.4)),
+        ((-1.0, 0.2), (1.0, 0.2), -0.3),  # into the circle
+        ((-3.0, 1.0), (3.0, 1.0), 0.0),  # through the end of the segment
+        ((-3.0, 2.0), (3.0, 2.0), 1.0),
+        ((1.0, 0.7), (4.0, 0.7), 0.0),  # across the segment
+        ((2.0, -3.0), (2.0, 3.0), 0.0),  # along the segment
+        ((3.0, 0.0), (5.0, 0.0), 1.0),
+        ((0.0, 4.0), (0.0, 4.0), 3.5),  # a point
+    ],
+)
+def test_distances_by_hand(a: Any, b: Any, expected: float) -> None:
+    found = point_clearance([a], ROOM) if b is None else segment_clearance([a], [b], ROOM)
+    assert found[0] == pytest.approx(expected, abs=1e-15)
+
+
+def test_of_nothing_and_to_nothing() -> None:
+    assert point_clearance([], ROOM).shape == segment_clearance([], [], ROOM).shape == (0,)
+    assert point_clearance([(0.0, 0.0)], World()).tolist() == [np.inf]
+    assert segment_clearance([(0.0, 0.0)], [(1.0, 0.0)], World()).tolist() == [np.inf]
+    dot = World(segments=np.ones((1, 4)))  # a segment without length
+    assert point_clearance([(1.0, 3.0)], dot).tolist() == [2.0]
+    assert segment_clearance([(0.0, 0.0)], [(2.0, 0.0)], dot).tolist() == [1.0]
+
+
+def test_wrong_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"shape \(N, 2\)"):
+        point_clearance([1.0, 2.0, 3.0], ROOM)
+    with pytest.raises(ValueError, match="2 starts and 1 ends"):
+        segment_clearance([(0.0, 0.0), (1.0, 1.0)], [(1.0, 0.0)], ROOM)
+
+
+@given(world=worlds(), points=rows(2))
+def test_points_are_as_far_as_brute_force_says(world: World, points: Any) -> None:
+    for point, distance in zip(points, point_clearance(points, world), strict=True):
+        x, y, radius = world.circles.T
+        bounds = [(apart, apart) for apart in np.hypot(point[0] - x, point[1] - y) - radius]
+        for segment in world.segments:
+            places, slack = samples(segment[:2], segment[2:])
+            apart = np.hypot(*(places - point).T).min()
+            bounds.append((apart - slack, apart))
+        least, most = np.min(bounds, axis=0) if bounds else (np.inf, np.inf)
+        assert least - 1e-9 <= distance <= most + 1e-9 or distance == most
+
+
+@given(world=worlds(), pieces=rows(4))
+def test_pieces_are_as_far_as_their_nearest_point(world: World, pieces: Any) -> None:
+    a, b = pieces[:, :2], pieces[:, 2:]
+    for start, end, distance in zip(a, b, segment_clearance(a, b, world), strict=True):
+        points, slack = samples(start, end)
+        nearest = point_clearance(points, world).min()
+        assert nearest - slack - 1e-9 <= distance <= nearest + 1e-9 or distance == nearest
+
+
+def test_chunks_make_no_difference() -> None:
+    rng = np.random.default_rng(0)
+    circles = np.column_stack(
+        [rng.uniform(-5.0, 5.0, (CLEARANCE_CHUNK // 8, 2)), np.full(CLEARANCE_CHUNK // 8, 0.01)]
+    )
+    world, points = World(circles), rng.uniform(-5.0, 5.0, (50, 2))
+    one_by_one = [point_clearance([point], world)[0] for point in points]
+    assert point_clearance(points, world).tolist() == one_by_one
+
+
+def test_memory_stays_small() -> None:
+    rng = np.random.default_rng(0)
+    world = World(segments=rng.uniform(-5.0, 5.0, (20_000, 4)))
+    points = rng.uniform(-5.0, 5.0, (300, 2))  # 6 million distances, 48 MB of each vector
+    point_clearance(points[:1], world)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    point_clearance(points, world)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000  # kB
+
+
+REACH = 5.0
+MILLIMETRE = 1e-3
+
+
+def test_what_pybullet_hits_in_the_envs_bodies_lies_on_our_surfaces() -> None:
+    config = CONFIG.with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
+    body, rng = BulletBody(config), np.random.default_rng(0)
+    angles = RaySpec(64, REACH).angles()
+    hits = 0
+    for number in range(10):
+        world = generate_world("clutter", number)
+        place = rng.uniform(-3.0, 3.0, 2)
+        if point_clearance(place[None], world)[0] < 0.3:
+            continue
+        body.reset(Scene(start=(9.0, 9.0, 0.0), world=world))
+        ranges = body.rays((float(place[0]), float(place[1])), angles, REACH)
+        met = ranges < REACH
+        points = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        off = np.abs(point_clearance(points[met], world)).max()
+        assert off < 2.1 * MILLIMETRE  # walls are 2 mm
+        far = measure_ranges((float(place[0]), float(place[1])), angles, world)
+        assert np.mean(np.abs(np.minimum(far, REACH) - ranges) < 5.0 * MILLIMETRE) > 0.9
+        hits += int(met.sum())
+    body.close()
+    assert hits > 200

