@@ -327,5 +327,3 @@ class TimingOptions:
     """Measure how late the control loop's ticks are, compared with a bare loop."""
     duration: float = 10.0
     """Duration of --timing [s]."""
-
-
