@@ -31,6 +31,7 @@ from acsar_gym.errors import (
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.physics import body
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.body import GroundTruth, Image
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.recording import Recorder
@@ -132,14 +133,17 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def _connect(self, link: Any, config: RobotConfig) -> None:
         """Make the robot with its link and sensors, and the screen; opens nothing."""
         asked, human = self._options, self.render_mode == "human"
-        if asked.view == "camera" and isinstance(link, str) and link != "bullet":
+        simulator = BODIES.get(link) if isinstance(link, str) else None
+        has_camera = simulator.has_camera if simulator else not isinstance(link, str)
+        if asked.view == "camera" and not has_camera:
             raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
         sensors = (*self.task.sensors, *asked.sensors)
         if asked.lidar is not None and LIDAR not in sensors:
             raise ConfigError(
                 f"lidar = {show_value(asked.lidar)}: {task_name(self.task)} uses none"
             )
-        own_window = human and link == "bullet" and body.has_display()  # PyBullet's own
+        has_own_window = simulator is not None and simulator.has_window
+        own_window = human and has_own_window and body.has_display()
         if isinstance(link, str | os.PathLike) or not hasattr(link, "advance"):
             link = open_link(link, config, window=own_window, realtime=human)
         step, simulated = self.ticks_per_step * config.period, link.truth is not None

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.links.base import Link
-from acsar_gym.physics.body import Body
+from acsar_gym.physics.bodies import BODIES, make_body
 
 
 class Backend(NamedTuple):
@@ -32,24 +32,10 @@ class Backend(NamedTuple):
     has_window: bool = False
 
 
-def _make_bullet_body(config: RobotConfig, window: bool) -> Body:
-    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415
-
-    return BulletBody(config, window=window)
-
-
-def _make_planar_body(config: RobotConfig, window: bool) -> Body:
-    from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
-
-    return PlanarBody(config)
-
-
-def _make_simulated(
-    make_body: Callable[[RobotConfig, bool], Body], url: str, config: RobotConfig, window: bool
-) -> Link:
+def _make_simulated(url: str, config: RobotConfig, window: bool) -> Link:
     from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
 
-    return SimulatedLink(config, partial(make_body, config, window))
+    return SimulatedLink(config, partial(make_body, url, config, window=window))
 
 
 def _make_serial(url: str, config: RobotConfig, window: bool) -> Link:
@@ -70,16 +56,10 @@ def _make_replay(url: str, config: RobotConfig, window: bool) -> Link:
 
 
 BACKENDS = {
-    "planar": Backend(partial(_make_simulated, _make_planar_body), is_simulated=True),
-    "bullet": Backend(
-        partial(_make_simulated, _make_bullet_body), is_simulated=True, has_window=True
-    ),
-    "replay:": Backend(_make_replay),
-    "serial": Backend(_make_serial, is_real=True),
-}
+    name: Backend(_make_simulated, is_simulated=True, has_window=body.has_window)
+    for name, body in BODIES.items()
+} | {"replay:": Backend(_make_replay), "serial": Backend(_make_serial, is_real=True)}
 """All kinds of links. Devices and URLs that no entry names are serial."""
-SIMULATED_LINKS = tuple(name for name, backend in BACKENDS.items() if backend.is_simulated)
-"""Names of the simulated links."""
 
 LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")
 """What a URL may be like, for messages."""

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import WIRE_LETTERS
-from acsar_gym.errors import ConfigError, require_extra, suggest_name
-from acsar_gym.physics.body import Body, GroundTruth
+from acsar_gym.errors import ConfigError, require_extra
+from acsar_gym.physics.bodies import make_body
+from acsar_gym.physics.body import GroundTruth
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.recording.types import Episode, Floats, Recording, WireLog
 
-TWIN_BODIES = ("planar", "bullet")
 PHASE_TOLERANCE = 0.0005
 """Phases that differ by less are the same [s]."""
 JITTER_WINDOW = 50
@@ -162,7 +162,7 @@ def replay_commands(
     """
     if not len(log.sent_stamps):
         raise ConfigError("the log holds no commands to replay")
-    robot = make_twin_body(body, config)
+    robot = make_body(body, config)
     try:
         firmware = Firmware(config, robot)
         begin = now = _find_beginning(config, firmware, log)
@@ -188,19 +188,6 @@ def replay_commands(
     track[:, 2] = np.unwrap(track[:, 2])
     answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
     return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered), track)
-
-
-def make_twin_body(body: str, config: RobotConfig) -> Body:
-    """Make the physics of a twin; ConfigError for names other than those in TWIN_BODIES."""
-    if body == "planar":
-        from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
-
-        return PlanarBody(config)
-    if body == "bullet":
-        from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415 - optional
-
-        return BulletBody(config)
-    raise ConfigError(f"unknown body {body!r}{suggest_name(body[:40], TWIN_BODIES)}")
 
 
 def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:

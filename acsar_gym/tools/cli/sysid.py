@@ -79,6 +79,7 @@ def identify_robot(
         json: also write the findings to this file.
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
+    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
     check_writable(json, robot=out)
@@ -93,9 +94,9 @@ def identify_robot(
         known = None if robot is None else RobotConfig.of(robot)
         found = identify.identify_files([Path(source) for source in sources], known)
     else:
-        config, simulated = RobotConfig.of(robot), device in ("planar", "bullet")
+        config, simulated = RobotConfig.of(robot), device in BODIES
         if twin is not None and not simulated:
-            raise ConfigError("--twin is for simulated robots: planar or bullet")
+            raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
         link = open_link(device, config if twin is None else RobotConfig.of(twin))
         if not simulated:
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"

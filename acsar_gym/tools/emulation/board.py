@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links import Link, open_link
-from acsar_gym.links.factory import SIMULATED_LINKS
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
@@ -76,8 +76,8 @@ class Emulator:
         name: Path | None = None,
         quirks: Sequence[str] = (),
     ) -> None:
-        if body not in SIMULATED_LINKS:
-            raise ConfigError(f"body = {body!r}: must be {' or '.join(SIMULATED_LINKS)}")
+        if body not in BODIES:
+            raise ConfigError(f"body = {body!r}: must be {' or '.join(BODIES)}")
         odd = parse_quirks(quirks)
         config = apply_to_config(odd, config)
         self._period = 1.0 / config.firmware.loop_rate

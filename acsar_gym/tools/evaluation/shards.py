@@ -17,6 +17,7 @@ from typing import Any
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError, show_value
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
@@ -30,7 +31,6 @@ MAX_SHARD_EPISODES = 10
 """Most episodes of a shard; a dead process costs the time of one shard."""
 SHARDS_PER_WORKER = 4
 """Shards per worker, at least, so that workers finish at about the same time."""
-SIMULATED_LINKS = ("bullet", "planar")
 
 
 @dataclass(frozen=True)
@@ -145,10 +145,10 @@ def evaluate_in_parallel(
     """
     if address is None and workers in (None, 1):
         return runs.evaluate_policy(policy, link, robot, seeds, how=how, **options)
-    if link not in SIMULATED_LINKS:
+    if link not in BODIES:
         raise ConfigError(
             f"--link {show_value(link)}: one process drives one robot: --workers and --address "
-            f"need --link {' or '.join(SIMULATED_LINKS)}"
+            f"need --link {' or '.join(BODIES)}"
         )
     if options.get("record") is not None:
         raise ConfigError("--record and --view: one process records: leave out --workers")

@@ -11,6 +11,7 @@ from pathlib import Path
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.links import open_link
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.reading import decode_text, read_file
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
@@ -33,8 +34,6 @@ MAX_CORNERS_BYTES = 1_000_000
 """Largest file of corners [bytes]."""
 DIVISION_SIGMA = 0.5
 """Standard deviation of a reading, as a share of the scale's divisions: rounding and placement."""
-SIMULATED_LINKS = ("planar", "bullet")
-"""Links that have ground truth."""
 LARGEST_READING = 1e6
 ASKED_READINGS = {
     "straight": "straight distance from start to end [m]",
@@ -274,7 +273,7 @@ class DrivenRobot:
     @property
     def simulated(self) -> bool:
         """Whether the robot is simulated."""
-        return self.url in SIMULATED_LINKS
+        return self.url in BODIES
 
     def make_robot(self) -> Robot:
         """The robot, not active."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from acsar_gym.errors import ConfigError, LinkError, require_extra, shorten_text
 from acsar_gym.links.factory import is_device
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.reading import explain_error
 from acsar_gym.safety import estop
 from acsar_gym.tools.view.session import Session
@@ -31,7 +32,7 @@ def find_recording(source: str) -> Path:
         LinkError: nobody drives that robot, or doesn't record it.
         ConfigError: it is a simulated link, which only its recording shows.
     """
-    if source in ("bullet", "planar"):
+    if source in BODIES:
         simulated = f"{source} is simulated by the program that drives it"
         raise ConfigError(f"{simulated}: {RECORD_HINT}, and view that file")
     if source == "serial":

@@ -1,0 +1,61 @@
+"""The table of simulated bodies: what simulates a robot behind its wire, by name.
+
+A simulator is imported when its body is made: a robot's onboard computer needs none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, suggest_name
+from acsar_gym.physics.body import Body
+
+
+class BodyBackend(NamedTuple):
+    """How a kind of body is made.
+
+    Attributes: `make`, makes one for a robot, with the simulator's own window or without;
+    `has_window`, whether the simulator has one; `has_camera`, whether it takes pictures.
+    """
+
+    make: Callable[[RobotConfig, bool], Body]
+    has_window: bool = False
+    has_camera: bool = False
+
+
+def _make_planar(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.planar import PlanarBody  # noqa: PLC0415
+
+    return PlanarBody(config)
+
+
+def _make_bullet(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415
+
+    return BulletBody(config, window=window)
+
+
+BODIES = {
+    "planar": BodyBackend(_make_planar),
+    "bullet": BodyBackend(_make_bullet, has_window=True, has_camera=True),
+}
+"""Bodies by name; the links that simulate them have the same names."""
+
+
+def make_body(name: str, config: RobotConfig, *, window: bool = False) -> Body:
+    """Make a body of the table.
+
+    Args:
+        name: such as "planar".
+        config: of the robot.
+        window: open the simulator's window.
+
+    Raises:
+        ConfigError: for any other name.
+        MissingExtraError: the simulator isn't installed.
+    """
+    if name not in BODIES:
+        raise ConfigError(f"unknown body {name!r}{suggest_name(name[:40], BODIES)}")
+    return BODIES[name].make(config, window)
