@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import pickle
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from acsar_gym.links.lateness import (
@@ -18,7 +17,6 @@ from acsar_gym.links.lateness import (
     DurationSpread,
     EpisodeStopwatch,
     LatenessHistogram,
-    TickTiming,
     first_byte,
 )
 
@@ -54,6 +52,8 @@ def test_percentiles_are_those_of_a_sorted_list(seconds: list[float], q: float) 
     assert exact <= recorded(seconds).percentile(q) <= exact * SLACK
 
 
+@example([0.01, LONGEST_DURATION])
+@example([0.01, 1e6])
 @given(st.lists(anything, min_size=1))
 def test_the_extremes_are_exact_and_percentiles_lie_between(seconds: list[float]) -> None:
     durations = recorded(seconds)
@@ -69,12 +69,6 @@ def test_counts_are_exact(seconds: list[float]) -> None:
     assert record.count == len(seconds)
     assert record.late == sum(one > LATE_TICK for one in seconds)
     assert record.missed == sum(int(one / PERIOD) for one in seconds if one > PERIOD)
-
-
-@pytest.mark.parametrize("seconds", [LONGEST_DURATION, 1e6])
-def test_what_is_very_long_is_told_by_the_worst(seconds: float) -> None:
-    durations = recorded([0.01, seconds])
-    assert durations.worst == durations.percentile(99.0) == seconds
 
 
 def test_nothing_recorded_is_nan() -> None:
@@ -93,7 +87,6 @@ def test_a_summary_of_a_known_episode() -> None:
     assert timing.p50 == pytest.approx(1e-4, rel=1.0 / 32.0)
     assert timing.p99 == pytest.approx(0.002, rel=1.0 / 32.0)
     assert timing.worst == 0.025
-    assert TickTiming(**dataclasses.asdict(timing)) == timing
     spread = record.spread()
     assert (spread.count, spread.p99, spread.worst) == (100, timing.p99, timing.worst)
 

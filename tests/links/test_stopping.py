@@ -21,7 +21,9 @@ ACSAR = RobotConfig.preset("acsar")
 @pytest.mark.parametrize(
     "kinds",
     [
-        pytest.param(("exception", "fork", "thread-end"), id="some"),
+        pytest.param(
+            ("exception", "fork", "thread-end", "thread-term", *stopping.CONTAINED), id="some"
+        ),
         pytest.param(("waitpid", *stopping.PAUSED), id="suspended"),
         pytest.param((*stopping.CALLING, "to-thread"), id="signals in C calls"),
         pytest.param(("main-raises", "pool", "atexit"), id="ends of the main thread"),
