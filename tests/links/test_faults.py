@@ -60,7 +60,7 @@ def test_what_is_no_mapping_of_faults_is_refused(faults: Any, said: str) -> None
         Faults.of(faults)
 
 
-BAD_FOR_ALL = (-1.0, math.nan, True, "e", "aa", [1], -math.inf, {})
+BAD_FOR_ALL: tuple[Any, ...] = (-1.0, math.nan, True, "e", "aa", [1], -math.inf, {})
 OUT_OF_RANGE: dict[str, tuple[Any, ...]] = {
     "dropped_lines": (1.01,),
     "episodes": (2,),

@@ -51,15 +51,19 @@ def hasty(link: SerialLink) -> SerialLink:
     return link
 
 
-def test_none_means_none(shared_device: str, config: RobotConfig) -> None:
-    link = SerialLink(shared_device, config.with_(watchdog_timeout=None))
-    link.open()
-    assert not link.watchdog.is_alive
-    assert link.watchdog.pid is None
-    assert not children()
-    link.write(TURNING)
-    link.reset(Scene())
-    link.close()
+@pytest.mark.parametrize("platform", ["any", "Windows"])
+def test_none_means_none_and_windows_drives_without(
+    platform: str, shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if platform == "Windows":
+        monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
+    else:
+        config = config.with_(watchdog_timeout=None)
+    with Robot(open_link(shared_device, config), config) as robot:
+        assert isinstance(robot.link, SerialLink)
+        assert not robot.link.watchdog.is_alive
+        assert not children()
+        robot.drive(0.2, 0.0)
 
 
 FEW_FILES = """
@@ -88,15 +92,6 @@ def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
     assert len(said) > 1
     assert all(one.startswith("LinkError: ") and "ulimit -n" in one for one in said)
     assert "watchdog" in "".join(said)
-
-
-def test_windows_drives_without(
-    shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
-    with Robot(open_link(shared_device, config), config) as robot:
-        robot.drive(0.2, 0.0)
-        assert not children()
 
 
 @pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
