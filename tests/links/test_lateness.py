@@ -98,9 +98,6 @@ def test_memory_is_bounded() -> None:
     assert len(pickle.dumps(often)) < len(pickle.dumps(once)) + 4_000
 
 
-# One episode
-
-
 def trips(*commands: tuple[float, bool, bool]) -> DurationSpread:
     """Round trips of an episode: when commands are written, whether they drive, and whether wheels
     turn by the feedback that comes 8 ms later.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import signal
@@ -323,10 +324,9 @@ LONG = 3600.0
 
 def runs(process: int) -> bool:
     """Whether it is there and no zombie."""
-    try:
+    with contextlib.suppress(psutil.NoSuchProcess):
         return psutil.Process(process).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+    return False
 
 
 def ends(process: int) -> None:

@@ -27,7 +27,6 @@ from acsar_gym.links.watchdog_child import (
     REPEAT_INTERVAL,
     STOOD,
     TRIPPED,
-    ZERO_INTERVAL,
     ProgramWatch,
     SharedPort,
     boot_clock,
@@ -195,15 +194,6 @@ def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
     assert not dog.has_tripped
     dog.allow_drive()
     assert read_zeros(wire[0], 1)
-
-
-def test_it_repeats_zeros_only_while_the_program_stands(
-    wire: tuple[int, int], dog: Watchdog
-) -> None:
-    dog.note_stop()
-    assert not read_until_quiet(wire[0], 2 * ZERO_INTERVAL), "before the first reset"
-    dog.rearm()
-    assert set(read_zeros(wire[0], 3).split(ZEROS)) == {b""}
 
 
 def test_one_that_has_not_run_for_long_is_none(
