@@ -103,7 +103,6 @@ class Forked:
         return self._process.pid
 
     def poll(self) -> int | None:
-        """The exit status, negative for a signal; None while it runs."""
         return self._process.exitcode
 
     def wait(self, timeout: float) -> int:
@@ -125,7 +124,6 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
     def close(self) -> None:
-        """Let go of the pipes."""
         self.stdout.close()
         self.stderr.close()
 
@@ -190,7 +188,6 @@ class Emulated:
     """How many bytes of the log are in `_known`, or forgotten."""
 
     def events(self) -> list[dict[str, Any]]:
-        """The log's complete lines."""
         with self.log.open("rb") as log:
             log.seek(self._read)
             lines = log.read().splitlines(keepends=True)
@@ -233,11 +230,9 @@ class Emulated:
         return len(poses) > loops and max(spread) < 1e-4
 
     def pause(self) -> None:
-        """Freeze the board; the device stays."""
         self.process.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Let a frozen board go on."""
         self.process.send_signal(signal.SIGCONT)
 
     def devices(self) -> list[str]:
@@ -300,7 +295,6 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
 
 
 def first_line(process: subprocess.Popen[str] | Forked) -> str:
-    """What a process says first."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
     return process.stdout.readline().strip() if ready else ""

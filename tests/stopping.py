@@ -78,6 +78,8 @@ KINDS = {
     "pool": "the main thread raises; an executor's drives",
     "atexit": "sys.exit, slow atexit handler; a thread drives",
 }
+OWN_FAULTS = ("hang", "busy", "exception", "exit", "watchdog", "waitpid")
+"""Kinds that a policy causes in its own program."""
 REPLUGGED = ("unplug", "reset", "estop-out")
 """Kinds in which the cable is pulled and plugged in again."""
 CONTAINED = ("pid1-term", "pid1-hup")
@@ -400,7 +402,7 @@ def _drive_until_harmed(robot: Robot, kind: str, report: IO[str]) -> None:
     _go(robot, random.randrange(3))
     if kind in OWN_FAULTS:
         print(repr(time.monotonic()), file=report)
-        OWN_FAULTS[kind](robot)
+        _cause(kind, robot)
     if kind in CONTAINED:
         _insist(robot)
     while kind in ESTOPPED:  # as a training loop that nobody watches
@@ -485,41 +487,26 @@ def _go(robot: Robot, ticks: int) -> None:
         robot.drive(0.2, 0.0)
 
 
-def _never_return() -> None:
-    while True:
+def _cause(kind: str, robot: Robot) -> None:
+    """Cause one of OWN_FAULTS, as a policy in its own program."""
+    if kind == "hang":
+        time.sleep(5.0)
+    while kind == "busy":
         pass
-
-
-def _raise() -> None:
-    raise RuntimeError("a policy's mistake")
+    if kind == "exception":
+        raise RuntimeError("a policy's mistake")
+    if kind == "exit":
+        os._exit(1)
+    if kind == "waitpid":  # as gevent's: it doesn't tell that a process is suspended
+        waitpid = os.waitpid
+        os.waitpid = lambda process, options: waitpid(process, options & ~os.WUNTRACED)
+    if kind in ("watchdog", "waitpid") and (watchdog := _watchdog_of(robot)):
+        os.kill(watchdog, signal.SIGSTOP)
 
 
 def _watchdog_of(robot: Robot) -> int:
     """The PID of the watchdog; 0 if there is none."""
     return (robot.link.watchdog.pid or 0) if isinstance(robot.link, SerialLink) else 0
-
-
-def _suspend_watchdog(robot: Robot) -> None:
-    if watchdog := _watchdog_of(robot):
-        os.kill(watchdog, signal.SIGSTOP)
-
-
-def _suspend_unseen(robot: Robot) -> None:
-    """As where gevent replaces waitpid: it doesn't tell that a process is suspended."""
-    waitpid = os.waitpid
-    os.waitpid = lambda process, options: waitpid(process, options & ~os.WUNTRACED)
-    _suspend_watchdog(robot)
-
-
-OWN_FAULTS: dict[str, Callable[[Robot], None]] = {
-    "hang": lambda _: time.sleep(5.0),
-    "busy": lambda _: _never_return(),
-    "exception": lambda _: _raise(),
-    "exit": lambda _: os._exit(1),
-    "watchdog": _suspend_watchdog,
-    "waitpid": _suspend_unseen,
-}
-"""Faults that a policy causes in its own program, by kind."""
 
 
 def main() -> int:

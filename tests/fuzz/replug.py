@@ -83,7 +83,13 @@ def cycle(env: Any, board: Board, rng: random.Random) -> str:
     if not fault:
         return "unnoticed"
     if rng.random() < STAYS_OUT:
-        return _stays_out(env, board)
+        try:
+            env.reset()
+        except LinkError:
+            board.plug()
+            board.wait(plugged=True)
+            return "reported" if _recovers(env) else "lost"
+        return "reset without a cable"
     back = threading.Timer(rng.uniform(0.0, 0.3), board.plug)
     back.start()
     recovers = _recovers(env)
@@ -98,16 +104,6 @@ def _fault(env: Any) -> bool:
         if truncated:
             return bool(info["fault"] == 3.0 and info["fault_reason"])
     return False
-
-
-def _stays_out(env: Any, board: Board) -> str:
-    try:
-        env.reset()
-    except LinkError:
-        board.plug()
-        board.wait(plugged=True)
-        return "reported" if _recovers(env) else "lost"
-    return "reset without a cable"
 
 
 def _recovers(env: Any) -> bool:

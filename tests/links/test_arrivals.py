@@ -7,14 +7,13 @@ import os
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import arrivals_of
-from acsar_gym.links.ports import OpenPort
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
@@ -53,64 +52,40 @@ def test_a_recording_has_the_stamps_of_arrival(tmp_path: Path) -> None:
     assert sent[:3].tolist() == [0.0, 0.01, 0.02]
 
 
-@pytest.fixture
-def talking() -> Iterator[tuple[SerialLink, int]]:
-    """An open link, and the other end of its pseudo-terminal, which is silent now."""
+@pytest.mark.xdist_group("serial")
+def test_bytes_are_stamped_when_they_come() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     link = SerialLink(os.ttyname(slave), CONFIG.with_(watchdog_timeout=None))
     silent = threading.Event()
+    written: list[float] = []
 
     def board() -> None:
         while not silent.wait(0.005):
             os.write(master, encode(ZERO))
 
-    writer = threading.Thread(target=board)
-    writer.start()
-    link.open()
-    silent.set()
-    writer.join()
-    link.reset(Scene())
-    yield link, master
-    link.close()
-    os.close(master)
-    os.close(slave)
-
-
-@pytest.mark.xdist_group("serial")
-def test_bytes_are_stamped_when_they_come(talking: tuple[SerialLink, int]) -> None:
-    link, master = talking
-    written: list[float] = []
-    assert link.arrivals == []  # from now on they are noted
-
-    def board() -> None:
+    def five() -> None:
         for number in range(5):
             time.sleep(0.02)
             written.append(time.monotonic())
             os.write(master, b"%d" % number)
 
-    writer = threading.Thread(target=board)
-    writer.start()
-    got = link.advance(1.0)
-    writer.join()
+    with ThreadPoolExecutor(1) as pool:
+        talks = pool.submit(board)
+        link.open()
+        silent.set()
+        talks.result()
+        link.reset(Scene())
+        assert link.arrivals == []  # from now on they are noted
+        pool.submit(five)
+        got = link.advance(1.0)
     stamps = [stamp for stamp, piece in link.arrivals for _ in piece]
     assert got == b"".join(piece for _, piece in link.arrivals) == b"01234"
     assert all(stamp >= when for stamp, when in zip(stamps, written, strict=True))
     assert stamps[0] < link.now() - 0.01  # before the deadline
-
-
-@pytest.mark.xdist_group("serial")
-def test_without_anybody_who_asks_bytes_wait_for_the_deadline(
-    talking: tuple[SerialLink, int],
-) -> None:
-    link, master = talking
-    os.write(master, b"late")
-    assert link.advance(0.01) == b"late"
-    assert link.arrivals == []
-
-
-def test_a_port_that_cannot_be_waited_for_sleeps() -> None:
-    assert not OpenPort(object(), "as on Windows").wait_for_bytes(0.001)
+    link.close()
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.xdist_group("serial")

@@ -5,14 +5,11 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from serial_tools import Emulated, StartEmulator, no_leak, wait_until
 from tapes import recorded
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
@@ -26,11 +23,7 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 
 PERIOD = 0.01
-
 LINES = 3000
-
-TURNING = encode((3.0, 3.0, 3.0, 3.0))
-
 EVERYTHING: dict[str, Any] = {
     "dropped_lines": 0.05,
     "duplicated_lines": 0.05,
@@ -49,6 +42,19 @@ EVERYTHING: dict[str, Any] = {
 def numbered(number: int) -> bytes:
     """A line that says which one it is."""
     return encode((number // 90 + 1.0, number % 90 + 1.0, 4.0, 5.0))
+
+
+TURNING = encode((3.0, 3.0, 3.0, 3.0))
+LINE = len(TURNING)
+"""Length of a line [bytes]."""
+
+
+def sent(ticks: int = LINES) -> list[bytes]:
+    return [numbered(tick) for tick in range(ticks)]
+
+
+def split_lines(stream: bytes) -> list[bytes]:
+    return stream.splitlines(keepends=True)
 
 
 class Board:
@@ -95,6 +101,9 @@ class Board:
     def received(self) -> bytes:
         return b"".join(data for _, data in self.heard)
 
+    def lines(self) -> list[bytes]:
+        return split_lines(self.received())
+
 
 def drive(link: FaultyLink, ticks: int = LINES, *, reset: bool = True) -> list[bytes]:
     """What is heard in each period, while numbered commands are sent."""
@@ -115,18 +124,6 @@ def on_board(seed: FaultSeed = 0, **faults: Any) -> tuple[FaultyLink, Board]:
 
 def planar(config: RobotConfig, seed: FaultSeed = 0, **faults: Any) -> FaultyLink:
     return FaultyLink(open_link("planar", config), faults, seed)
-
-
-def sent(ticks: int = LINES) -> list[bytes]:
-    return [numbered(tick) for tick in range(ticks)]
-
-
-def lines_of(stream: bytes) -> list[bytes]:
-    return stream.splitlines(keepends=True)
-
-
-def board_lines(board: Board) -> list[bytes]:
-    return lines_of(board.received())
 
 
 def readings(heard: list[bytes]) -> list[tuple[float | None, ...]]:
@@ -181,29 +178,8 @@ def test_a_board_that_is_down_says_and_hears_nothing(name: str) -> None:
     assert not any(heard[49:89])
     assert heard[89:] == sent(200)[89:]
     assert link.injected == {name: 1}
-    obeyed = [speeds for _, data in board.heard[50:90] for speeds in [r.speeds for r in feed(data)]]
-    assert set(obeyed) == {ZERO}
-    assert board_lines(board)[-110:] == sent(200)[-110:]
-
-
-def feed(data: bytes) -> list[Any]:
-    return list(Decoder().feed(data))
-
-
-def test_a_reset_lasts_two_seconds_and_ends_at_rest(config: RobotConfig) -> None:
-    link = planar(config, board_reset_at=1.0)
-    link.open()
-    link.reset(Scene())
-    heard = []
-    for _ in range(500):
-        link.write(TURNING)
-        heard.append(link.advance(PERIOD))
-    silent = [tick for tick, piece in enumerate(heard) if not piece and tick > 5]
-    assert (silent[0], silent[-1], len(silent)) == (99, 298, 200)
-    assert feed(heard[98])[0].speeds == pytest.approx(AS_TURNED, abs=0.2)
-    assert feed(heard[299])[0].speeds == ZERO
-    assert feed(heard[-1])[0].speeds == pytest.approx(AS_TURNED, abs=0.2)
-    link.close()
+    assert set(readings([data for _, data in board.heard[50:90]])) == {ZERO}
+    assert board.lines()[-110:] == sent(200)[-110:]
 
 
 def test_the_rate_of_resets() -> None:
@@ -284,7 +260,7 @@ def test_another_device_takes_the_place_of_the_pulled_one() -> None:
     assert boards[1].opened == 0
     drive(link, 5)
     assert link.device == "/dev/board1"
-    assert board_lines(boards[1]) == sent(5)
+    assert boards[1].lines() == sent(5)
     assert boards[0].closed == 1
 
 
@@ -305,10 +281,6 @@ def test_a_device_that_cannot_be_opened_leaves_the_cable_out() -> None:
     link.advance(PERIOD)
 
 
-LINE = len(TURNING)
-"""Length of a line [bytes]."""
-
-
 @pytest.mark.parametrize(
     "name", ["dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "late_lines"]
 )
@@ -322,7 +294,7 @@ def test_shares_of_lines(name: str) -> None:
         if direction == "commands":
             ill, sound = sound, ill
         assert sound == b"".join(sent())
-        changed = set(sent()) - set(lines_of(ill))
+        changed = set(sent()) - set(split_lines(ill))
         shown = {"dropped_lines": 0.1, "cut_lines": 0.2, "corrupted_lines": 0.1}.get(name, 0.0)
         assert len(changed) / LINES == pytest.approx(shown, abs=0.035 if shown else 0.0)
 
@@ -353,28 +325,13 @@ def test_corrupted_lines_have_flipped_bits() -> None:
 def test_late_lines_hold_up_those_behind_and_keep_their_order() -> None:
     link, board = on_board(late_lines=0.05, lateness=0.03)
     heard = drive(link)
-    assert lines_of(b"".join(heard)) == sent(len(lines_of(b"".join(heard))))
-    assert board_lines(board) == sent(len(board_lines(board)))
-    delays = [tick - int(number) for tick, number in arrivals(heard)]
-    assert set(delays) == {0, 1, 2, 3}
+    assert split_lines(b"".join(heard)) == sent(len(split_lines(b"".join(heard))))
+    assert board.lines() == sent(len(board.lines()))
     assert b"" in heard
-    delays = [round((stamp - 10.0) / PERIOD) - index for index, stamp in arrivals_on(board)]
-    assert set(delays) == {0, 1, 2, 3}
-
-
-def arrivals(heard: list[bytes]) -> Iterator[tuple[int, int]]:
-    """(period, number of the line) of everything that was heard."""
-    number = itertools.count()
-    for tick, piece in enumerate(heard):
-        for _ in lines_of(piece):
-            yield tick, next(number)
-
-
-def arrivals_on(board: Board) -> Iterator[tuple[int, float]]:
-    number = itertools.count()
-    for stamp, data in board.heard:
-        for _ in lines_of(data):
-            yield next(number), stamp
+    commands = [(round((stamp - 10.0) / PERIOD), data) for stamp, data in board.heard]
+    for arrivals in (enumerate(heard), commands):
+        ticks = [tick for tick, piece in arrivals for _ in split_lines(piece)]
+        assert {tick - number for number, tick in enumerate(ticks)} == {0, 1, 2, 3}
 
 
 def test_a_command_that_is_late_comes_within_the_period_it_is_due() -> None:
@@ -396,7 +353,7 @@ def test_late_lines_do_not_fill_the_memory() -> None:
     board.clock += 61.0
     link.advance(PERIOD)
     assert WIRE_BUFFER - 40 < len(board.received()) <= WIRE_BUFFER
-    assert set(board_lines(board)) == {TURNING}
+    assert set(board.lines()) == {TURNING}
 
 
 def test_torn_lines_wait_for_their_end_and_no_longer() -> None:
@@ -434,22 +391,25 @@ def test_bursts_of_garbage() -> None:
     assert len(set(heard)) == 256
 
 
-@pytest.mark.parametrize("faults", [None, {}, {"lateness": 1.0, "reset_time": 1.0}])
-def test_without_faults_every_piece_passes_as_it_comes(faults: Any) -> None:
+@pytest.mark.parametrize(
+    "faults",
+    [
+        None,
+        {"lateness": 1.0, "reset_time": 1.0},
+        {**EVERYTHING, "episodes": 0.0},
+        {"dropped_lines": 1e-12, "unplug_at": 1e9, "wheel_faults_at": 1e9, "dead_wheels": 2},
+    ],
+    ids=["none", "only how long", "sound episodes", "none due"],
+)
+def test_without_faults_the_bytes_are_the_same(faults: Any) -> None:
     board = Board()
     link = FaultyLink(board, faults, seed=3)
-    assert drive(link, 100) == sent(100)
-    for piece in (b"ap1", b"", b"2.50\r", b"\n\xff"):
-        link.write(piece)
-    assert [data for _, data in board.heard] == [*sent(100), b"ap1", b"", b"2.50\r", b"\n\xff"]
+    assert drive(link, 100) == board.lines() == sent(100)
     assert not link.injected
-
-
-def test_sound_episodes_and_sound_lines_are_the_same_bytes() -> None:
-    link, board = on_board(0, **{**EVERYTHING, "episodes": 0.0})
-    assert drive(link, 100) == board_lines(board)[:100] == sent(100)
-    link, board = on_board(dropped_lines=1e-12, unplug_at=1e9, wheel_faults_at=1e9, dead_wheels=2)
-    assert drive(link, 100) == board_lines(board)[:100] == sent(100)
+    if faults is None:
+        for piece in (b"ap1", b"", b"2.50\r", b"\n\xff"):
+            link.write(piece)
+        assert [data for _, data in board.heard[100:]] == [b"ap1", b"", b"2.50\r", b"\n\xff"]
 
 
 def test_what_stands_behind_shows_through() -> None:
@@ -466,26 +426,15 @@ def test_what_stands_behind_shows_through() -> None:
     simulated.close()
 
 
-def everything(seed: FaultSeed, config: RobotConfig, episodes: int = 2) -> list[bytes]:
-    link = planar(config, seed, **EVERYTHING)
-    return [piece for _ in range(episodes) for piece in drive(link, 300)]
-
-
-def test_the_same_seed_gives_the_same_bytes(config: RobotConfig) -> None:
-    assert everything(4, config) == everything(4, config)
-    assert everything(4, config) != everything(5, config)
-    assert everything(None, config) != everything(None, config)
-
-
-def test_episodes_differ_and_reseeding_repeats_them() -> None:
-    link, _ = on_board(**EVERYTHING)
+def test_episodes_differ_and_their_seed_repeats_them(config: RobotConfig) -> None:
+    link = planar(config, 4, **EVERYTHING)
     first, second = drive(link, 300), drive(link, 300)
     assert first != second
-    link.seed(0)
-    assert drive(link, 300) == first
-    assert drive(link, 300) == second
-    link.seed(np.int64(0))
-    assert drive(link, 300) == first
+    for again in (planar(config, 4, **EVERYTHING), link):
+        again.seed(np.int64(4))
+        assert [drive(again, 300), drive(again, 300)] == [first, second]
+    for other in (5, None, None):
+        assert drive(planar(config, other, **EVERYTHING), 300) != first
 
 
 def test_a_generator_gives_one_number_and_is_left_alone() -> None:
@@ -497,17 +446,14 @@ def test_a_generator_gives_one_number_and_is_left_alone() -> None:
 
 
 def test_commands_do_not_change_what_happens_to_feedback() -> None:
-    heard = []
-    for commands in (1, 2):
-        link, _ = on_board(6, **{**EVERYTHING, "board_reset_rate": 0.0, "brown_out_rate": 0.0})
-        link.reset(Scene())
-        pieces = []
-        for _ in range(300):
-            for _ in range(commands):
-                link.write(TURNING)
-            pieces.append(link.advance(PERIOD))
-        heard.append(pieces)
-    assert heard[0] == heard[1]
+    faults = {**EVERYTHING, "board_reset_rate": 0.0, "brown_out_rate": 0.0}
+    once, twice = on_board(6, **faults)[0], on_board(6, **faults)[0]
+    once.reset(Scene())
+    twice.reset(Scene())
+    for _ in range(300):
+        once.write(TURNING)
+        twice.write(TURNING * 2)
+        assert once.advance(PERIOD) == twice.advance(PERIOD)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "1"])
@@ -522,21 +468,17 @@ def test_copies_are_links_of_their_own(config: RobotConfig) -> None:
     again = copy.deepcopy(link)
     assert again.link is not link.link
     assert drive(again, 200) == first
-    link.close()
-    again.close()
 
 
-@pytest.mark.parametrize("name", ["planar", "bullet"])
-def test_the_robot_drives_on_through_bad_lines(name: str, config: RobotConfig) -> None:
+def test_the_robot_drives_on_through_bad_lines(config: RobotConfig) -> None:
     faults = {key: 0.1 for key in EVERYTHING if key.endswith("_lines")} | {"garbage_rate": 3.0}
-    link = FaultyLink(open_link(name, config), faults, seed=2)
+    link = planar(config, 2, **faults)
     with Robot(link, config.with_(feedback_timeout=0.5)) as robot:
         for _ in range(500):
             robot.drive(0.3, 0.0)
-        truth = link.truth
-        assert truth is not None
-        assert truth.pose[0] > 1.0
-        assert robot.odometry.pose[0] == pytest.approx(truth.pose[0], rel=0.3)
+        assert link.truth is not None
+        assert link.truth.pose[0] > 1.0
+        assert robot.odometry.pose[0] == pytest.approx(link.truth.pose[0], rel=0.3)
         assert robot.decoder.refused
         assert min(link.injected[key] for key in ("dropped_lines", "cut_lines", "garbage")) > 5
 
@@ -551,63 +493,3 @@ def test_a_recording_keeps_what_the_driver_heard(config: RobotConfig, tmp_path: 
     replayed = open_link(f"replay:{tape}", config)
     replayed.reset(Scene())
     assert [replayed.advance(PERIOD) for _ in range(300)] == heard
-
-
-def test_over_a_real_device_the_robot_drives_on(config: RobotConfig, emulator: Emulated) -> None:
-    faults = {key: 0.1 for key in EVERYTHING if key.endswith("_lines")}
-    faults |= {"garbage_rate": 10.0, "brown_out_at": 0.5, "brown_out_time": 0.2}
-    config = config.with_(wheel_check=False)  # a dip takes longer on a busy machine
-    link = FaultyLink(open_link(emulator.device, config), faults, seed=2)
-    assert link.device == emulator.device
-    with Robot(link, config) as robot:
-        oldest = 0.0
-        while oldest < 0.15 or robot.feedback_age > 0.0:  # through the brown-out
-            robot.drive(0.3, 0.0)
-            oldest = max(oldest, robot.feedback_age)
-        assert robot.odometry.pose[0] > 0.02
-        assert robot.decoder.refused
-        assert link.injected["brown_out"] == 1
-    assert b"ap00.00,bp00.00,cp00.00,dp00.00" in emulator.received()
-    wait_until(emulator.is_stopped, "wheels at rest")
-
-
-def test_over_a_real_device_silence_is_an_error(config: RobotConfig, emulator: Emulated) -> None:
-    config = config.with_(feedback_timeout=0.6)
-    faults = {"board_reset_at": 0.1, "reset_time": 60.0}
-    robot = Robot(FaultyLink(open_link(emulator.device, config), faults, 0), config)
-    with no_leak():
-        robot.activate()
-        start = time.monotonic()
-        with pytest.raises(BoardSilentError):
-            while True:
-                robot.drive(0.3, 0.0)
-        assert time.monotonic() - start > 0.6
-        robot.close()
-    wait_until(emulator.is_stopped, "wheels at rest")
-
-
-def test_a_real_device_comes_back_under_another_name(
-    config: RobotConfig, start_emulator: StartEmulator
-) -> None:
-    first, second = start_emulator(), start_emulator()
-    link = FaultyLink(
-        open_link(first.device, config),
-        {"unplug_at": 0.5, "replug_time": 0.5},
-        relink=lambda: open_link(second.device, config),
-    )
-    robot = Robot(link, config)
-    with no_leak():
-        robot.activate()
-        with pytest.raises(LinkLostError, match=first.device):
-            while True:
-                robot.drive(0.3, 0.0)
-        lost = time.monotonic()
-        wait_until(first.is_stopped, "wheels at rest")
-        first.kill()
-        robot.reset(Scene())
-        assert time.monotonic() - lost > 0.4
-        assert link.device == second.device != first.device
-        while robot.odometry.pose[0] == 0.0:
-            robot.drive(0.3, 0.0)
-        robot.close()
-    wait_until(second.is_stopped, "wheels at rest")

@@ -6,7 +6,7 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError
-from acsar_gym.links.handshake import shown_bytes, wait_for_board
+from acsar_gym.links.handshake import wait_for_board
 
 GOOD = b"ap00.00,bp00.00,cp00.00,dp00.00\r\n"
 
@@ -51,7 +51,3 @@ def test_a_garbled_board_is_shown(chunk: bytes, shown: str) -> None:
 def test_a_board_that_does_not_pad_its_numbers_is_welcome() -> None:
     arriving = iter([b"3,dp0.00,\r\n", b"ap0.00,bp5.23,cp105.20,dp0.00,\r\n"])
     wait_for_board(lambda: next(arriving), "/dev/ttyX", RobotConfig())
-
-
-def test_bytes_are_printable() -> None:
-    assert shown_bytes(b"'\x00\xff\n") == '"\'\\x00\\xff\\n"'

@@ -61,11 +61,15 @@ def wheels(link: SimulatedLink) -> Speeds:
 
 def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink) -> None:
     """Wheels that reach their speed with a lag slip a little, which costs the rest."""
+    drive(link, None, 0.1, FORWARD)
+    assert link.work == 0.0  # it is measured only where asked
     link.metered = True
     drive(link, None, 1.0, FORWARD)
-    link.metered = False
     kinetic = CONFIG.body.mass * (8.0 * CONFIG.wheel_radius) ** 2 / 2.0
     assert 0.9 * kinetic < link.work < 1.5 * kinetic
+    link.reset(Scene())
+    link.metered = False
+    assert link.work == 0.0
 
 
 def test_the_work_of_a_turn_goes_into_friction(link: SimulatedLink) -> None:
@@ -83,25 +87,9 @@ def test_the_work_of_a_turn_goes_into_friction(link: SimulatedLink) -> None:
     assert link.work - before == pytest.approx(weight * math.hypot(ahead, aside), rel=0.02)
 
 
-def test_work_is_measured_only_where_asked_and_from_the_reset_on(link: SimulatedLink) -> None:
-    drive(link, None, 0.1, FORWARD)
-    assert link.work == 0.0
-    link.metered = True
-    drive(link, None, 0.1, FORWARD)
-    assert link.work > 0.0
-    link.reset(Scene())
-    link.metered = False
-    assert link.work == 0.0
-
-
 def test_the_meter_of_a_wrapped_link_is_found(link: SimulatedLink) -> None:
     assert meter_of(FaultyLink(PacedLink(link), Faults.of({"dropped_lines": 0.1}))) is link
     assert meter_of(open_link("replay:" + os.devnull, CONFIG)) is None
-
-
-def moved(link: SimulatedLink, own: Physics | None, seconds: float) -> float:
-    drive(link, own, seconds, FORWARD)
-    return link.truth.pose[0]
 
 
 def first_motion(link: SimulatedLink, own: Physics | None) -> int:
@@ -120,7 +108,11 @@ def lines(answer: bytes) -> list[Any]:
 
 
 def test_a_slippery_floor_makes_the_robot_slower_to_start(link: SimulatedLink) -> None:
-    assert moved(link, physics(friction=0.1), 0.3) < 0.8 * moved(link, None, 0.3)
+    ends = []
+    for own in (physics(friction=0.1), None):
+        drive(link, own, 0.3, FORWARD)
+        ends.append(link.truth.pose[0])
+    assert ends[0] < 0.8 * ends[1]
 
 
 def test_a_motors_gain_is_its_speed_for_a_set_point(link: SimulatedLink) -> None:

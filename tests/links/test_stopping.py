@@ -9,7 +9,6 @@ import stopping
 from watchdog_tools import HASTY
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import AcsarError
 
 pytestmark = [
     pytest.mark.usefixtures("deadline"),
@@ -21,7 +20,9 @@ ACSAR = RobotConfig.preset("acsar")
 @pytest.mark.parametrize(
     "kinds",
     [
-        pytest.param(("exception", "fork", "thread-end"), id="some"),
+        pytest.param(
+            ("exception", "fork", "thread-end", "thread-term", *stopping.CONTAINED), id="some"
+        ),
         pytest.param(("waitpid", *stopping.PAUSED), id="suspended"),
         pytest.param((*stopping.CALLING, "to-thread"), id="signals in C calls"),
         pytest.param(("main-raises", "pool", "atexit"), id="ends of the main thread"),
@@ -48,8 +49,3 @@ def test_without_a_watchdog_the_measurement_finds_no_zero(monkeypatch: pytest.Mo
     (kill,) = stopping.measure(1, ["kill"], ACSAR.with_(watchdog_timeout=None))
     assert kill.times == (math.inf,)
     assert not kill.sound
-
-
-def test_a_program_that_does_not_drive_says_why() -> None:
-    with pytest.raises(AcsarError, match=r"kill: .* no byte"):
-        list(stopping.measure(1, ["kill"], ACSAR.with_(connect_timeout=1e-9)))

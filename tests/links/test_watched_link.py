@@ -33,8 +33,13 @@ pytestmark = [
 ]
 
 
-def opened(device: str, config: RobotConfig) -> Iterator[SerialLink]:
-    link = SerialLink(device, config)
+@pytest.fixture
+def link(
+    shared_device: str, config: RobotConfig, request: pytest.FixtureRequest
+) -> Iterator[SerialLink]:
+    """Its watchdog trips soon where a test asks for `hasty`, and else never."""
+    timeout = HASTY if "hasty" in request.fixturenames else 60.0
+    link = SerialLink(shared_device, config.with_(watchdog_timeout=timeout))
     link.open()
     link.reset(Scene())
     yield link
@@ -42,29 +47,23 @@ def opened(device: str, config: RobotConfig) -> Iterator[SerialLink]:
 
 
 @pytest.fixture
-def link(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
-    """Its watchdog doesn't trip."""
-    yield from opened(shared_device, config.with_(watchdog_timeout=60.0))
+def hasty(link: SerialLink) -> SerialLink:
+    return link
 
 
-@pytest.fixture
-def hasty(shared_device: str, config: RobotConfig) -> Iterator[SerialLink]:
-    """Its watchdog trips soon."""
-    yield from opened(shared_device, config.with_(watchdog_timeout=HASTY))
-
-
-# Whether there is one
-
-
-def test_none_means_none(shared_device: str, config: RobotConfig) -> None:
-    link = SerialLink(shared_device, config.with_(watchdog_timeout=None))
-    link.open()
-    assert not link.watchdog.is_alive
-    assert link.watchdog.pid is None
-    assert not children()
-    link.write(TURNING)
-    link.reset(Scene())
-    link.close()
+@pytest.mark.parametrize("platform", ["any", "Windows"])
+def test_none_means_none_and_windows_drives_without(
+    platform: str, shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if platform == "Windows":
+        monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
+    else:
+        config = config.with_(watchdog_timeout=None)
+    with Robot(open_link(shared_device, config), config) as robot:
+        assert isinstance(robot.link, SerialLink)
+        assert not robot.link.watchdog.is_alive
+        assert not children()
+        robot.drive(0.2, 0.0)
 
 
 FEW_FILES = """
@@ -93,15 +92,6 @@ def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
     assert len(said) > 1
     assert all(one.startswith("LinkError: ") and "ulimit -n" in one for one in said)
     assert "watchdog" in "".join(said)
-
-
-def test_windows_drives_without(
-    shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
-    with Robot(open_link(shared_device, config), config) as robot:
-        robot.drive(0.2, 0.0)
-        assert not children()
 
 
 @pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
@@ -144,9 +134,6 @@ def test_it_holds_nothing_but_the_port_and_ignores_the_terminal(link: SerialLink
     assert dog.status() != psutil.STATUS_STOPPED
 
 
-# What it allows
-
-
 def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> None:
     begin = time.monotonic()
     hasty.write(TURNING)
@@ -165,7 +152,8 @@ def test_after_a_trip_only_zeros_go_out_until_the_reset(hasty: SerialLink) -> No
     hasty.write(encode(ZERO))
 
 
-def test_no_pause_at_standstill_is_too_long(link: SerialLink) -> None:
+def test_no_pause_at_standstill_is_too_long_and_reading_is_a_sign_of_life(link: SerialLink) -> None:
+    """A program that listens doesn't hang: `doctor` waits for the board's own time-out."""
     stops: list[Callable[[], None]] = [
         lambda: link.write(encode(ZERO)),
         link.stop,
@@ -173,36 +161,13 @@ def test_no_pause_at_standstill_is_too_long(link: SerialLink) -> None:
     ]
     for stop in stops:
         link.write(TURNING)
-        assert link.watchdog.page[BEAT] > 0.0
+        before = link.watchdog.page[BEAT]
+        assert before > 0.0
+        link.read_now()
+        assert link.watchdog.page[BEAT] > before
         stop()
+        link.read_now()
         assert link.watchdog.page[BEAT] == 0.0
-
-
-def test_a_zero_command_is_repeated_while_the_program_says_nothing(
-    emulator: Emulated, config: RobotConfig
-) -> None:
-    """As at an episode's end: a wire may have swallowed it."""
-    link = SerialLink(emulator.device, config)
-    link.open()
-    link.reset(Scene())
-    link.write(TURNING)
-    link.stop()
-    wait_until(emulator.is_stopped, "zero as the last command")
-    said = len(emulator.commands())
-    wait_until(lambda: len(emulator.commands()) > said + 5, "repeated zeros")
-    assert emulator.is_stopped()
-    link.close()
-
-
-def test_reading_is_a_sign_of_life(link: SerialLink) -> None:
-    """A program that listens doesn't hang: `doctor` waits for the board's own time-out."""
-    link.write(TURNING)
-    before = link.watchdog.page[BEAT]
-    link.read_now()
-    assert link.watchdog.page[BEAT] > before
-    link.stop()
-    link.read_now()
-    assert link.watchdog.page[BEAT] == 0.0
 
 
 def test_periods_longer_than_the_timeout_are_no_pause(hasty: SerialLink) -> None:
@@ -294,8 +259,6 @@ def test_nobody_writes_while_the_link_is_held(link: SerialLink) -> None:
     assert page[BEAT] > before
 
 
-# What it stops
-
 DRIVE = "robot.activate(); drive(10**9)"
 WATCHED = (
     DRIVER
@@ -317,23 +280,6 @@ def assert_stopped_after(emulator: Emulated, fault: float) -> None:
         if event["t"] >= fault
     ]
     assert not any(driving[driving.index(False) :])
-
-
-def drives(emulator: Emulated) -> None:
-    wait_until(emulator.is_driven, "a command that turns the wheels")
-
-
-def test_a_suspended_program_does_not_drive_on_by_itself(emulator: Emulated) -> None:
-    with program(WATCHED + DRIVE, emulator.device) as process:
-        drives(emulator)
-        fault = time.monotonic()
-        process.send_signal(signal.SIGSTOP)
-        assert_stopped_after(emulator, fault)
-        process.send_signal(signal.SIGCONT)
-        status, error = ended(process)
-    assert status == 1
-    assert "LinkError: the watchdog stopped the robot" in error
-    assert_stopped_after(emulator, fault)
 
 
 def test_a_program_suspended_at_standstill_drives_on(emulator: Emulated) -> None:
@@ -358,7 +304,7 @@ drive(10**9)
         wait_until(lambda: len(emulator.commands()) > said + more, "repeated zeros")
         assert set(emulator.commands()) == {ZERO}
         process.send_signal(signal.SIGCONT)
-        drives(emulator)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
 
 
 def test_a_stray_copy_of_the_lifeline_only_delays_the_zero(
@@ -376,7 +322,7 @@ drive(10**9)
     monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
     with program(WATCHED + code, emulator.device) as process:
         stray = psutil.Process(int(first_line(process)))
-        drives(emulator)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
         fault = time.monotonic()
         process.kill()
         assert_stopped_after(emulator, fault)
@@ -390,7 +336,7 @@ def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:
     with program(BRIDGE, emulator.device) as bridge:
         url = f"socket://127.0.0.1:{first_line(bridge)}"
         with program(DRIVER + DRIVE, url) as process:
-            drives(emulator)
+            wait_until(emulator.is_driven, "a command that turns the wheels")
             fault = time.monotonic()
             process.kill()
             assert_stopped_after(emulator, fault)
@@ -402,7 +348,7 @@ def test_the_port_is_soon_free_after_a_kill(
     """One `open` is enough."""
     monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
     with program(DRIVER + DRIVE, emulator.device) as process:
-        drives(emulator)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
         process.kill()
         link = SerialLink(emulator.device, config)
         link.open()

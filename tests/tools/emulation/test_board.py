@@ -8,7 +8,6 @@ import stat
 import termios
 import time
 import tty
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -40,13 +39,14 @@ def test_tests_over_serial_devices_share_a_worker(request: pytest.FixtureRequest
         assert request.node.nodeid.endswith("@serial"), "see pytest in constraints.txt"
 
 
-def last_received(emulator: Emulated) -> float:
-    """When the board was last told something."""
-    return max(float(event["t"]) for event in emulator.events() if "rx" in event)
-
-
 def wait_for_log(emulator: Emulated, until: float) -> None:
     wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
+
+
+def wait_unheard(emulator: Emulated, seconds: float) -> None:
+    """So long after the board was last told something."""
+    told = max(float(event["t"]) for event in emulator.events() if "rx" in event)
+    wait_for_log(emulator, told + seconds)
 
 
 def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
@@ -66,6 +66,8 @@ def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -
     stamps = [event["t"] for event in own_emulator.events()]
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
+    assert own_emulator.end() == 0
+    assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
 
 
 def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator: Emulated) -> None:
@@ -83,11 +85,15 @@ def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator
     assert nearest < 0.1
 
 
-def test_the_robot_stops_when_commands_stop(config: RobotConfig, own_emulator: Emulated) -> None:
-    link = drive_and_fall_silent(own_emulator.device, config)
-    wait_until(lambda: own_emulator.poses()[-1][0] > 0.05, "a robot that drives")
-    wait_until(own_emulator.stands, "a robot that stands")
-    assert own_emulator.is_driven()
+@pytest.mark.parametrize("body", ["planar", "bullet"])
+def test_the_robot_stops_when_commands_stop(
+    body: str, config: RobotConfig, start_emulator: StartEmulator
+) -> None:
+    emulator = start_emulator("--body", body)
+    link = drive_and_fall_silent(emulator.device, config)
+    wait_until(lambda: emulator.poses()[-1][0] > 0.05, "a robot that drives")
+    wait_until(emulator.stands, "a robot that stands")
+    assert emulator.is_driven()
     link.close()
 
 
@@ -98,49 +104,31 @@ def test_without_a_command_timeout_it_drives_on(
     emulator = start_emulator("--robot", str(robot))
     link = drive_and_fall_silent(emulator.device, config)
     wait_until(emulator.is_driven, "a command")
-    wait_for_log(emulator, last_received(emulator) + 0.8)
+    wait_unheard(emulator, 0.8)
     assert not emulator.stands(loops=20)
     link.close()
     wait_until(emulator.stands, "a robot that stands")
 
 
-def test_the_bullet_body_drives_too(config: RobotConfig, start_emulator: StartEmulator) -> None:
-    emulator = start_emulator("--body", "bullet")
-    drive_and_fall_silent(emulator.device, config).close()
-    wait_until(lambda: emulator.poses()[-1][0] > 0.05, "a robot that drives")
-    wait_until(emulator.stands, "a robot that stands")
-
-
-@pytest.fixture
-def wrong_baud(own_emulator: Emulated) -> Iterator[int]:
-    """The device, opened at 57600 baud by a client that knows nothing of this package."""
-    port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated) -> None:
+    """The client knows nothing of this package."""
+    port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(port)
     attributes = termios.tcgetattr(port)
     attributes[4] = attributes[5] = termios.B57600
     termios.tcsetattr(port, termios.TCSAFLUSH, attributes)
-    yield port
-    os.close(port)
-
-
-def heard(port: int, count: int) -> bytes:
     data = b""
-    deadline = time.monotonic() + TIMEOUT
-    while len(data) < count and time.monotonic() < deadline:
-        if select.select([port], [], [], 1.0)[0]:
-            data += os.read(port, 4096)
-    return data
-
-
-def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated, wrong_baud: int) -> None:
     for _ in range(10):
-        os.write(wrong_baud, FORWARD)
-        data = heard(wrong_baud, 200)
+        os.write(port, FORWARD)
+        while len(data) < 200 and select.select([port], [], [], TIMEOUT)[0]:
+            data += os.read(port, 4096)
         assert len(data) >= 200
-    assert Decoder().feed(data) == []
+        assert Decoder().feed(data) == []
+        data = b""
     wait_until(lambda: own_emulator.received() == FORWARD * 10, "all that was sent")
-    wait_for_log(own_emulator, last_received(own_emulator) + 0.2)
+    wait_unheard(own_emulator, 0.2)
     assert set(own_emulator.poses()) == {(0.0, 0.0, 0.0)}
+    os.close(port)
 
 
 def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
@@ -166,12 +154,6 @@ def test_short_stalls_are_caught_up_with(emulator: Emulated) -> None:
     assert passed > events[-1]["t"] - before - LONGEST_CATCH_UP - 0.1
 
 
-def test_sigterm_ends_it_cleanly(own_emulator: Emulated) -> None:
-    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
-    assert own_emulator.end() == 0
-    assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
-
-
 def test_a_duration_ends_it(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     done = cli("emulate", "--duration", "0.2", "--log", log)
@@ -180,15 +162,17 @@ def test_a_duration_ends_it(tmp_path: Path) -> None:
     assert 1 <= log.read_text(encoding="ascii").count('"pose"') <= 41
 
 
-def test_closing_it_twice_is_once(config: RobotConfig, tmp_path: Path) -> None:
-    with no_leak(), Emulator(config, log=tmp_path / "log.jsonl") as emulator:
-        emulator.run(duration=0.05)
-        emulator.close()
-
-
-def test_what_it_refuses(config: RobotConfig, tmp_path: Path) -> None:
+def test_closing_it_twice_is_once_and_what_it_refuses_leaves_nothing_open(
+    config: RobotConfig, tmp_path: Path
+) -> None:
+    (tmp_path / "kept").touch()
     with no_leak():
+        with Emulator(config, log=tmp_path / "log.jsonl") as emulator:
+            emulator.run(duration=0.05)
+            emulator.close()
         with pytest.raises(ConfigError, match="balloon"):
             Emulator(config, body="balloon")
         with pytest.raises(ConfigError, match="can't be written"):
-            Emulator(config, log=tmp_path / "missing" / "log.jsonl")
+            Emulator(config, log=tmp_path / "missing" / "log.jsonl", sees=True)
+        with pytest.raises(ConfigError, match="symbolic link"):
+            Emulator(config, log=tmp_path / "log.jsonl", sees=True, name=tmp_path / "kept")

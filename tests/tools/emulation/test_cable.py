@@ -7,7 +7,6 @@ import errno
 import os
 import select
 import signal
-import stat
 import termios
 import tty
 from collections.abc import Iterator
@@ -66,35 +65,28 @@ def test_every_byte_passes_both_ways_as_it_is(cable: EmulatedCable) -> None:
         assert heard(port) == everything
 
 
-def test_a_client_notices_the_pull(cable: EmulatedCable) -> None:
-    with client(cable.device) as port:
+def test_a_client_notices_the_pull_and_a_new_device_has_the_name(
+    cable: EmulatedCable, name: Path
+) -> None:
+    before = cable.device
+    assert str(name.readlink()) == before
+    with client(before) as port:  # who holds the old one keeps its name from being used again
+        os.write(port, b"old")
         cable.pull()
         assert cable.device == ""
+        assert not name.is_symlink()
         with pytest.raises(OSError, match="Input/output") as caught:
             os.write(port, b"x")
         assert caught.value.errno == errno.EIO
         with contextlib.suppress(OSError):  # Linux says EIO, others the end of the file
             assert os.read(port, 10) == b""
-
-
-def test_plugged_in_again_it_has_another_name(cable: EmulatedCable, name: Path) -> None:
-    before = cable.device
-    with client(before):  # who still holds the old one keeps its name from being used again
-        cable.pull()
         cable.plug()
         assert cable.device not in ("", before)
-        assert stat.S_ISCHR(name.stat().st_mode)
-        with client(cable.device) as port:
+        assert str(name.readlink()) == cable.device
+        assert cable.read() == b"", "what was sent before the pull is gone"
+        with client(cable.device) as new:
             cable.write(b"new")
-            assert heard(port) == b"new"
-
-
-def test_what_was_sent_before_the_pull_is_gone(cable: EmulatedCable) -> None:
-    with client(cable.device) as port:
-        os.write(port, b"old")
-        cable.pull()
-    cable.plug()
-    assert cable.read() == b""
+            assert heard(new) == b"new"
 
 
 def test_it_is_sound_where_the_baud_rates_agree(cable: EmulatedCable) -> None:
@@ -119,36 +111,15 @@ def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: EmulatedCable) -> 
         assert set(heard(port)) == set(b"x")
 
 
-# The name
-
-
-def test_the_name_follows_the_device(cable: EmulatedCable, name: Path) -> None:
-    assert str(name.readlink()) == cable.device
-    cable.pull()
-    assert not name.is_symlink()
-    cable.plug()
-    assert str(name.readlink()) == cable.device
-
-
-def test_a_name_left_behind_is_taken_over(name: Path) -> None:
-    name.symlink_to("/dev/acsar-missing")
-    cable = EmulatedCable(BAUD_RATE, name)
-    assert str(name.readlink()) == cable.device
-    cable.pull()
-
-
-def test_a_name_that_another_cable_took_over_stays(cable: EmulatedCable, name: Path) -> None:
-    other = EmulatedCable(BAUD_RATE, name)
-    cable.pull()
-    assert str(name.readlink()) == other.device
-    other.pull()
-
-
-def test_a_name_that_somebody_removed_is_no_error(cable: EmulatedCable, name: Path) -> None:
+def test_a_name_that_others_change_is_no_error(cable: EmulatedCable, name: Path) -> None:
     name.unlink()
     cable.pull()
     cable.plug()
     assert str(name.readlink()) == cable.device
+    other = EmulatedCable(BAUD_RATE, name)  # takes over what it finds
+    cable.pull()
+    assert str(name.readlink()) == other.device
+    other.pull()
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "missing folder"])
@@ -163,20 +134,6 @@ def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
     assert str(name) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert (tmp_path / "kept").read_text() == "mine"
-
-
-def test_an_emulator_without_its_name_leaves_nothing_open(
-    config: RobotConfig, tmp_path: Path
-) -> None:
-    name, log = tmp_path / "kept", tmp_path / "log.jsonl"
-    name.write_text("mine")
-    with no_leak(), pytest.raises(ConfigError, match="symbolic link"):
-        Emulator(config, log=log, sees=True, name=name)
-    with no_leak(), pytest.raises(ConfigError, match="can't be written"):
-        Emulator(config, log=tmp_path / "no" / "log.jsonl", sees=True)
-
-
-# The emulator's cable
 
 
 def test_an_emulator_is_pulled_and_plugged_in_while_it_runs(

@@ -70,29 +70,28 @@ def test_what_a_board_reports_and_what_the_wheels_do(
     assert turning(link) == pytest.approx(real, abs=0.01)
 
 
-@pytest.mark.parametrize(("comma", "last"), [(True, 0.0), (False, 3.0)])
-def test_a_board_that_misses_the_value_before_a_trailing_comma(comma: bool, last: float) -> None:
-    link = board("no-comma")
-    drive(link, comma=comma)
-    assert turning(link) == pytest.approx((4.0, 1.0, 2.0, last), abs=0.01)
-
-
-@pytest.mark.parametrize(("quirk", "part"), [("unpadded", b",bp1."), ("padded-space", b",bp 1.")])
-def test_a_board_with_numbers_of_its_own(quirk: str, part: bytes) -> None:
-    assert part in drive(board(quirk))
+def test_numbers_and_rates_of_its_own() -> None:
+    assert b",bp1." in drive(board("unpadded"))
+    assert b",bp 1." in drive(board("padded-space"))
+    assert drive(board("feedback-rate=50")).count(b"\n") in (49, 50)
 
 
 @pytest.mark.parametrize(
-    ("quirk", "speeds"), [("command-timeout=0.1", (0.0,) * 4), ("no-timeout", SPEEDS)]
+    ("quirk", "comma", "silence", "speeds"),
+    [
+        ("no-comma", False, 0.0, SPEEDS),
+        ("no-comma", True, 0.0, (*SPEEDS[:3], 0.0)),
+        ("command-timeout=0.1", False, 2.0, (0.0,) * 4),
+        ("no-timeout", False, 2.0, SPEEDS),
+    ],
 )
-def test_command_time_outs(quirk: str, speeds: Speeds) -> None:
+def test_missed_values_and_command_time_outs(
+    quirk: str, comma: bool, silence: float, speeds: Speeds
+) -> None:
     link = board(quirk)
-    drive(link)
-    assert newest(drive(link, 2.0, says=False)) == pytest.approx(speeds, abs=0.15)
-
-
-def test_feedback_rate() -> None:
-    assert drive(board("feedback-rate=50")).count(b"\n") in (49, 50)
+    drive(link, comma=comma)
+    drive(link, silence, says=False)
+    assert turning(link) == pytest.approx(speeds, abs=0.01)
 
 
 def test_a_board_that_stops_in_mid_line() -> None:
@@ -118,16 +117,6 @@ def test_a_board_that_resets_answers_again() -> None:
     assert not decoder.refused
 
 
-@pytest.mark.usefixtures("deadline")
-def test_an_emulator_has_quirks(start_emulator: StartEmulator, config: RobotConfig) -> None:
-    link = open_link(start_emulator("--quirk", "unpadded", "swapped-motors").device, config)
-    link.open()
-    heard = b""
-    while b"ap0.00,bp0.00" not in heard:
-        heard += link.advance(config.period)
-    link.close()
-
-
 @pytest.mark.parametrize(
     ("quirk", "said"),
     [
@@ -148,8 +137,16 @@ def test_bad_quirks_are_one_error(quirk: str, said: str) -> None:
         parse_quirks([quirk])
 
 
-@pytest.mark.anywhere
-def test_the_command_line_refuses_an_unknown_quirk(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("deadline")
+def test_an_emulator_has_quirks(
+    start_emulator: StartEmulator, config: RobotConfig, tmp_path: Path
+) -> None:
+    link = open_link(start_emulator("--quirk", "unpadded", "swapped-motors").device, config)
+    link.open()
+    heard = b""
+    while b"ap0.00,bp0.00" not in heard:
+        heard += link.advance(config.period)
+    link.close()
     done = cli("emulate", "--quirk", "unpaded", "--log", tmp_path / "log")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "unpadded" in done.stderr

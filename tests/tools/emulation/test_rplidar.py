@@ -9,6 +9,7 @@ import struct
 import termios
 import tty
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,11 +40,6 @@ def nodes(data: bytes) -> list[tuple[int, int, int]]:
     """Head byte, angle word and distance word of each measurement."""
     assert len(data) % 5 == 0
     return list(struct.iter_unpack("<BHH", data))
-
-
-def starts(data: bytes) -> list[int]:
-    """The places of the start flags."""
-    return [place for place, (head, _, _) in enumerate(nodes(data)) if head & 1]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +107,7 @@ def test_it_looks_counter_clockwise_and_reports_clockwise() -> None:
 def test_measurements_come_at_their_rate_whatever_the_steps(step: float) -> None:
     twin = scanning(room, rate=10.0, samples=200)
     data = b"".join(twin.advance(step) for _ in range(round(3.0 / step)))
-    places = starts(data)
+    places = [place for place, (head, _, _) in enumerate(nodes(data)) if head & 1]
     assert len(nodes(data)) == pytest.approx(6000, abs=200 * 10.0 * step + 1)
     assert set(np.diff(places)) == {200}
 
@@ -147,10 +143,9 @@ def test_the_motor_spins_up_before_the_first_measurement() -> None:
 
 def test_a_request_with_a_wrong_checksum_is_ignored() -> None:
     twin = RplidarTwin(room)
-    twin.receive(STOP_MOTOR[:-1] + b"\x58")
-    assert twin.pwm == 660
-    twin.receive(STOP_MOTOR)
-    assert twin.pwm == 0
+    for request, pwm in ((STOP_MOTOR[:-1] + b"\x58", 660), (STOP_MOTOR, 0)):
+        twin.receive(request)
+        assert twin.pwm == pwm
 
 
 def test_what_cannot_be_is_refused() -> None:
@@ -188,62 +183,52 @@ def test_another_library_understands_it() -> None:
 
 
 @pytest.fixture
-def emulator() -> Iterator[RplidarEmulator]:
-    with RplidarEmulator(RplidarTwin(room, rate=10.0, samples=360)) as emulator:
-        yield emulator
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[RplidarEmulator, int]]:
+    """An emulator with options, and the port of a client that asks it for a scan."""
+    options: dict[str, Any] = dict(getattr(request, "param", {}))
+    speed = options.pop("speed", termios.B115200)
+    with RplidarEmulator(RplidarTwin(room, rate=10.0, samples=360), **options) as emulator:
+        port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(port)
+        attributes = termios.tcgetattr(port)
+        attributes[4] = attributes[5] = speed
+        termios.tcsetattr(port, termios.TCSANOW, attributes)
+        os.write(port, SCAN)
+        emulator.serve_once(0.1)
+        yield emulator, port
+        os.close(port)
 
 
-def opened(device: str, speed: int = termios.B115200) -> int:
-    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    tty.setraw(port)
-    attributes = termios.tcgetattr(port)
-    attributes[4] = attributes[5] = speed
-    termios.tcsetattr(port, termios.TCSANOW, attributes)
-    return port
-
-
-def test_it_serves_whoever_opens_its_device(emulator: RplidarEmulator) -> None:
-    port = opened(emulator.device)
-    os.write(port, SCAN)
-    emulator.serve_once(0.1)
+def test_it_serves_whoever_opens_its_device_and_drops_what_nobody_reads(
+    served: tuple[RplidarEmulator, int],
+) -> None:
+    emulator, port = served
     data = os.read(port, 4096)
     assert data.startswith(SCAN_DESCRIPTOR)
     assert len(nodes(data[7:])) == 360
-    os.close(port)
-
-
-def test_what_nobody_reads_is_dropped(emulator: RplidarEmulator) -> None:
-    port = opened(emulator.device)
-    os.write(port, SCAN)
     for _ in range(1000):
         emulator.serve_once(0.05)
     assert emulator.twin.scanning
     os.write(port, STOP)
     emulator.serve_once(0.05)
     assert not emulator.twin.scanning
-    os.close(port)
 
 
-def test_a_wrong_baud_garbles_both_directions(emulator: RplidarEmulator) -> None:
-    port = opened(emulator.device, termios.B57600)
-    os.write(port, SCAN)
-    emulator.serve_once(0.05)
+@pytest.mark.parametrize("served", [{"speed": termios.B57600}], indirect=True)
+def test_a_wrong_baud_garbles_both_directions(served: tuple[RplidarEmulator, int]) -> None:
+    emulator, port = served
     assert not emulator.twin.scanning
     emulator.twin.receive(SCAN)
     emulator.serve_once(0.05)
     assert min(os.read(port, 4096)) >= 0x80
-    os.close(port)
 
 
-def test_faults_are_silence_and_another_device() -> None:
-    for fault, expected in (("silent", None), ("garbage", b"$GPGGA")):
-        with RplidarEmulator(RplidarTwin(room), fault=fault) as emulator:  # type: ignore[arg-type]
-            port = opened(emulator.device)
-            os.write(port, SCAN)
-            emulator.serve_once(0.05)
-            if expected is None:
-                with pytest.raises(BlockingIOError):
-                    os.read(port, 4096)
-            else:
-                assert os.read(port, 4096).startswith(expected)
-            os.close(port)
+@pytest.mark.parametrize("served", [{"fault": "silent"}], indirect=True)
+def test_a_silent_one(served: tuple[RplidarEmulator, int]) -> None:
+    with pytest.raises(BlockingIOError):
+        os.read(served[1], 4096)
+
+
+@pytest.mark.parametrize("served", [{"fault": "garbage"}], indirect=True)
+def test_another_device(served: tuple[RplidarEmulator, int]) -> None:
+    assert os.read(served[1], 4096).startswith(b"$GPGGA")
