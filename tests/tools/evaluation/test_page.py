@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.errors import MissingExtraError
 from acsar_gym.tools.evaluation.page import (
     MAX_LINE_POINTS,
     Grid,
@@ -97,17 +96,8 @@ def test_a_report_loads_nothing(tmp_path: Path) -> None:
         page = Reader(html)
         assert page.loads == []
         assert "default-src 'none'" in html
-        assert page.tags.count("figure") == plots
-        assert len(json.loads(page.scripts[0])) == plots
-        assert "too few" in page.said or name != "gap.html"  # in place of the plot of delays
+        assert page.tags.count("figure") == len(json.loads(page.scripts[0])) == plots
         assert "NaN" not in page.scripts[0]
-        titles = re.findall(r'"title":\{"text":"([^"]+)"', page.scripts[0])
-        assert {t for t in titles if "[" not in t} <= {"share of steps"}
-
-
-def test_it_is_written_or_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be written"):
-        evil_page().write(tmp_path / "missing" / "x.html")
 
 
 def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,17 +37,6 @@ def test_steps_are_changes_after_a_held_command() -> None:
     assert find_steps(stamps, speeds).any(axis=1).sum() <= 1
 
 
-def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
-    ramp = np.clip((TICKS - 0.5) * 20.0, 0.0, 5.0)[:, None] * np.array([1.0, -0.5, -0.5, 1.0])
-    assert measure_delays(TICKS, ramp, TICKS + 0.03, ramp) == pytest.approx([0.03])
-
-
-def test_a_log_begins_at_rest() -> None:
-    speeds = np.where(TICKS > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
-    assert measure_delays(TICKS, speeds, TICKS + 0.005, speeds) == pytest.approx([0.005])
-    assert not find_steps(TICKS, speeds + 1.0).any()
-
-
 @pytest.mark.parametrize("delay", [0.012, 0.035])
 @pytest.mark.parametrize("wheels", [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, -1.0, 0.0)])
 def test_the_delay_of_a_pure_delay(delay: float, wheels: tuple[float, ...]) -> None:
