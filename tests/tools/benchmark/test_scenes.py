@@ -47,11 +47,6 @@ def test_another_version_of_the_scenes_is_refused() -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_more_scenes_than_there_are() -> None:
-    with pytest.raises(ConfigError, match="has 1,000 scenes, 1,001 were asked for"):
-        SCENES["PointGoal-v0"].test.check(1001)
-
-
 def test_the_hash_is_of_geometry_start_and_goal() -> None:
     world = World(np.array([[1.0, 0.5, 0.1]]), goal=Region(3.0, 0.0))
     others = [

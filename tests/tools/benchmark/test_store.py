@@ -54,7 +54,7 @@ def test_another_plan_is_refused(tmp_path: Path) -> None:
         Store(tmp_path).open(plan(dwa="baseline"))
 
 
-@pytest.mark.parametrize("line", ["{}", "[]", '{"cell": 3}', "no JSON", '{"cell": {}, "first": 0}'])
+@pytest.mark.parametrize("line", ["no JSON", "[]", '{"cell": {}, "first": 0}'])
 def test_a_foreign_file_is_refused(tmp_path: Path, line: str) -> None:
     store = Store(tmp_path)
     store.open(plan())
