@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import shutil
 from collections.abc import Iterator
@@ -228,10 +227,3 @@ def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
     file.write_text("ENV_ID = 'CartPole-v1'\ndef act(seen):\n    return seen[:2]\n")
     with pytest.raises(PolicyError, match="for which there are no scenes"):
         plan.submitted_agent(f"{file}:act")
-
-
-def test_the_plan_is_json_and_names_no_folder() -> None:
-    some = tuple(plan.choose_agents(["packaged"], list(IDS), None, 1))
-    told = json.dumps(BenchmarkPlan(some, tuple(each.id for each in some)).as_dict())
-    assert str(AGENTS) not in told
-    assert '"barn.onnx"' in told

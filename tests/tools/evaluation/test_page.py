@@ -20,7 +20,6 @@ from acsar_gym.tools.evaluation.page import (
     PageSection,
     Plot,
     ReportPage,
-    distribution_trace,
     line_trace,
     stairs_trace,
 )
@@ -110,10 +109,3 @@ def test_long_lines_are_thinned_and_stairs_keep_their_corners() -> None:
     assert len(line_trace("x", range(99_999), range(99_999), "--robot")["x"]) <= MAX_LINE_POINTS
     steps = stairs_trace("x", range(6), [0, 0, 0, 1, 1, 2], "--robot")
     assert (steps["x"], steps["y"]) == ([0.0, 3.0, 5.0], [0.0, 1.0, 2.0])
-
-
-def test_the_distribution_function_ends_at_one() -> None:
-    drawn = distribution_trace("x", [0.3, 0.1, np.nan, 0.2], "--robot", 10.0)
-    assert drawn["x"] == [1.0, 1.0, 2.0, 3.0]
-    assert drawn["y"] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0], abs=1e-4)
-    assert distribution_trace("x", [], "--robot")["x"] == []

@@ -16,7 +16,6 @@ from acsar_gym.tools.sysid.delays import (
 )
 
 PERIOD = 0.01
-TICKS = np.arange(0.0, 1.0, PERIOD)
 
 
 def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, Floats]:
@@ -24,17 +23,6 @@ def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, F
     stamps = np.arange(0.0, duration, PERIOD)
     high = (stamps / half + 1e-9).astype(int) % 2 == 1
     return stamps, np.where(high, height, 0.0)[:, None] * np.ones(4)
-
-
-def test_steps_are_changes_after_a_held_command() -> None:
-    stamps, speeds = square(2.0, 0.5)
-    begun = find_steps(stamps, speeds)
-    assert np.allclose(stamps[begun.any(axis=1)], [0.5, 1.0, 1.5])
-    assert begun.sum() == 3 * 4
-    ramp = np.clip((TICKS - 0.5) * 40.0, 0.0, 5.0)[:, None] * np.ones(4)  # is one step
-    assert np.allclose(TICKS[find_steps(TICKS, ramp).any(axis=1)], [0.51])
-    stamps, speeds = square(2.0, 0.1)  # faster than the hold
-    assert find_steps(stamps, speeds).any(axis=1).sum() <= 1
 
 
 @pytest.mark.parametrize("delay", [0.012, 0.035])

@@ -32,12 +32,6 @@ def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None
     assert (speeds.max(0) > 0.5 * top).all()
 
 
-def test_wheels_get_different_commands() -> None:
-    plan = plan_excitation(ACSAR, 20.0, 0.01)
-    correlated = np.corrcoef(plan.before[:600].T) - np.eye(4)
-    assert np.abs(correlated).max() < 0.6
-
-
 @pytest.mark.usefixtures("deadline")
 def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: RobotConfig) -> None:
     tapped = TappedLink(open_link(shared_device, config))

@@ -80,14 +80,6 @@ def test_the_robots_file_has_values_intervals_and_logs(
     assert len(robot.firmware.delay_samples) == 10
 
 
-def test_wheels_that_do_not_differ_share_one_number(found: Identification) -> None:
-    wheels: dict[str, list[str]] = {"motor.time_constant": [], "motor.gain": []}
-    for one in found.findings:
-        if one.name in wheels:
-            wheels[one.name].append(one.wheel)
-    assert wheels == {"motor.time_constant": [""], "motor.gain": ["a", "b", "c", "d"]}
-
-
 def test_new_findings_end_the_intervals_of_older_ones() -> None:
     def with_gains(config: RobotConfig, wheels: str) -> RobotConfig:
         gains = [
