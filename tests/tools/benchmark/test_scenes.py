@@ -20,14 +20,16 @@ def test_no_scene_is_in_two_sets(env_id: str) -> None:
         assert one.numbers[-1] < other.numbers[0] or other.numbers[-1] < one.numbers[0]
 
 
-@pytest.mark.parametrize("env_id", ["PointGoal-v0", "PathFollow-v0"])
+@pytest.mark.parametrize(
+    "env_id",
+    [
+        "PointGoal-v0",
+        "PathFollow-v0",
+        pytest.param("ObstacleGoal-v1", marks=pytest.mark.slow),
+        pytest.param("Barn-v1", marks=pytest.mark.slow),
+    ],
+)
 def test_the_scenes_are_those_that_were_recorded(env_id: str) -> None:
-    SCENES[env_id].test.check(200)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", ["ObstacleGoal-v1", "Barn-v1"])
-def test_the_worlds_are_those_that_were_recorded(env_id: str) -> None:
     SCENES[env_id].test.check(1000)
     SCENES[env_id].validation.check(64)
 

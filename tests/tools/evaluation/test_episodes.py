@@ -142,12 +142,8 @@ def test_a_fault_on_hardware_keeps_the_timing_up_to_it(shared_device: str) -> No
 
 
 def test_after_a_fault_the_next_episode_connects_again() -> None:
-    env = gymnasium.make(
-        "acsar_gym/PointGoal-v0",
-        link="planar",
-        faults={"unplug_at": 0.25, "replug_time": 0.1},
-        max_episode_steps=5,
-    )
+    options: dict[str, Any] = {"faults": {"unplug_at": 0.25, "replug_time": 0.1}}
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5, **options)
     results = list(run_episodes(env, lambda _: CURVE, 3, seed=0))
     env.close()
     assert [bool(one.fault) for one in results] == [True] * 3

@@ -78,18 +78,15 @@ def test_a_link_that_is_lost_ends_the_manoeuvre_with_zeros() -> None:
 
 @pytest.mark.parametrize("reason", ["emergency stop", "geofence"])
 def test_a_stop_ends_the_manoeuvre(reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    config, link = ACSAR, TappedLink(open_link("planar", ACSAR))
-    if reason == "geofence":
-        config = ACSAR.with_(geofence={"min_x": -0.02, "max_x": 0.02})
-    else:
-        tick = Robot.tick
+    link, tick = TappedLink(open_link("planar", ACSAR)), Robot.tick
+    fence = {"min_x": -0.02, "max_x": 0.02} if reason == "geofence" else None
 
-        def stop_late(robot: Robot, speeds: tuple[float, ...]) -> None:
-            if len(link.log.sent) > 50:
-                robot.estop()
-            tick(robot, speeds)
+    def stop_late(robot: Robot, speeds: tuple[float, ...]) -> None:
+        if fence is None and len(link.log.sent) > 50:
+            robot.estop()
+        tick(robot, speeds)
 
-        monkeypatch.setattr(Robot, "tick", stop_late)
+    monkeypatch.setattr(Robot, "tick", stop_late)
     with pytest.raises(LinkError, match=reason):
-        drive_excitation(link, config, 12.0)
+        drive_excitation(link, ACSAR.with_(geofence=fence), 12.0)
     assert link.log.sent[-1].startswith(ZEROS)
