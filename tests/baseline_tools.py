@@ -29,14 +29,7 @@ def equipped(name: str) -> BaselinePolicy:
 def goal_seen(
     ahead: float, left: float, walls: tuple[tuple[float, float], ...] = (), moving: float = 0.0
 ) -> DecodedObservation:
-    """What a robot sees of a goal at (ahead, left) [m] between walls.
-
-    Args:
-        ahead: of the goal.
-        left: of the goal.
-        walls: (normal's direction [rad], distance from the base [m]) of endless walls.
-        moving: linear velocity [m/s].
-    """
+    """What a robot sees of a goal at (ahead, left) [m] between walls: (normal, distance)."""
     ranges = np.full(len(ANGLES), CONFIG.lidar.max_range)
     for normal, distance in walls:
         towards = np.cos(ANGLES - normal)

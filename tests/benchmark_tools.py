@@ -16,31 +16,13 @@ FIRST = SCENES[ENV_ID].test.numbers[0]
 
 def episode(number: int = 0, score: float = 0.9, **changes: Any) -> EpisodeRecord:
     """An episode of the open floor; it is a success where its score isn't 0."""
-    values: dict[str, Any] = {
-        "scene": FIRST + number,
-        "seed": FIRST + number,
-        "success": score > 0.0,
-        "collision": False,
-        "score": score,
-        "spl": score,
-        "soft_spl": score,
-        "time": 4.0,
-        "steps": 40,
-        "path": 1.5,
-        "driven": 1.5,
-        "shortest": 1.4,
-        "turning": 0.5,
-        "jerk": 2.0,
-        "clearance": math.nan,
-        "energy": 3.0,
-        "odometry_error": 0.01,
-        "cross_track": math.nan,
-        "barn_score": math.nan,
-        "barn_score_own": math.nan,
-        "episode_return": 4.0,
-        "late_ticks": 0,
-        "fault": "",
-    }
+    here = FIRST + number
+    values: dict[str, Any] = {"scene": here, "seed": here, "success": score > 0.0}
+    values |= {"collision": False, "score": score, "spl": score, "soft_spl": score}
+    values |= {"time": 4.0, "steps": 40, "path": 1.5, "driven": 1.5, "shortest": 1.4}
+    values |= {"turning": 0.5, "jerk": 2.0, "energy": 3.0, "odometry_error": 0.01}
+    values |= dict.fromkeys(("clearance", "cross_track", "barn_score", "barn_score_own"), math.nan)
+    values |= {"episode_return": 4.0, "late_ticks": 0, "fault": ""}
     return EpisodeRecord(**values | changes)
 
 

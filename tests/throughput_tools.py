@@ -26,11 +26,7 @@ def measured(work: Callable[[Any], int], job: Any) -> Cost:
     """Run a job; `work` returns its units."""
     begin, cpu = time.perf_counter(), time.process_time()
     units = work(job)
-    return Cost(
-        units,
-        time.process_time() - cpu,
-        time.perf_counter() - begin,
-    )
+    return Cost(units, time.process_time() - cpu, time.perf_counter() - begin)
 
 
 def evaluate(shard: Any) -> Cost:

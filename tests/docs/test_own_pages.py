@@ -9,7 +9,6 @@ import pty
 import re
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,13 +65,6 @@ def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
 
 
-@pytest.mark.parametrize("name", ["Park", "Clearance"])
-def test_a_task_has_forty_lines(mine: Path, name: str) -> None:
-    file = mine / f"{name.lower()}.py"
-    lines = file.read_text(encoding="utf-8").split(f"class {name}", 1)[1]
-    assert len([line for line in lines.splitlines() if line.strip()]) <= 40
-
-
 @pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
 def test_a_batch_and_single_envs_are_equal(
     mine: Path, compiled: bool, monkeypatch: pytest.MonkeyPatch
@@ -114,14 +106,13 @@ class Still:
     """A LiDAR that sees the same on every link."""
 
     def reset(self, scene: Any, rng: Any) -> None:
-        """Nothing to begin."""
+        pass
 
     def scan(self) -> Scan:
-        """Two metres all around."""
         return Scan(np.full(64, 2.0), 0.0)
 
     def close(self) -> None:
-        """Nothing to close."""
+        pass
 
 
 def rollout(link: Any, steps: int) -> list[bytes]:
@@ -208,6 +199,7 @@ def test_the_simple_task_ends_well_where_the_robot_stands_at_the_goal(mine: Path
 
 
 @pytest.mark.xdist_group("serial")
+@pytest.mark.usefixtures("deadline")
 def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     """Its link knows no truth; the newest whole line counts, and silence is a fault."""
     finder, rays = (importlib.import_module(f"mine.{name}") for name in ("finder", "rays"))
@@ -222,19 +214,11 @@ def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     sensor.poll(None, 1.0)
     np.testing.assert_allclose(sensor.read(None, 1.0), [0.5, 0.1, 1.0])
     os.write(board, b"3.0 0.6 0.6\n0.")
-    polled(sensor, 1.2)
+    while sensor.fresh != 1.2:  # until the terminal has passed on the line
+        sensor.poll(None, 1.2)
     np.testing.assert_allclose(sensor.read(None, 1.2), [1.0, 0.2, 0.2])
     with pytest.raises(LinkError, match="silent"):
         sensor.read(None, 1.9)
     sensor.close()
     os.close(board)
     os.close(device)
-
-
-def polled(sensor: Any, now: float) -> None:
-    """Poll until the terminal has passed on a line."""
-    for _ in range(500):
-        sensor.poll(None, now)
-        if sensor.fresh == now:
-            return
-        time.sleep(0.01)

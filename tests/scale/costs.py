@@ -110,9 +110,9 @@ def start() -> float:
     """Measure the CPU time of a process that has just loaded what an evaluation needs [s]."""
     script = (
         "from acsar_gym.tools.evaluation import runs, episodes\n"
-        "policy = runs.load('point_goal', trust=False)\n"
-        "env = runs.made(policy, 'bullet', None, {})\n"
-        "list(episodes.episodes(env, policy, 1, seed=0))"
+        "policy = runs.load_policy('point_goal', trust=False)\n"
+        "env = runs.make_env(policy, 'bullet', None, {})\n"
+        "list(episodes.run_episodes(env, policy, 1, seed=0))"
     )
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run([sys.executable, "-c", script], check=True)

@@ -1,4 +1,4 @@
-"""Baselines without a LiDAR: laws to a point, trackers of a path, and random actions."""
+"""Baselines without a map: laws to a point, trackers of a path, random actions, and gaps."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from baseline_tools import CONFIG, equipped, goal_seen, path_seen
 
 from acsar_gym.tasks.base import Floats
+from acsar_gym.tools.baselines.follow_gap import choose_course
 from acsar_gym.tools.baselines.goal_laws import curvature_to
 
 TO_A_GOAL = ("turn_drive", "smooth")
@@ -80,3 +81,37 @@ def test_random_actions_fill_the_action_space() -> None:
     assert (np.abs(drawn) <= top).all()
     assert drawn.min(axis=0) == pytest.approx(-top, rel=0.05)
     assert drawn.max(axis=0) == pytest.approx(top, rel=0.05)
+
+
+RADIUS = 0.28
+
+
+def ring(*openings: tuple[float, float]) -> Floats:
+    """Points around the robot, 1 m away, except within (centre, half width) [rad]."""
+    angles = np.linspace(-math.pi, math.pi, 120, endpoint=False)
+    for centre, half in openings:
+        angles = angles[np.abs(angles - centre) > half]
+    points: Floats = np.column_stack([np.cos(angles), np.sin(angles)])
+    return points
+
+
+@pytest.mark.parametrize(("bearing", "wanted"), [(0.2, 1.0), (-0.2, -1.5)])
+def test_the_gap_nearest_to_the_goal_is_taken(bearing: float, wanted: float) -> None:
+    """Its centre is 1.0 or -1.5 rad; the course lies between it and the goal."""
+    points = ring((1.0, 0.5), (-1.5, 1.2))
+    course, nearest = choose_course(points, RADIUS, bearing, 3.0)
+    assert nearest == pytest.approx(1.0)
+    assert min(bearing, wanted) < course < max(bearing, wanted)
+
+
+def test_a_gap_that_is_too_narrow_is_none_and_an_open_floor_is_one() -> None:
+    points = ring((0.0, 0.2), (2.0, 0.8))
+    course, _ = choose_course(points, RADIUS, 0.0, 3.0)
+    assert course > 0.3
+    assert choose_course(np.zeros((0, 2)), RADIUS, 0.7, 3.0) == (0.7, math.inf)
+
+
+def test_it_turns_away_from_a_wall_ahead() -> None:
+    linear, angular = equipped("follow_gap").act(goal_seen(3.0, 0.1, walls=((0.0, 0.5),)))
+    assert linear < CONFIG.max_linear
+    assert abs(angular) > 0.5

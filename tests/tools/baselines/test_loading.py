@@ -1,64 +1,43 @@
-"""Baselines by name: over the command line, and where they can't drive."""
+"""Baselines by name, and where they can't drive."""
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_tools import assert_one_line
 
 from acsar_gym.errors import PolicyError
-from acsar_gym.tools import baselines, cli
+from acsar_gym.tools import baselines
 from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.runs import EvaluationRun
 
 
-def called(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: str
-) -> tuple[int, str, str]:
-    """Exit code, output and errors of `acsar-gym ARGUMENTS` in this process."""
-    monkeypatch.setattr(sys, "argv", ["acsar-gym", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code, *capsys.readouterr()
+def evaluate(name: str, env: str, first: int = 0, count: int = 3) -> EvaluationRun:
+    policy = runs.load_policy(name, trust=False, env=env)
+    return runs.evaluate_policy(policy, "planar", None, range(first, first + count))
 
 
-def test_evaluate_takes_a_baseline_by_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out.json"
-    options = ("--env", "point_goal", "--link", "planar", "--episodes", "3", "--json", str(out))
-    code, said, _ = called(monkeypatch, capsys, "evaluate", "--policy", "turn_drive", *options)
-    assert (code, "3/3" in said) == (0, True)
-    header = json.loads(out.read_text())["header"]
-    assert header["policy"]["file"] == "turn_drive"
-    assert len(header["policy"]["sha256"]) == 64
+def test_a_baseline_is_evaluated_by_its_name() -> None:
+    run = evaluate("turn_drive", "point_goal")
+    assert run.summary.success_rate == 1.0
+    assert run.header["policy"]["file"] == "turn_drive"
+    assert len(run.header["policy"]["sha256"]) == 64
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("name", "env", "said"),
     [
-        (("--policy", "nosuch"), "baselines: random, turn_drive, smooth, pure_pursuit, stanley"),
-        (("--policy", "nosuch"), "policies that come along: barn"),
-        (("--policy", "dwa"), "--policy dwa --env obstacle_goal"),
-        (("--policy", "follow_gap", "--env", "point_goal"), "needs a LiDAR, which acsar_gym/Point"),
-        (("--policy", "stanley", "--env", "point_goal"), "needs a path, which acsar_gym/PointGoal"),
-        (("--policy", "smooth", "--env", "path_follow"), "needs a goal, which acsar_gym/PathFollo"),
+        ("nosuch", "", "come along: barn.*baselines: random"),
+        ("dwa", "", "--policy dwa --env obstacle_goal"),
+        ("follow_gap", "point_goal", "needs a LiDAR"),
+        ("stanley", "point_goal", "needs a path"),
+        ("smooth", "path_follow", "needs a goal"),
     ],
 )
-def test_what_it_cant_drive_is_one_line(
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: tuple[str, ...],
-    said: str,
-) -> None:
-    options = ("--link", "planar", "--episodes", "1")
-    code, _, error = called(monkeypatch, capsys, "evaluate", *arguments, *options)
-    assert code == 2
-    assert_one_line(error, said)
+def test_what_it_cant_drive_is_told(name: str, env: str, said: str) -> None:
+    with pytest.raises(PolicyError, match=said):
+        evaluate(name, env)
 
 
 def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,13 +50,8 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_random_actions_depend_on_the_episodes_seed_alone() -> None:
     """Whichever episodes were driven before."""
-
-    def driven(first: int, count: int) -> list[float]:
-        policy = runs.load_policy("random", trust=False, env="point_goal")
-        done = runs.evaluate_policy(policy, "planar", None, range(first, first + count))
-        return [result.path for result in done.results]
-
-    assert driven(0, 3)[2] == driven(2, 1)[0]
+    three, one = evaluate("random", "point_goal"), evaluate("random", "point_goal", 2, 1)
+    assert three.results[2].path == one.results[0].path
 
 
 @pytest.mark.parametrize("name", list(baselines.BASELINES))

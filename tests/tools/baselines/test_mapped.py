@@ -41,23 +41,21 @@ def test_motion_is_found_from_views_of_the_goal_though_the_velocities_are_biased
 
 
 @pytest.mark.parametrize(
-    ("point", "wanted"),
-    [((1.0, 0.0), 0.83), ((0.0, 0.1), 0.0), ((0.47, 0.57), 0.5), ((9.0, 0.0), 1.0)],
+    ("point", "turned", "wanted"),
+    [
+        ((1.0, 0.0), 0.0, 0.83),
+        ((0.0, 0.1), 0.0, 0.0),
+        ((0.47, 0.57), 0.0, 0.5),
+        ((9.0, 0.0), 0.0, 1.0),
+        ((0.23, 0.0), 0.0, 0.06),
+        ((0.23, 0.0), math.pi / 4.0, 0.0),
+    ],
 )
 def test_clearance_is_the_distance_of_the_rectangle(
-    point: tuple[float, float], wanted: float
+    point: tuple[float, float], turned: float, wanted: float
 ) -> None:
-    free = points_clearance(0.0, 0.0, 0.0, np.array([point]), SIDES, OUTER, 1.0)
+    free = points_clearance(0.0, 0.0, turned, np.array([point]), SIDES, OUTER, 1.0)
     assert free == pytest.approx(wanted, abs=1e-9)
-
-
-def test_a_turned_footprint_reaches_farther() -> None:
-    points = np.array([(0.23, 0.0)])
-    free = [
-        points_clearance(0.0, 0.0, theta, points, SIDES, OUTER, 1.0)
-        for theta in (0.0, math.pi / 4.0)
-    ]
-    assert free == pytest.approx([0.06, 0.0])
 
 
 def test_the_map_keeps_what_is_behind_and_clears_what_has_gone() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import shutil
 from collections.abc import Iterator
@@ -41,6 +40,11 @@ def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
     return BenchmarkPlan(some, (ID,), **{"links": ("planar",), "count": 2, **changes})
 
 
+def make_store(folder: Path) -> Store:
+    folder.mkdir()
+    return Store(folder)
+
+
 def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path) -> None:
     (part,) = runner.run_plan(make_plan(), Store(tmp_path))
     policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
@@ -48,19 +52,16 @@ def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path)
     results = list(run_episodes(env, policy, 2, SCENES[ID].test.numbers[0]))
     env.close()
     assert [each.success for each in part.episodes] == [True, True]
-    assert [each.path for each in part.episodes] == pytest.approx(
-        [r.path for r in results], rel=1e-5
-    )
-    assert [each.energy for each in part.episodes] == pytest.approx(
-        [r.energy for r in results], rel=1e-5
-    )
+    for name in ("path", "energy"):
+        theirs = [getattr(each, name) for each in results]
+        assert [getattr(e, name) for e in part.episodes] == pytest.approx(theirs, rel=1e-5)
     assert all(0.0 < each.score < 1.0 for each in part.episodes)
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Finished parts aren't driven again, and the result is that of one run."""
     monkeypatch.setitem(CHUNK_SIZES, "planar", 1)
-    whole = runner.run_plan(make_plan(count=3), Store(_made(tmp_path / "whole")))
+    whole = runner.run_plan(make_plan(count=3), make_store(tmp_path / "whole"))
     drive, seen = runner.run_job, []
 
     def interrupted(job: BenchmarkJob) -> Part:
@@ -70,21 +71,16 @@ def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.Mo
         return drive(job)
 
     monkeypatch.setattr(runner, "run_job", interrupted)
-    store = Store(_made(tmp_path / "cut"))
+    store = make_store(tmp_path / "cut")
     with pytest.raises(CancelledError, match="2 of 3 parts are kept") as caught:
         runner.run_plan(make_plan(count=3), store)
     assert caught.value.exit_code == 130
     again = runner.run_plan(make_plan(count=3), store)
     assert seen == [0, 1, 2, 2]
-    assert _told(again) == _told(whole)
+    assert untimed(again) == untimed(whole)
 
 
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
-
-
-def _told(parts: list[Part]) -> str:
+def untimed(parts: list[Part]) -> str:
     """The parts without their times."""
     return repr([(part.cell, part.first, part.episodes) for part in parts])
 
@@ -123,14 +119,6 @@ def test_other_robots_drive(name: str) -> None:
     assert runner.run_job(job).episodes
 
 
-@pytest.mark.slow
-def test_a_husky_drives_through_easy_barn_worlds() -> None:
-    """It is too wide for the gaps of most."""
-    (own,) = (each for each in plan.baseline_agents(["Barn-v1"]) if each.name == "dwa")
-    job = next(BenchmarkPlan((own,), ("Barn-v1",), ("planar",), ("husky",), 2).jobs())
-    assert len(runner.run_job(job).episodes) == 2
-
-
 def test_worlds_of_a_husky_can_be_made() -> None:
     condition = plan.CONDITIONS["husky"]
     options = condition.options(condition.config, "barn")
@@ -141,21 +129,18 @@ def test_worlds_of_a_husky_can_be_made() -> None:
 
 
 @pytest.mark.parametrize(
-    ("condition", "how", "said"),
+    ("condition", "how", "refused"),
     [
-        ("husky", {"simulated": True, "published": True}, "this one has 0.598 m"),
-        ("jackal", {"simulated": True, "published": True}, ""),
-        ("husky", {"simulated": True, "published": False}, ""),
-        ("randomization-1", {"simulated": False, "published": False}, "physics don't vary"),
-        ("dropped-2", {"simulated": False, "published": False}, ""),
+        ("husky", {"simulated": True, "published": True}, True),
+        ("jackal", {"simulated": True, "published": True}, False),
+        ("husky", {"simulated": True, "published": False}, False),
+        ("dropped-2", {"simulated": False, "published": False}, False),
     ],
 )
 def test_conditions_that_nobody_can_drive_under(
-    condition: str, how: dict[str, bool], said: str
+    condition: str, how: dict[str, bool], refused: bool
 ) -> None:
-    found = plan.CONDITIONS[condition].impossible(**how)
-    assert said in found
-    assert bool(said) == bool(found)
+    assert bool(plan.CONDITIONS[condition].impossible(**how)) == refused
 
 
 def test_randomization_is_refused_behind_the_port() -> None:
@@ -185,7 +170,7 @@ def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
     own = BenchmarkPlan((plan.submitted_agent(f"{file}:act"),), (ID,), ("planar",), count=1)
-    store = Store(_made(tmp_path / "out"))
+    store = make_store(tmp_path / "out")
     with pytest.raises(PolicyError, match="act failed"):
         runner.run_plan(own, store)
     assert store.open(own.as_dict()) == []
@@ -203,21 +188,12 @@ def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
     assert len(part.episodes) == 1
 
 
-def test_the_conditions_change_what_they_say() -> None:
-    for name, condition in plan.CONDITIONS.items():
-        config = condition.config
-        nominal = plan.CONDITIONS["nominal"].config
-        assert (config != nominal or bool(condition.options(config))) == (name != "nominal"), name
-
-
-@pytest.mark.parametrize("workers", [2])
 @pytest.mark.slow
-def test_several_processes_find_the_same(tmp_path: Path, workers: int) -> None:
-    one = runner.run_plan(make_plan("turn_drive", "smooth"), Store(_made(tmp_path / "one")))
-    both = runner.run_plan(
-        make_plan("turn_drive", "smooth"), Store(_made(tmp_path / "two")), workers=workers
-    )
-    assert _told(one) == _told(both)
+def test_several_processes_find_the_same(tmp_path: Path) -> None:
+    own = make_plan("turn_drive", "smooth")
+    one = runner.run_plan(own, make_store(tmp_path / "one"))
+    both = runner.run_plan(own, make_store(tmp_path / "two"), workers=2)
+    assert untimed(one) == untimed(both)
 
 
 @pytest.mark.slow
@@ -241,33 +217,9 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
         (tmp_path / "ppo" / seed).mkdir(parents=True)
         (tmp_path / "ppo" / seed / "policy.onnx").write_bytes(policy)
     found = plan.choose_agents(["ppo"], [ID], tmp_path, 2)
-    assert [(each.name, each.training_seed, each.id) for each in found] == [
-        ("ppo", 0, ID),
-        ("ppo", 1, ID),
-    ]
+    told = [(each.name, each.training_seed, each.id) for each in found]
+    assert told == [("ppo", 0, ID), ("ppo", 1, ID)]
     assert not plan.choose_agents(["ppo"], ["Barn-v1"], tmp_path, 2)
-
-
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: plan.short_id("bran"), "--ids 'bran'"),
-        (lambda: plan.choose_agents(["dwaa"], [ID], None, 5), "did you mean 'dwa'"),
-        (
-            lambda: plan.choose_agents([], [ID], Path("nowhere"), 5),
-            "holds no NAME/SEED/policy.onnx",
-        ),
-        (lambda: plan.choose_conditions(["drooped-2"]), "did you mean 'dropped-2'"),
-        (lambda: make_plan(links=("bulet",)), "did you mean 'bullet'"),
-        (lambda: BenchmarkPlan((), (ID,)), "none of them drives"),
-        (lambda: make_plan(count=0).check(), "0 were asked for"),
-        (lambda: make_plan(links=("port",), port_count=0), "--port-scenes 0: must be at least 1"),
-    ],
-)
-def test_what_cannot_be_asked_for(call: Any, said: str) -> None:
-    with pytest.raises(ConfigError, match=said) as caught:
-        call()
-    assert "\n" not in str(caught.value)
 
 
 def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
@@ -275,10 +227,3 @@ def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
     file.write_text("ENV_ID = 'CartPole-v1'\ndef act(seen):\n    return seen[:2]\n")
     with pytest.raises(PolicyError, match="for which there are no scenes"):
         plan.submitted_agent(f"{file}:act")
-
-
-def test_the_plan_is_json_and_names_no_folder() -> None:
-    some = tuple(plan.choose_agents(["packaged"], list(IDS), None, 1))
-    told = json.dumps(BenchmarkPlan(some, tuple(each.id for each in some)).as_dict())
-    assert str(AGENTS) not in told
-    assert '"barn.onnx"' in told

@@ -17,36 +17,7 @@ from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episodes import EpisodeResult, odometry_errors, run_episodes
 from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
-from acsar_gym.tools.evaluation.report import summary_table, write_json
-from acsar_gym.worlds import Pose
-
-
-def result(*, success: bool = True, pose: Pose = (1.0, 0.0, 0.0), late: int = 0) -> EpisodeResult:
-    return EpisodeResult(
-        success=success,
-        collision=False,
-        started=10.0,
-        ended=14.0 if success else 30.0,
-        path=1.5 if success else 9.0,
-        pose=pose,
-        odometry_error=0.02,
-        ticks=400,
-        late_ticks=late,
-    )
-
-
-def test_times_and_paths_are_means_over_successes() -> None:
-    summary = summarise_episodes([result(), result(late=3), result(success=False)])
-    assert summary.success_rate == pytest.approx(2.0 / 3.0)
-    assert summary.time_to_goal == pytest.approx(4.0)
-    assert summary.path == pytest.approx(1.5)
-    assert (summary.ticks, summary.late_ticks) == (1200, 3)
-
-
-def test_without_a_success_there_is_no_time_to_goal() -> None:
-    summary = summarise_episodes([result(success=False)])
-    assert math.isnan(summary.time_to_goal)
-    assert summary.as_dict()["time_to_goal"] is None
+from acsar_gym.tools.evaluation.report import summary_table
 
 
 def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
@@ -59,19 +30,11 @@ def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
         {"t": 99.0, "pose": [0.0, 0.0, 0.0]},
     ]
     log.write_text("\n".join(map(json.dumps, events)))
-    assert odometry_errors([result()], log) == pytest.approx([0.03])
-
-
-def test_a_log_without_poses_is_an_error(tmp_path: Path) -> None:
-    log = tmp_path / "log.jsonl"
+    ended = EpisodeResult(True, False, 10.0, 14.0, 1.5, (1.0, 0.0, 0.0), 0.02, 400, 0)
+    assert odometry_errors([ended], log) == pytest.approx([0.03])
     log.write_text('{"t": 1.0, "rx": ""}\n')
     with pytest.raises(ConfigError, match="no true poses"):
-        odometry_errors([result()], log)
-
-
-def test_json_that_cannot_be_written_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be written"):
-        write_json(tmp_path / "no" / "folder.json", {})
+        odometry_errors([ended], log)
 
 
 def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
@@ -133,14 +96,9 @@ def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> Non
     assert (summary.missed_ticks, summary.worst_lateness) == (lateness.missed_ticks, lateness.worst)
     assert summary.lateness_p99 == lateness.p99
     assert "Invalid" in str(summary_table("slow", [("wire", summary)]).caption)
-
-
-@serial
-def test_who_allows_late_ticks_gets_a_valid_episode(shared_device: str) -> None:
-    episode = run(shared_device, slow, late_share=1.0)
-    assert episode.valid
-    assert episode.late_ticks > 0
-    assert summary_table("slow", [("wire", summarise_episodes([episode]))]).caption is None
+    allowed = run(shared_device, slow, late_share=1.0)
+    assert allowed.valid
+    assert allowed.late_ticks > 0
 
 
 @serial
@@ -184,18 +142,8 @@ def test_a_fault_on_hardware_keeps_the_timing_up_to_it(shared_device: str) -> No
 
 
 def test_after_a_fault_the_next_episode_connects_again() -> None:
-    env = gymnasium.make(
-        "acsar_gym/PointGoal-v0",
-        link="planar",
-        faults={"unplug_at": 0.25, "replug_time": 0.1},
-        max_episode_steps=5,
-    )
+    options: dict[str, Any] = {"faults": {"unplug_at": 0.25, "replug_time": 0.1}}
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5, **options)
     results = list(run_episodes(env, lambda _: CURVE, 3, seed=0))
     env.close()
     assert [bool(one.fault) for one in results] == [True] * 3
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
-def test_a_share_of_late_ticks_is_a_share(share: float) -> None:
-    with pytest.raises(ConfigError, match="must be a share, 0 to 1"):
-        run("planar", late_share=share)

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
+from acsar_gym import RobotConfig
+from acsar_gym.config.footprint import make_rectangle
+from acsar_gym.tools.evaluation.episodes import (
+    EpisodeResult,
+    footprint_clearance,
+    mean_jerk,
+    run_episodes,
+    total_turning,
+)
 from acsar_gym.tools.evaluation.metrics import (
     bootstrap_interval,
     episode_soft_spl,
@@ -24,34 +33,13 @@ FORWARD = np.array([1.0, 0.0], np.float32)
 
 
 def result(**known: Any) -> EpisodeResult:
-    fields: dict[str, Any] = {
-        "success": True,
-        "collision": False,
-        "started": 10.0,
-        "ended": 20.0,
-        "path": 5.0,
-        "pose": (4.0, 0.0, 0.0),
-        "odometry_error": 0.05,
-        "ticks": 1000,
-        "late_ticks": 0,
-        "shortest": 4.0,
-        "left": 0.0,
-        "driven": 5.0,
-        "turning": 2.5,
-        "episode_return": 4.0,
-        "length": 60,
-    }
-    return EpisodeResult(**{**fields, **known})
+    told: dict[str, Any] = {"turning": 2.5, "episode_return": 4.0, "length": 60, **known}
+    ended = EpisodeResult(True, False, 10.0, 20.0, 5.0, (4, 0, 0), 0.05, 1000, 0, 4.0, 0.0, 5.0)
+    return replace(ended, **told)
 
 
-LOST = {
-    "success": False,
-    "left": 4.0,
-    "path": 0.0,
-    "driven": 0.0,
-    "episode_return": 1.0,
-    "length": 30,
-}
+LOST = {"success": False, "left": 4.0, "path": 0.0, "driven": 0.0}
+LOST |= {"episode_return": 1.0, "length": 30}
 CRASH = {"success": False, "collision": True, "left": 3.0, "driven": 1.0, "path": 1.0}
 
 
@@ -118,8 +106,11 @@ def test_means_have_intervals_and_json_is_clean() -> None:
     assert summary.time_to_goal == pytest.approx(10.0)
     assert (summary.episode_return, summary.length) == pytest.approx((3.0, 50.0))
     assert summary.odometry_drift == pytest.approx(0.05 / 1e-9 / 3.0, rel=1e-3)
+    assert summary.ticks == 3000
     data = json.loads(json.dumps(summary.as_dict(), allow_nan=False))
     assert data["cross_track"] is None
+    assert summarise_episodes([result(**LOST)]).as_dict()["time_to_goal"] is None
+    assert math.isnan(summarise_episodes([]).success_rate)
     low, high = data["intervals"]["success_rate"]
     assert low < 2.0 / 3.0 < high
 
@@ -130,12 +121,6 @@ def test_barn_scores_are_averaged_over_all_runs() -> None:
     assert summary.scores["barn_score"] == pytest.approx(0.25)
     assert summary.scores["barn_score_k4"] == pytest.approx(0.125)
     assert summarise_episodes([result()]).scores == {}
-
-
-def test_nothing_at_all_is_no_error() -> None:
-    summary = summarise_episodes([])
-    assert summary.episodes == 0
-    assert math.isnan(summary.success_rate)
 
 
 def drive(world: World, action: Any = FORWARD, link: str = "planar") -> EpisodeResult:
@@ -165,13 +150,7 @@ def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     assert episode.shortest > 2.05  # round the pillar
     assert 1.4 < episode.left < 1.9
     assert 0.15 < episode_soft_spl(episode) < 0.4
-
-
-def test_standing_still_is_neither() -> None:
-    episode = drive(ahead(), np.zeros(2, np.float32))
-    summary = summarise_episodes([episode])
-    assert (summary.success_rate, summary.collision_rate, summary.timeout_rate) == (0.0, 0.0, 1.0)
-    assert summary.soft_spl == pytest.approx(0.0, abs=1e-6)
+    assert episode.clearance == 0.0
 
 
 def test_paths_are_judged_by_the_distance_beside_them() -> None:
@@ -181,6 +160,7 @@ def test_paths_are_judged_by_the_distance_beside_them() -> None:
     assert episode.success
     assert episode.cross_track == pytest.approx(0.1, abs=0.01)
     assert math.isnan(episode.shortest)
+    assert math.isnan(episode.clearance)
 
 
 def test_what_a_task_tells_is_averaged_beside_figures_of_the_same_name() -> None:
@@ -190,3 +170,60 @@ def test_what_a_task_tells_is_averaged_beside_figures_of_the_same_name() -> None
     assert summary.length == 60.0
     assert summary.intervals["told.length"] != summary.intervals["length"]
     assert summary.as_dict()["told"] == summary.told
+
+
+PERIOD = 0.1
+
+
+def poses(positions: Any, heading: float = 0.5) -> Any:
+    """Poses of a straight drive."""
+    along = np.asarray(positions)
+    turned = np.full_like(along, heading)
+    return np.column_stack([along * math.cos(heading), along * math.sin(heading), turned])
+
+
+def test_jerk_is_the_third_derivative_of_the_way() -> None:
+    times = PERIOD * np.arange(12)
+    assert mean_jerk(poses(0.4 * times), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(poses(0.4 * times**2), PERIOD) == pytest.approx(0.0, abs=1e-9)
+    assert mean_jerk(poses(0.4 * times**3), PERIOD) == pytest.approx(6.0 * 0.4)
+    assert math.isnan(mean_jerk(poses([0.0, 0.1, 0.2]), PERIOD))
+
+
+def test_turning_counts_both_ways_and_across_pi() -> None:
+    headings = [[0.0, 0.0, theta] for theta in (3.0, -3.1, 3.0)]
+    assert total_turning(np.array(headings)) == pytest.approx(2.0 * (math.tau - 6.1))
+
+
+def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() -> None:
+    world = World(circles=np.array([[2.0, 0.0, 0.5]]), segments=np.array([[-1.0, 1.0, 3.0, 1.0]]))
+    outline = make_rectangle(0.6, 0.4)
+    straight = footprint_clearance(np.array([(0.0, 0.0, 0.0)]), outline, world)
+    assert straight == pytest.approx(0.8)
+    slanted = footprint_clearance(np.array([(0.0, 0.0, math.pi / 4.0)]), outline, world)
+    assert slanted == pytest.approx(1.0 - 0.5 / math.sqrt(2.0))
+    both = np.array([(-9.0, -9.0, 0.0), (0.0, 0.0, math.pi / 4.0), (0.0, 0.0, 0.0)])
+    assert footprint_clearance(both, outline, world) == slanted
+
+
+def test_the_poses_that_are_left_out_are_never_the_nearest() -> None:
+    rng = np.random.default_rng(0)
+    circles = np.column_stack([rng.uniform(-3.0, 3.0, (20, 2)), rng.uniform(0.05, 0.3, 20)])
+    world, outline = World(circles=circles), make_rectangle(0.9, 0.3)
+    places = rng.uniform(-3.0, 3.0, (50, 3))
+    single = [footprint_clearance(place[None], outline, world) for place in places]
+    assert footprint_clearance(places, outline, world) == min(single)
+
+
+@pytest.mark.parametrize("link", ["planar", "bullet"])
+def test_an_episode_tells_clearance_energy_and_jerk(link: str) -> None:
+    """The robot drives beside a wall at 0.5 m, which its side passes at half its width less."""
+    wall = World(
+        segments=np.array([[-1.0, 0.5, 9.0, 0.5]]),
+        start=Region(0.0, 0.0, 0.0, 0.0),
+        goal=Region(4.0, 0.0),
+    )
+    found, width = drive(wall, link=link), max(y for _, y in RobotConfig().outline)
+    assert found.clearance == pytest.approx(0.5 - width, abs=1e-3)
+    assert found.energy > 0.0
+    assert 0.0 < found.jerk < 10.0

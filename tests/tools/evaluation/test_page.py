@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,14 +13,13 @@ import pytest
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.errors import MissingExtraError
 from acsar_gym.tools.evaluation.page import (
     MAX_LINE_POINTS,
     Grid,
     PageSection,
     Plot,
     ReportPage,
-    distribution_trace,
     line_trace,
     stairs_trace,
 )
@@ -97,17 +95,8 @@ def test_a_report_loads_nothing(tmp_path: Path) -> None:
         page = Reader(html)
         assert page.loads == []
         assert "default-src 'none'" in html
-        assert page.tags.count("figure") == plots
-        assert len(json.loads(page.scripts[0])) == plots
-        assert "too few" in page.said or name != "gap.html"  # in place of the plot of delays
+        assert page.tags.count("figure") == len(json.loads(page.scripts[0])) == plots
         assert "NaN" not in page.scripts[0]
-        titles = re.findall(r'"title":\{"text":"([^"]+)"', page.scripts[0])
-        assert {t for t in titles if "[" not in t} <= {"share of steps"}
-
-
-def test_it_is_written_or_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be written"):
-        evil_page().write(tmp_path / "missing" / "x.html")
 
 
 def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,10 +109,3 @@ def test_long_lines_are_thinned_and_stairs_keep_their_corners() -> None:
     assert len(line_trace("x", range(99_999), range(99_999), "--robot")["x"]) <= MAX_LINE_POINTS
     steps = stairs_trace("x", range(6), [0, 0, 0, 1, 1, 2], "--robot")
     assert (steps["x"], steps["y"]) == ([0.0, 3.0, 5.0], [0.0, 1.0, 2.0])
-
-
-def test_the_distribution_function_ends_at_one() -> None:
-    drawn = distribution_trace("x", [0.3, 0.1, np.nan, 0.2], "--robot", 10.0)
-    assert drawn["x"] == [1.0, 1.0, 2.0, 3.0]
-    assert drawn["y"] == pytest.approx([0.0, 1 / 3, 2 / 3, 1.0], abs=1e-4)
-    assert distribution_trace("x", [], "--robot")["x"] == []

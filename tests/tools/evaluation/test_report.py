@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
-from rich.console import Console
 
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.tools.evaluation import episodes as evaluation
@@ -26,21 +23,6 @@ def caption(robot: str | None, multiplier: float) -> str:
 def test_a_robot_whose_odometry_is_far_off_is_pointed_out() -> None:
     assert "calibrate" in caption(None, 1.0)
     assert caption(None, 1.5378) == ""
-
-
-def test_the_table_of_a_simulated_barn_run_fits_in_160_columns() -> None:
-    env = PointGoalEnv("planar")
-    found = list(evaluation.run_episodes(env, OnnxPolicy("point_goal"), 1, 0))
-    env.close()
-    summary = dataclasses.replace(
-        metrics.summarise_episodes(found),
-        timeout_rate=0.5,
-        clearance=0.1,
-        scores={"barn_score": 0.45},
-    )
-    table = report.summary_table("test", [("planar", summary)])
-    assert "clearance" in {column.header for column in table.columns}
-    assert Console(width=1000).measure(table).maximum <= 160
 
 
 @pytest.mark.parametrize(("columns", "width"), [(None, 160), ("90", 90), ("0", 160), ("x", 160)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import re
 from importlib import metadata
@@ -46,10 +47,8 @@ def drive(count: int, seed: int = 3, **options: Any) -> EvaluationRun:
     [
         ("acsar_gym/PointGoal-v0", None, "None"),
         (OBSTACLES, None, "clutter 0 to 199 (test split)"),
-        (f"acsar_gym:{OBSTACLES}", None, "clutter 0 to 199 (test split)"),
         ("acsar_gym/Barn-v1", None, "barn 0 to 299 (test split)"),
         ("acsar_gym/PathFollow-v0", None, "smooth_path 0 to 199 (test split)"),
-        (OBSTACLES, "rooms", "rooms 0 to 199 (test split)"),
         (OBSTACLES, "rooms:5", "rooms 0 to 4 (test split)"),
         (OBSTACLES, "clutter:train", "clutter 1000 to 1399 (train split)"),
         (OBSTACLES, "clutter:500-599", "clutter 500 to 599"),
@@ -64,17 +63,10 @@ def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, world
     env.close()
 
 
-def test_the_training_split_is_evaluated_where_it_is_asked_for() -> None:
-    run = drive(1, worlds="open:train")
-    assert run.worlds == "open 1000 to 1399 (train split)"
-    assert run.header["worlds"]["split"] == "train"
-
-
 def test_an_evaluation_says_what_it_was_measured_with() -> None:
     run = drive(2, worlds="open", goal_tolerance=0.2)
     data = json.loads(json.dumps(run.as_dict(), allow_nan=False))
     header = data["header"]
-    assert {"acsar_gym", "gymnasium", "numpy", "python"} <= header["versions"].keys()
     assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
     policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
     assert header["policy"] == policy | {"differences": []}
@@ -82,9 +74,8 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
     assert header["env"]["max_episode_steps"] == 400
     assert (header["link"], header["seeds"]) == ("planar", {"first": 3, "last": 4})
-    told = {key: header["worlds"][key] for key in ("kind", "split", "first", "last")}
-    assert told == {"kind": "open", "split": "test", "first": 0, "last": 199}
-    assert run.worlds == "open 0 to 199 (test split)"
+    told = {"kind": "open", "split": "test", "first": 0, "last": 199}
+    assert told.items() <= header["worlds"].items()
     for part in (header["robot"], header["worlds"]):
         assert re.fullmatch("[0-9a-f]{64}", part["sha256"])
     standing = -sum(0.01 + 0.05 * min(step / 100, 1.0) for step in range(1, 401))
@@ -116,36 +107,26 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
     assert other["robot"] != headers[0]["robot"]
 
 
-def test_the_hash_of_a_policy_is_that_of_what_was_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "source", "function"),
+    [
+        ("policy.onnx", POINT_GOAL.read_bytes(), None),
+        ("mine.py", b"def act(observation):\n    return 0.0, 0.0\n", "act"),
+    ],
+    ids=["onnx", "python"],
+)
+def test_the_hash_of_a_policy_is_that_of_what_was_read(
+    name: str, source: bytes, function: str | None, tmp_path: Path
+) -> None:
     """Though the file is another one by now, or gone."""
-    file = tmp_path / "policy.onnx"
-    file.write_bytes(POINT_GOAL.read_bytes())
-    policy = runs.load_policy(str(file), trust=False)
+    file = tmp_path / name
+    file.write_bytes(source)
+    path = f"{file}:{function}" if function else str(file)
+    policy = runs.load_policy(path, trust=False, env="point_goal")
     file.write_bytes(b"of a later training")
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    header = provenance.make_header(env, policy, "planar", range(1), {})
-    sha256 = hashlib.sha256(POINT_GOAL.read_bytes()).hexdigest()
-    assert header["policy"]["sha256"] == sha256
-    assert header["worlds"]["kind"] == "none"
-
-
-def test_the_function_of_a_python_file_is_told(tmp_path: Path) -> None:
-    source = b"def act(observation):\n    return 0.0, 0.0\n"
-    (tmp_path / "mine.py").write_bytes(source)
-    policy = runs.load_policy(f"{tmp_path / 'mine.py'}:act", trust=False, env="point_goal")
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
     told = provenance.make_header(env, policy, "planar", range(1), {})["policy"]
-    assert (told["function"], told["sha256"]) == ("act", hashlib.sha256(source).hexdigest())
-
-
-def test_generated_worlds_have_the_hash_of_their_generators(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    env = gymnasium.make(OBSTACLES, link="planar", worlds="open:5")
-    before = provenance.make_header(env, Idle(), "planar", range(1), {})
-    monkeypatch.setattr(provenance, "hash_source", lambda kind: "changed")
-    after = provenance.make_header(env, Idle(), "planar", range(1), {})
-    assert before["worlds"]["sha256"] != after["worlds"]["sha256"]
+    assert (told["function"], told["sha256"]) == (function, hashlib.sha256(source).hexdigest())
 
 
 def test_worlds_in_order_have_their_own_numbers() -> None:
@@ -166,7 +147,7 @@ class Counting(Idle):
         self.told: list[str] = []
 
     def bind(self, env: RobotEnv) -> None:
-        self.told.append(f"bound to {env.task.id}, {env.ticks_per_step} ticks a step")
+        self.told.append(f"bound to {env.ticks_per_step} ticks a step")
 
     def reset(self) -> None:
         self.told.append("reset")
@@ -179,8 +160,5 @@ class Counting(Idle):
 def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
     policy = Counting()
     runs.evaluate_policy(policy, "planar", None, range(2))
-    assert policy.told[0] == "bound to acsar_gym/PointGoal-v0, 10 ticks a step"
-    resets = [n for n, what in enumerate(policy.told) if what == "reset"]
-    assert len(resets) == 2
-    assert [policy.told[n + 1] for n in resets] == ["called"] * 2
-    assert policy.told.count("bound to acsar_gym/PointGoal-v0, 10 ticks a step") == 1
+    told = [key for key, _ in itertools.groupby(policy.told)]
+    assert told == ["bound to 10 ticks a step", *["reset", "called"] * 2]

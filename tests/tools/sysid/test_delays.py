@@ -16,7 +16,6 @@ from acsar_gym.tools.sysid.delays import (
 )
 
 PERIOD = 0.01
-TICKS = np.arange(0.0, 1.0, PERIOD)
 
 
 def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, Floats]:
@@ -24,28 +23,6 @@ def square(duration: float, half: float, height: float = 5.0) -> tuple[Floats, F
     stamps = np.arange(0.0, duration, PERIOD)
     high = (stamps / half + 1e-9).astype(int) % 2 == 1
     return stamps, np.where(high, height, 0.0)[:, None] * np.ones(4)
-
-
-def test_steps_are_changes_after_a_held_command() -> None:
-    stamps, speeds = square(2.0, 0.5)
-    begun = find_steps(stamps, speeds)
-    assert np.allclose(stamps[begun.any(axis=1)], [0.5, 1.0, 1.5])
-    assert begun.sum() == 3 * 4
-    ramp = np.clip((TICKS - 0.5) * 40.0, 0.0, 5.0)[:, None] * np.ones(4)  # is one step
-    assert np.allclose(TICKS[find_steps(TICKS, ramp).any(axis=1)], [0.51])
-    stamps, speeds = square(2.0, 0.1)  # faster than the hold
-    assert find_steps(stamps, speeds).any(axis=1).sum() <= 1
-
-
-def test_a_ramps_delay_is_that_between_command_and_feedback() -> None:
-    ramp = np.clip((TICKS - 0.5) * 20.0, 0.0, 5.0)[:, None] * np.array([1.0, -0.5, -0.5, 1.0])
-    assert measure_delays(TICKS, ramp, TICKS + 0.03, ramp) == pytest.approx([0.03])
-
-
-def test_a_log_begins_at_rest() -> None:
-    speeds = np.where(TICKS > 0.015, 5.0, 0.0)[:, None] * np.ones(4)
-    assert measure_delays(TICKS, speeds, TICKS + 0.005, speeds) == pytest.approx([0.005])
-    assert not find_steps(TICKS, speeds + 1.0).any()
 
 
 @pytest.mark.parametrize("delay", [0.012, 0.035])

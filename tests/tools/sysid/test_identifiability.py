@@ -24,6 +24,8 @@ SLOW = {
     "firmware": {"feedback_rate": 20.0, "command_delay": 0.04},
 }
 
+ONE_DEAD = {"motor": {"deadband": (0.0, 20.0, 0.0, 0.0)}}
+
 
 def judge(
     commands: Floats, pause: float = 0.0, turning: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
@@ -58,7 +60,6 @@ FAST = manoeuvre()
     ("commands", "missing", "reason", "known"),
     [
         (wave(6.0, 0.2, 2000), "motor.time_constant", "no steps", "motor.gain"),
-        (wave(6.0, 0.2, 2000), "firmware.command_delay", "no steps", "motor.gain"),
         (wave(2.0, 1.0, 1200), "motor.deadband", "hangs on the lag", "motor.gain"),
         (np.abs(FAST), "motor.deadband", "no reversal", "motor.time_constant"),
         (
@@ -68,7 +69,6 @@ FAST = manoeuvre()
             "motor.time_constant",
         ),
         (FAST, "firmware.command_timeout", "no pause", "motor.deadband"),
-        (FAST[:200], "motor.acceleration", "2.0 s of log", "firmware.feedback_rate"),
         (FAST[:200], "firmware.command_delay", "2.0 s of log", "firmware.feedback_rate"),
     ],
 )
@@ -98,14 +98,11 @@ def drive(commands: Floats, **hidden: Any) -> list[BoardTrack]:
 @pytest.mark.parametrize(
     ("wheels", "said"),
     [
-        ({"a": {"motor": "b"}, "b": {"motor": "a"}}, "front_right answers front_left's command:"),
-        ({"c": {"encoder": "d"}, "d": {"encoder": "c"}}, "rear_left answers rear_right's command:"),
-        ({"b": {"sign": -1}}, "front_left turns backward at forward commands"),
-        ({"d": {"motor_sign": -1}}, "rear_right turns backward at forward commands"),
-        (
-            {"a": {"motor": "b", "motor_sign": -1}, "b": {"motor": "a"}},
-            "front_right answers front_left's command",
-        ),
+        ({"a": {"motor": "b"}, "b": {"motor": "a"}}, "front_right answers front_left's"),
+        ({"c": {"encoder": "d"}, "d": {"encoder": "c"}}, "rear_left answers rear_right's"),
+        ({"b": {"sign": -1}}, "front_left turns backward"),
+        ({"d": {"motor_sign": -1}}, "rear_right turns backward"),
+        ({"a": {"motor": "b", "motor_sign": -1}, "b": {"motor": "a"}}, "front_right answers"),
     ],
 )
 def test_a_miswired_wheel_is_named(wheels: Any, said: str) -> None:
@@ -113,12 +110,8 @@ def test_a_miswired_wheel_is_named(wheels: Any, said: str) -> None:
         check_wheel_order(drive(manoeuvre(12.0), wheels=wheels))
 
 
-@pytest.mark.parametrize("hidden", [{}, SLOW], ids=["usual", "slow"])
+@pytest.mark.parametrize("hidden", [{}, SLOW, ONE_DEAD], ids=["usual", "slow", "one dead"])
 @pytest.mark.parametrize("pattern", [(1, 1, 1, 1), (1, -1, -1, 1), None])
 def test_a_robot_that_is_wired_right_is_not_blamed(pattern: Any, hidden: Any) -> None:
     commands = manoeuvre(12.0) if pattern is None else wave(5.0, 5.0, 500) * pattern
     check_wheel_order(drive(commands, **hidden))
-
-
-def test_a_dead_wheel_is_not_miswired() -> None:
-    check_wheel_order(drive(manoeuvre(12.0), motor={"deadband": (0.0, 20.0, 0.0, 0.0)}))

@@ -12,9 +12,7 @@ from acsar_gym.tools.sysid.response import (
     FitProblem,
     WheelModel,
     lag_blend,
-    pass_deadband,
     ramp_step,
-    sample_commands,
     simulate_speeds,
 )
 from acsar_gym.tools.sysid.tracks import decode_track
@@ -61,18 +59,3 @@ def test_the_answer_predicts_what_the_twin_prints() -> None:
         assert np.sqrt(np.mean(rest**2)) < 0.06
         late = problem.answer(one, wheel, motor, BoardTimes(0.02, 0.05, 0.5)) - one.speeds[:, wheel]
         assert np.mean(late**2) > 4.0 * np.mean(rest**2)
-
-
-def test_commands_count_from_the_loop_after_they_arrive() -> None:
-    edges = np.asarray(np.arange(5) * 0.01, np.float64)
-    before, after, share = sample_commands(edges, np.array([0.0, 0.02]), np.array([1.0, 3.0]))
-    assert after.tolist() == [1.0, 1.0, 3.0, 3.0, 3.0]
-    assert before.tolist() == [0.0, 1.0, 1.0, 3.0, 3.0]
-    assert share == pytest.approx([0.5, 1.0, 0.5, 1.0, 1.0])
-
-
-def test_a_deadband_passes_the_mean_of_what_crosses_it() -> None:
-    assert pass_deadband(2.0, 0.5, 1.0) == 2.0
-    assert pass_deadband(0.3, 0.5, 1.0) == 0.0
-    assert pass_deadband(1.0, 0.5, 1.0) == pytest.approx(0.625)  # half of the time 1.25
-    assert pass_deadband(-1.0, 0.5, 1.0) == pytest.approx(-0.625)

@@ -16,8 +16,6 @@ from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
-from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.sysid import twin_gap
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.excitation import plan_excitation
 from acsar_gym.tools.sysid.identify import identify_logs
@@ -91,10 +89,7 @@ def test_what_is_odd_about_a_log_is_noted() -> None:
     robot = ROBOT.with_(measured={"motor.time_constant.a": interval})
     notes = measure_one(replace(odd, episodes=(late,)), robot).notes
     told = ("its end is missing", "3 ticks are missing", "wheel_radius = 0.08", "sent for 0.26 s")
-    assert len(notes) == len(told)
-    for note, part in zip(notes, told, strict=True):
-        assert part in note
-    assert "can't be told whether robot.yaml was fitted" in notes[0]
+    assert [part in note for note, part in zip(notes, told, strict=True)] == [True] * 4
 
 
 def test_truth_is_left_out_where_it_isnt_known() -> None:
@@ -118,20 +113,12 @@ def test_ten_milliseconds_of_delay_are_found() -> None:
     assert "delays differ: the robot answers" in conclude_gap(gap)[1]
 
 
-def test_a_share_of_nothing_is_not_shown() -> None:
-    gap = measure_gap([("a", log())], ("acsar", ACSAR), ("hidden", ROBOT))
-    left = {row[0]: row[-1] for row in twin_gap.gap_rows(gap)}
-    assert left["wheel speeds, RMS"] == "-"
-    assert left["position at the end, odometry of both"] == "-"
-    assert twin_gap.format_ratio(0.02, 0.01, 1e-3) == "50.0%"
-
-
 def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
     whole = plan_excitation(ROBOT, 12.0, ROBOT.period)
     episode = driven(ROBOT, np.concatenate((whole.before, whole.after)), phase=0.0025)
-    gap = measure_one(recording(ACSAR, episode))
-    assert min(gap.delays("after").counts) > 8
-    assert "delays don't differ" in conclude_gap(gap)[1]
+    delays = measure_one(recording(ACSAR, episode)).delays("after")
+    assert min(delays.counts) > 8
+    assert not delays.differs
 
 
 def test_fitted_logs_dont_count() -> None:
@@ -160,7 +147,6 @@ def test_a_short_log_is_refused() -> None:
     [
         (lambda stamps: stamps * 1e6, "is longer than 4 h"),
         (lambda stamps: stamps[::-1], "its times go backwards"),
-        (lambda stamps: stamps * np.nan, "its times go backwards"),
         (lambda stamps: stamps[:1], "holds no ticks"),
     ],
 )
@@ -172,41 +158,18 @@ def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: 
     assert [replay.episode for replay in gap.replays] == [1]
 
 
-def test_tables_and_json_hold_the_figures() -> None:
-    shown = twin_gap.gap_tables(fitted())
-    assert [table.row_count for table in shown] == [8, 3]
-    report.print_tables(*shown)
-    told = twin_gap.format_gap(fitted())
-    assert told["after"]["figures"] == fitted().figures("after")
-    assert told["held_out"]
-    assert len(told["logs"]) == 3
-    one = twin_gap.format_gap(measure_gap([("a", log())], ("r", ROBOT), BEFORE))
-    assert one["after"]["intervals"]["end_pose"] == (None, None) or one["after"]["intervals"][
-        "end_pose"
-    ] == [None, None]
-    assert math.isfinite(one["after"]["figures"]["end_pose"])
-
-
 def test_limits_are_names_and_numbers() -> None:
     known = ("wheel_speed_rms", "end_pose")
     limits = {"wheel_speed_rms": 0.5, "end_pose": 0.01}
     assert parse_limits(["wheel_speed_rms=0.5", "end_pose=1e-2"], known) == limits
     for value in ("", "=", "=-1", "=nan", "=inf"):
-        with pytest.raises(ConfigError, match="must be METRIC=VALUE"):
+        with pytest.raises(ConfigError, match="end_pose"):
             parse_limits([f"end_pose{value}"], known)
-    with pytest.raises(ConfigError, match="did you mean 'wheel_speed_rms'"):
-        parse_limits(["wheel_sped_rms=1"], known)
 
 
-def test_a_limit_is_kept_up_to_its_value_and_must_be_measured() -> None:
-    limit = {"end_pose": 0.01}
-    assert find_exceeded(limit, {"end_pose": 0.01}) == []
-    assert find_exceeded(limit, {"end_pose": -0.011}) == [
-        "end_pose = 0.011: over the limit of 0.01"
-    ]
-    assert find_exceeded(limit, {"end_pose": math.nan}) == [
-        "end_pose: couldn't be measured, the limit is 0.01"
-    ]
+@pytest.mark.parametrize(("value", "count"), [(0.01, 0), (-0.011, 1), (math.nan, 1)])
+def test_a_limit_is_kept_up_to_its_value_and_must_be_measured(value: float, count: int) -> None:
+    assert len(find_exceeded({"end_pose": 0.01}, {"end_pose": value})) == count
 
 
 def measure_held_out(seed: int) -> TwinGap:
@@ -241,6 +204,6 @@ def test_fitted_twins_have_a_tenth_of_the_gap_on_held_out_logs() -> None:
         pool_figures([replay.figures[side] for replay in judged], seconds)
         for side in ("before", "after")
     )
-    assert after["wheel_speed_rms"] <= 0.1 * before["wheel_speed_rms"]
-    assert after["end_pose"] <= 0.1 * before["end_pose"]
+    for name in ("wheel_speed_rms", "end_pose"):
+        assert after[name] <= 0.1 * before[name]
     assert abs(after["time_shift"]) < 0.005
