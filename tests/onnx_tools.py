@@ -26,9 +26,9 @@ def bundle_of(path: Path = GOOD) -> Bundle:
     return read_bundle(path)[1]
 
 
-def changed(path: Path = GOOD, **values: Any) -> dict[str, Any]:
-    """The bundle of a policy as JSON has it, with other values; "robot__name" is one inside."""
-    data: dict[str, Any] = bundle_of(path).model_dump(mode="json")
+def changed(**values: Any) -> dict[str, Any]:
+    """The bundle of GOOD as JSON has it, with other values; "robot__name" is one inside."""
+    data: dict[str, Any] = bundle_of().model_dump(mode="json")
     for name, value in values.items():
         *parents, last = name.split("__")
         place = data
@@ -38,13 +38,12 @@ def changed(path: Path = GOOD, **values: Any) -> dict[str, Any]:
     return data
 
 
-def relabelled(path: Path, said: str | None = None, good: Path = GOOD, **values: Any) -> Path:
-    """A copy of a policy that comes along with another bundle: `said`, or with `changed` values."""
+def relabelled(path: Path, **values: Any) -> Path:
+    """A copy of a policy that comes along, whose bundle has other values."""
     import onnx
 
-    model = onnx.load(good)
-    text = json.dumps(changed(good, **values)) if said is None else said
-    onnx.helper.set_model_props(model, {BUNDLE_KEY: text})
+    model = onnx.load(GOOD)
+    onnx.helper.set_model_props(model, {BUNDLE_KEY: json.dumps(changed(**values))})
     onnx.save(model, path)
     return path
 
@@ -83,23 +82,23 @@ class Maker:
         weights = self.weight(np.full((rows, columns), 0.01))
         return self.add("MatMul", value, weights, out=out)
 
-    def model(self, env_id: str = ENV_ID) -> Any:
+    def model(self) -> Any:
         """The finished onnx.ModelProto."""
         helper = self._onnx.helper
         output = self._value("action", self._shape)
         graph = helper.make_graph(self._nodes, "g", self._inputs, [output], self._weights)
         opsets = [helper.make_opsetid(domain, version) for domain, version in self.domains]
         model = helper.make_model(graph, opset_imports=opsets, ir_version=10)
-        data = changed(env__id=env_id)
+        data = changed()
         if self._width != 7:
             names, ends = [f"n{n}" for n in range(self._width)], [0.0] * self._width
             data = changed(observation__names=names, observation__low=ends, observation__high=ends)
         helper.set_model_props(model, {BUNDLE_KEY: json.dumps(data)})
         return model
 
-    def bytes(self, env_id: str = ENV_ID) -> bytes:
+    def bytes(self) -> bytes:
         """The finished file."""
-        data: bytes = self.model(env_id).SerializeToString()
+        data: bytes = self.model().SerializeToString()
         return data
 
 
@@ -120,7 +119,7 @@ def counting(path: Path, shape: tuple[Any, ...] = (1, 2), dtype: int = 1, output
     return path
 
 
-def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
+def fitting(path: Path, env_id: str, **options: Any) -> Path:
     """A policy with small weights for an environment, with what `described` says of it."""
     import gymnasium
 
@@ -128,12 +127,7 @@ def fitting(path: Path, env_id: str, bias: float = 0.0, **options: Any) -> Path:
     bundle = describe_policy(env.unwrapped, env_id, randomization=Randomization(**VARIED))
     env.close()
     make = Maker(bundle.observation.width)
-    make.add(
-        "Add",
-        make.dense("observation", bundle.observation.width, out="d"),
-        make.weight(bias),
-        out="action",
-    )
+    make.dense("observation", bundle.observation.width)
     model = make.model()
     del model.metadata_props[:]
     model.metadata_props.add(key=BUNDLE_KEY, value=bundle.as_json())

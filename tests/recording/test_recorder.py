@@ -347,19 +347,6 @@ def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     assert len(recording.sha256) == 16
 
 
-def test_a_fault_is_told_in_diagnostics(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
-    env = gymnasium.make(ENV, link="planar", record=path, faults={"unplug_at": 0.3})
-    env.reset(seed=0)
-    for _ in range(10):
-        *_, truncated, _ = env.step(np.ones(2, np.float32))
-        if truncated:
-            break
-    env.close()
-    assert summarize(path)["topics"]["/diagnostics"] == 1
-    assert not read(path).episodes[0].terminated
-
-
 def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
     told, path = [], tmp_path / "tape.mcap"
     for fails in (False, True):

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
-from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy, ZipPolicy
@@ -125,14 +125,6 @@ def test_other_algorithms_and_actions_are_refused(tmp_path: Path) -> None:
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(path)
     with pytest.raises(PolicyError, match=r"Box\(-2\.0"):
         runs.export_policy(path, out, "point_goal", None, trust=True)
-
-
-def test_without_stable_baselines3_the_extra_is_named(
-    good: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.save_util", None)
-    with pytest.raises(MissingExtraError, match=r"acsar_gym\[train\]"):
-        ZipPolicy(good, trust=True)
 
 
 def normalized(folder: Path) -> tuple[Path, Any, Any]:
