@@ -16,6 +16,7 @@ from recording_tools import drive
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
 from zip_tools import poison, save
 
+import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LateTicksError, RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
@@ -190,3 +191,7 @@ def test_bash_completes(
 def test_it_imports_nothing_heavy() -> None:
     done = subprocess.run([sys.executable, "-c", HEAVY], check=True, capture_output=True, text=True)
     assert done.stderr == "[]\n"
+
+
+def test_the_version(call: Call) -> None:
+    assert call("--version") == (0, f"acsar-gym {acsar_gym.__version__}\n", "")

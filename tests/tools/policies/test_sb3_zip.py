@@ -5,9 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import pickle
-import runpy
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -16,10 +13,10 @@ import numpy as np
 import pytest
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
-from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.resources import AGENTS
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy, ZipPolicy
+from acsar_gym.tools.training import seeds
 
 pytestmark = pytest.mark.xdist_group("torch")
 
@@ -181,11 +178,6 @@ def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> 
         runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=named)
 
 
-def train(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(AGENTS / "train.py"), *map(str, arguments), "--no-progress"]
-    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=120)
-
-
 def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     from stable_baselines3 import PPO
 
@@ -193,8 +185,8 @@ def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     model = PPO.load(save(begun, n_steps=32, batch_size=32, learning_rate=1e-5), device="cpu")
     model.num_timesteps = 1000
     model.save(begun)
-    done = train("--resume", begun, "--trust", "--steps", "64", "--robots", "2", "--out", out)
-    assert done.returncode == 0, done.stderr
+    small = ["--trust", "--steps", "64", "--robots", "2", "--no-progress"]
+    assert seeds.main(["--resume", str(begun), *small, "--out", str(out)]) == 0
     assert PPO.load(out / "model.zip", device="cpu").num_timesteps == 1064
     before, after = (ZipPolicy(path, trust=True) for path in (begun, out / "model.zip"))
     observation = np.full(7, 0.5, np.float32)
@@ -204,22 +196,13 @@ def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     assert OnnxPolicy(out / "policy.onnx").bundle == after.bundle
 
 
-def test_resuming_is_refused_in_one_line(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_resuming_is_refused_in_one_line(good: Path, tmp_path: Path) -> None:
     sac = save(tmp_path / "sac.zip", "SAC", buffer_size=10)
-    for arguments, said in (
-        (("--resume", good), "--trust"),
-        (
-            ("--resume", good, "--trust", "--env", "path_follow"),
-            "in acsar_gym/PathFollow-v0: train",
-        ),
-        (("--resume", sac, "--trust"), "only PPO"),
+    for zipped, more, said in (
+        (good, "", "--trust"),
+        (good, "--trust --env path_follow", "in acsar_gym/PathFollow-v0: train"),
+        (sac, "--trust", "only PPO"),
     ):
-        command = ["train", *map(str, arguments), "--out", str(tmp_path)]
-        monkeypatch.setattr(sys, "argv", command)
-        with pytest.raises(SystemExit) as ended:
-            runpy.run_path(str(AGENTS / "train.py"), run_name="__main__")
-        error = capsys.readouterr().err
-        assert (ended.value.code, error.count("\n")) == (2, 1), error
-        assert said in error
+        with pytest.raises(AcsarError, match=said) as refused:
+            seeds.main(["--resume", str(zipped), *more.split(), "--out", str(tmp_path / "out")])
+        assert "\n" not in str(refused.value)
