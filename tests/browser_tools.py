@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 TIMEOUT = 300.0
 """Longest wait for anything [s]."""
-OWN = ("data:", "blob:", "chrome:", "about:", "http://127.0.0.1:")
+OWN = ("data:", "blob:", "chrome:", "about:", "file:", "http://127.0.0.1:")
 
 
 class Tab:
@@ -95,10 +96,12 @@ class Tab:
         self.call("Emulation.setDeviceMetricsOverride", **size)
         self.call("Page.navigate", url=url)
 
-    def shot(self, path: Path) -> None:
-        """Save a picture of what is to be seen."""
+    def shot(self, name: str, folder: Path) -> Path:
+        """Save a picture of what is to be seen, in ACSAR_GYM_SHOTS if that is set."""
+        path = Path(os.environ.get("ACSAR_GYM_SHOTS", folder)) / f"{name}.png"
         found = self.call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(found["data"]))
+        return path
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +33,9 @@ DRAWN = """['top', 'wheels', 'lateness'].every(name => {
   const graph = document.querySelector(`#${name} .js-plotly-plot`);
   return graph && graph.data && graph.data.length > 2;
 }) && document.querySelector('#value-time').innerText != '\\u2013'"""
+NOTE_WHAT_IT_SAYS = """said = []; button = document.querySelector('#stop');
+new MutationObserver(() => said.push(button.innerText)).observe(
+  button, {childList: true, characterData: true, subtree: true}); 0"""
 PATIENCE = 300.0
 """Longest wait of this module for other programs [s]: a browser may need all of the computer."""
 WIDE, NARROW = (1280, 940), (420, 1750)
@@ -68,10 +70,6 @@ def opened(path: Path, folder: Path, size: tuple[int, int] = WIDE) -> Iterator[T
         assert tab.console == []
 
 
-def shot(tab: Tab, name: str, folder: Path) -> None:
-    tab.shot(Path(os.environ.get("ACSAR_GYM_SHOTS", folder)) / f"{name}.png")
-
-
 @pytest.mark.parametrize("size", [WIDE, NARROW])
 def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) -> None:
     path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
@@ -83,7 +81,7 @@ def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) 
         tab.wait("parseFloat(document.querySelector('#value-time').innerText) > 0.5", "playing")
         tab.wait("document.querySelector('#play').innerText == 'Play'", "the end")
         assert float(tab.text("#value-time")) > 2.9
-        shot(tab, f"dashboard_recorded_{size[0]}", tmp_path)
+        tab.shot(f"dashboard_recorded_{size[0]}", tmp_path)
 
 
 def test_the_stop_button_stops_a_robot_that_another_process_drives(
@@ -97,11 +95,8 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
         with opened(path, tmp_path) as tab:
             assert tab.text("#state") == "live"
             assert float(tab.text("#value-linear_sent")) == pytest.approx(0.2)
-            shot(tab, "dashboard_live", tmp_path)
-            note = "new MutationObserver(() => said.push(stop.innerText)).observe(stop, {"
-            note = f"said = []; stop_ = document.querySelector('#stop'); {note}"
-            note = note.replace("stop.", "stop_.").replace("observe(stop,", "observe(stop_,")
-            tab.run(f"{note}childList: true, characterData: true, subtree: true}}); 0")
+            tab.shot("dashboard_live", tmp_path)
+            tab.run(NOTE_WHAT_IT_SAYS)
             assert own_emulator.is_driven()
             tab.press("#stop")
             tab.wait("document.querySelector('#stop-said').innerText", "an answer")
@@ -111,7 +106,7 @@ def test_the_stop_button_stops_a_robot_that_another_process_drives(
             tab.wait("document.querySelector('#state').innerText == 'stopped'", "the state")
             process.wait(PATIENCE)
             tab.wait("document.querySelector('#message').innerText", "what ended it")
-            shot(tab, "dashboard_stopped", tmp_path)
+            tab.shot("dashboard_stopped", tmp_path)
     assert process.returncode == 3
 
 

@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-import subprocess
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from benchmark_tools import cell, part, plan
+from browser_tools import CHROMIUM, Tab, browser
 from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
 from acsar_gym import RobotConfig
@@ -26,25 +25,14 @@ from acsar_gym.tools.sysid import pages as sysid_pages
 from acsar_gym.tools.sysid.sim_real import compare_sides
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="chromium isn't installed: apt install chromium"
 )
-TIMEOUT = 120.0
-SCHEMES = {"dark": (0, (20, 22, 26)), "light": (1, (251, 251, 250))}
-"""Blink's number of each scheme, and the background in page.css."""
+SCHEMES = {"dark": (20, 22, 26), "light": (251, 251, 250)}
+"""The background of each in page.css."""
+DRAWN = "document.documentElement?.dataset.drawn"
 ACSAR = RobotConfig.preset("acsar")
 PAGES = ("gap", "compare", "benchmark")
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What the browser made of a page."""
-
-    dom: str
-    console: list[str]
-    requests: list[str]
-    shot: Path
 
 
 @pytest.fixture(scope="module")
@@ -83,77 +71,56 @@ def benchmark() -> dict[str, Any]:
     return found
 
 
-def opened(page: Path, scheme: str, folder: Path, height: int = 3000) -> Seen:
-    """Open a page in a fresh browser, and wait until it is drawn."""
-    shots = Path(os.environ.get("ACSAR_GYM_SHOTS", folder))
-    shot, log = shots / f"{page.stem}_{scheme}.png", folder / "net.json"
-    common = [
-        str(CHROMIUM),
-        *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
-        *("--no-first-run", "--host-resolver-rules=MAP * ~NOTFOUND"),
-        f"--blink-settings=preferredColorScheme={SCHEMES[scheme][0]}",
-        *(f"--window-size=1200,{height}", "--virtual-time-budget=20000"),
-        *("--enable-logging=stderr", "--v=0", f"--user-data-dir={folder / 'profile'}"),
-    ]
-    url = page.as_uri()
-    dom = ran([*common, f"--log-net-log={log}", "--dump-dom", url])
-    ran([*common, f"--screenshot={shot}", url])
-    console = re.findall(r"CONSOLE.*", dom.stderr)
-    return Seen(dom.stdout, console, requests(log), shot)
-
-
-def ran(command: list[str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=TIMEOUT)
-
-
-def requests(log: Path) -> list[str]:
-    """Addresses that the page asked for; those of the browser itself have no origin."""
-    events = json.loads(log.read_text(encoding="utf-8"))["events"]
-    asked = [event["params"] for event in events if "initiator" in event.get("params", {})]
-    urls = {one["url"] for one in asked if one["initiator"] != "not an origin"}
-    return sorted(url for url in urls if not url.startswith(("file:", "data:", "blob:")))
+@contextmanager
+def opened(page: Path, scheme: str, folder: Path) -> Iterator[Tab]:
+    """A page in a fresh browser."""
+    with browser(folder) as tab:
+        media = [{"name": "prefers-color-scheme", "value": scheme}]
+        tab.call("Emulation.setEmulatedMedia", features=media)
+        tab.open(page.as_uri(), 1200, 3000)
+        yield tab
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_report_is_drawn(name: str, scheme: str, pages: Path, tmp_path: Path) -> None:
-    seen = opened(pages / f"{name}.html", scheme, tmp_path)
-    assert seen.console == []
-    assert seen.requests == []
-    plots = seen.dom.count('role="img"')
-    assert f'data-drawn="{plots}"' in seen.dom
-    assert seen.dom.count('class="main-svg"') >= 2 * plots
-    assert "NaN" not in re.sub(r"<script.*?</script>", "", seen.dom, flags=re.DOTALL)
-    background(seen.shot, scheme)
+    with opened(pages / f"{name}.html", scheme, tmp_path) as tab:
+        tab.wait(DRAWN, "a page that is drawn")
+        html = tab.run("document.documentElement.outerHTML")
+        plots = html.count('role="img"')
+        assert tab.run(DRAWN) == str(plots)
+        assert html.count('class="main-svg"') >= 2 * plots
+        assert "NaN" not in re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
+        background(tab.shot(f"{name}_{scheme}", tmp_path), scheme)
+        assert (tab.console, tab.foreign) == ([], [])
 
 
 def test_scheme_and_episode_can_be_chosen(pages: Path, tmp_path: Path) -> None:
-    click = """<script>
-      document.getElementById("theme").click();
-      picker.value = "2";
-      picker.dispatchEvent(new Event("change"));
-    </script></body>"""
-    html = (pages / "gap.html").read_text(encoding="utf-8")
-    page = tmp_path / "clicked.html"
-    page.write_text(html.replace("</body>", click), encoding="utf-8")
-    seen = opened(page, "light", tmp_path)
-    assert seen.console == []
-    assert 'data-theme="dark"' in seen.dom
-    background(seen.shot, "dark")
-    other = opened(pages / "gap.html", "dark", tmp_path)
-    assert seen.shot.read_bytes() != other.shot.read_bytes()
+    again = f"delete {DRAWN}; picker.value = '2'; picker.dispatchEvent(new Event('change'))"
+    with opened(pages / "gap.html", "light", tmp_path) as tab:
+        tab.wait(DRAWN, "a page that is drawn")
+        first = tab.shot("first", tmp_path).read_bytes()
+        tab.run(again)
+        tab.wait(DRAWN, "another episode")
+        assert tab.shot("other", tmp_path).read_bytes() != first
+        tab.run(f"delete {DRAWN}; document.getElementById('theme').click()")
+        tab.wait(DRAWN, "the other scheme")
+        assert tab.run("document.documentElement.dataset.theme") == "dark"
+        background(tab.shot("dark", tmp_path), "dark")
+        assert tab.console == []
 
 
 def test_a_page_that_loads_or_fails_would_be_found(tmp_path: Path) -> None:
     page = tmp_path / "bad.html"
     page.write_text('<img src="http://example.com/a.png"><script>oh()</script>', encoding="utf-8")
-    seen = opened(page, "light", tmp_path)
-    assert seen.requests == ["http://example.com/a.png"]
-    assert "oh is not defined" in " ".join(seen.console)
+    with opened(page, "light", tmp_path) as tab:
+        tab.wait("document.readyState == 'complete' && document.images.length", "the page")
+        assert tab.foreign == ["http://example.com/a.png"]
+        assert "oh is not defined" in " ".join(tab.console)
 
 
 def background(shot: Path, scheme: str) -> None:
     """The corner of the picture has the background of the scheme, and most isn't empty."""
     image = pytest.importorskip("PIL.Image").open(shot).convert("RGB")
-    assert image.getpixel((3, 3)) == SCHEMES[scheme][1]
+    assert image.getpixel((3, 3)) == SCHEMES[scheme]
     assert len(set(image.resize((300, 750)).getdata())) > 200

@@ -51,11 +51,9 @@ def run(name: str, folder: Path, *options: str) -> str:
         ("torchrl_ppo", ()),
     ],
 )
-@pytest.mark.parametrize("env_id", ["acsar_gym:acsar_gym/PointGoal-v0"])
-def test_it_trains_and_its_export_drives(
-    name: str, more: tuple[str, ...], env_id: str, tmp_path: Path
-) -> None:
-    said = run(f"{name}.py", tmp_path, "--env", env_id, "--out", "mine.onnx", *SMALL, *more)
+def test_it_trains_and_its_export_drives(name: str, more: tuple[str, ...], tmp_path: Path) -> None:
+    asked = ("--env", "acsar_gym:acsar_gym/PointGoal-v0", "--out", "mine.onnx")
+    said = run(f"{name}.py", tmp_path, *asked, *SMALL, *more)
     assert "steps/s" in said
     policy = OnnxPolicy(tmp_path / "mine.onnx")
     assert policy.env_id == "acsar_gym/PointGoal-v0"

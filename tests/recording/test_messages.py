@@ -136,20 +136,6 @@ def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, l
     assert states["acsar: recorder"].message == "0 dropped"
 
 
-def test_the_wall_clock_is_told_beside_the_file_s_time(messages: dict[str, list[Any]]) -> None:
-    pairs = messages["/time_reference"]
-    assert len(pairs) == 2
-    first = pairs[0]
-    assert first.time_ref == first.header.stamp
-    assert first.source == "wall clock"
-
-
-def covariances(config: RobotConfig, path: Path) -> tuple[list[Any], list[Any]]:
-    """Covariances of the first and the last pose."""
-    found = by_rosbags(drive(path, config))["/odom"]
-    return found[0].pose.covariance.tolist(), found[-1].pose.covariance.tolist()
-
-
 def test_an_unknown_robot_has_the_driver_s_constant_covariance(
     messages: dict[str, list[Any]],
 ) -> None:
@@ -161,7 +147,8 @@ def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
     value = RobotConfig.of(None).wheel_separation_multiplier
     known = Measured(low=value * 0.98, high=value * 1.02, method="calibrate turn")
     config = RobotConfig.of(None).with_(measured={"wheel_separation_multiplier": known})
-    first, last = covariances(config, tmp_path / "tape.mcap")
+    odometry = by_rosbags(drive(tmp_path / "tape.mcap", config))["/odom"]
+    first, last = (odometry[place].pose.covariance for place in (0, -1))
     assert first[35] < 1e-8
     (episode,) = read(tmp_path / "tape.mcap").episodes
     dt = np.diff(episode.stamps, prepend=episode.stamps[0])

@@ -33,7 +33,7 @@ from acsar_gym.recording.messages import (
     pack_octets,
     pack_text,
 )
-from acsar_gym.recording.reader import CHANNEL, CHUNK, DATA_END, MESSAGE, METADATA
+from acsar_gym.recording.reader import CHUNK, DATA_END, MESSAGE, METADATA
 
 BEGIN = json.dumps({"episode": 0, "start": 0.0, "offset": 0, "wall": 0, "info": {}})
 Add = Callable[[Topic, bytes], None]
@@ -137,13 +137,12 @@ def test_a_flipped_bit_is_told(tape: Path, tmp_path: Path) -> None:
     ("content", "said"),
     [
         (b"", "not an MCAP file"),
-        (b"\x89PNG\r\n", "not an MCAP file"),
         (b'{"reset": 0}\n', "of an older version, in JSON: record again"),
         (MCAP_MAGIC, "isn't a recording of acsar_gym"),
         (MCAP_MAGIC + b"\x77" * 100, "is damaged"),
         (MCAP_MAGIC + struct.pack("<BQ", MESSAGE, 2**63), "is damaged"),
     ],
-    ids=["empty", "picture", "old", "magic", "noise", "long"],
+    ids=["empty", "old", "magic", "noise", "long"],
 )
 def test_foreign_files_are_told(content: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "file.mcap"
@@ -174,10 +173,8 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
     ("add", "said"),
     [
         (lambda one: one(EPISODE, pack_text("{}")), "start"),
-        (lambda one: one(EPISODE, b""), "not valid JSON"),
         (rows([0.0, 5.0, *[0.0] * 9], [1.0, 4.0, *[0.0] * 9]), "times go backwards"),
         (rows([0.0, np.nan, *[0.0] * 9]), "a time that is out of range"),
-        (rows([0.0, 1e300, *[0.0] * 9]), "a time that is out of range"),
         (beginning(start=-1e300), "start = "),
         (beginning(offset=2**70), "offset = "),
         (
@@ -185,22 +182,9 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
             "a time that",
         ),
         (lambda one: (rows()(one), one(EXCHANGES, b"\0" * 16)), "a broken row"),
-        (lambda one: (rows()(one), one(WIRE_SENT, b"\0" * 4)), "a broken message"),
         (lambda one: (rows()(one), one(WIRE_SENT, b"\xff" * 40)), "a broken array"),
     ],
-    ids=[
-        "episode",
-        "no json",
-        "backwards",
-        "nan",
-        "late",
-        "start",
-        "offset",
-        "wire",
-        "row",
-        "short",
-        "long",
-    ],
+    ids=["episode", "backwards", "nan", "start", "offset", "wire", "row", "long"],
 )
 def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
     assert said in refused(written(tmp_path / "file.mcap", add))
@@ -255,25 +239,18 @@ def test_hostile_files_are_bounded_in_time_and_memory(tmp_path: Path) -> None:
         file.truncate(10**11)
     (tmp_path / "bomb").write_bytes(start + 400 * chunk(bytes(60_000_000)))
     (tmp_path / "liar").write_bytes(start + chunk(bytes(60_000_000), 10))
-    (tmp_path / "crumbs").write_bytes(start + 400 * chunk(500_000 * record(7, b"")))
-    small = record(MESSAGE, struct.pack("<HIQQ", 99, 0, 0, 0))
-    (tmp_path / "unread").write_bytes(start + 400 * chunk(200_000 * small))
     wire = record(MESSAGE, struct.pack("<HIQQ", 3, 0, 0, 0) + pack_octets(b""))
     (tmp_path / "kept").write_bytes(start + 400 * chunk(200_000 * wire))
-    opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + pack_text(BEGIN))
-    (tmp_path / "episodes").write_bytes(start + 8 * chunk(80_000 * opening))
     lists = BEGIN.replace("{}", '{"a": [' + "[]," * 2_000_000 + "[]]}")
     opening = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + pack_text(lists))
     (tmp_path / "lists").write_bytes(start + chunk(opening))
-    channel = record(CHANNEL, bytes(4) + prefixed("x") + prefixed("") + bytes(4))
-    (tmp_path / "channels").write_bytes(start + 44 * chunk(100_000 * channel))
     pair = prefixed("end") + prefixed("{}")
     end = record(METADATA, prefixed(END_RECORD) + struct.pack("<I", len(pair)) + pair)
     (tmp_path / "metadata").write_bytes(start + 30 * chunk(100_000 * end))
     command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     told = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(told) == 11, done.stdout
+    assert len(told) == 7, done.stdout
     for name, said, peak in told:
         assert said.startswith(f"{tmp_path / name}: "), told
         assert peak < 500.0, (name, peak)

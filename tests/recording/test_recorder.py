@@ -173,19 +173,6 @@ def test_a_forked_child_leaves_the_recording_alone(tmp_path: Path) -> None:
     assert not read(tmp_path / "tape.mcap").cut
 
 
-def test_a_disk_that_is_full_does_not_stop_the_robot(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    robot = recorded_robot(tmp_path / "tape.mcap")
-    robot.activate()
-    monkeypatch.setattr("acsar_gym.recording.sinks.UnbufferedFile.write", fail)
-    for _ in range(50):
-        robot.drive(0.1, 0.0)
-    with pytest.warns(RecordingWarning, match=r"tape.mcap: .*No space left on de"):
-        robot.close()
-    robot.close()
-
-
 def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -304,22 +291,15 @@ def test_an_older_recording_is_kept_under_a_number(tmp_path: Path) -> None:
     assert [len(read(file).episodes[0].stamps) for file in files] == [9, 5, 7]
 
 
-def test_two_envs_can_not_write_one_file(tmp_path: Path) -> None:
+def test_two_envs_cannot_write_one_file_nor_one_go_on_that_has_ended(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     envs = gymnasium.make_vec(ENV, 2, vectorization_mode="sync", link="planar", record=path)
     with pytest.raises(ConfigError, match=r"tape.mcap: .*another recorder"):
         envs.reset(seed=0)
     envs.close()
     assert len(read(path).episodes) == 1
-
-
-def test_a_recording_that_has_ended_cannot_go_on(tmp_path: Path) -> None:
-    env = gymnasium.make(ENV, link="planar", record=tmp_path / "tape.mcap")
-    env.reset(seed=0)
-    env.close()
     with pytest.raises(ConfigError, match="has ended"):
-        env.reset()
-    env.close()
+        envs.envs[0].reset()  # type: ignore[attr-defined]
 
 
 def test_an_env_that_is_closed_before_its_first_reset_ends_no_recording(tmp_path: Path) -> None:
@@ -367,25 +347,6 @@ def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     assert len(recording.sha256) == 16
 
 
-@pytest.mark.parametrize("record", [3, ["a"], b"x"])
-def test_record_must_be_a_file_s_name(record: Any) -> None:
-    with pytest.raises(ConfigError, match="record = "):
-        gymnasium.make(ENV, link="planar", record=record)
-
-
-def test_a_fault_is_told_in_diagnostics(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
-    env = gymnasium.make(ENV, link="planar", record=path, faults={"unplug_at": 0.3})
-    env.reset(seed=0)
-    for _ in range(10):
-        *_, truncated, _ = env.step(np.ones(2, np.float32))
-        if truncated:
-            break
-    env.close()
-    assert summarize(path)["topics"]["/diagnostics"] == 1
-    assert not read(path).episodes[0].terminated
-
-
 def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
     told, path = [], tmp_path / "tape.mcap"
     for fails in (False, True):
@@ -398,11 +359,7 @@ def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
                 robot.drive(math.nan if fails else 0.1, 0.0)
             robot.close()
         told.append("/diagnostics" in summarize(path)["topics"])
-    assert told == [False, True]
-
-
-def test_an_error_inside_the_block_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
     with pytest.raises(ValueError, match="mine"), recorded_robot(path):
         raise ValueError("mine")
-    assert summarize(path)["topics"]["/diagnostics"] == 1
+    told.append("/diagnostics" in summarize(path)["topics"])
+    assert told == [False, True, True]

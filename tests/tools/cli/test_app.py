@@ -14,7 +14,7 @@ import pytest
 from cli_tools import Call, assert_one_line
 from recording_tools import drive
 from serial_tools import CLI, TIMEOUT, RobotFile, cli
-from zip_tools import PLACES, poison, save
+from zip_tools import poison, save
 
 import acsar_gym
 from acsar_gym import RobotConfig
@@ -24,10 +24,7 @@ from acsar_gym.tools.cli import COMMANDS
 pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
 
 
-MISSING = "/dev/acsar-missing"
-HUGE = str(10**400)
 RUN = ("run", "1", "0", "--link", "planar")
-SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
 
 
 @pytest.mark.parametrize(
@@ -35,9 +32,7 @@ SOCKET = ("run", "1", "0", "--link", "socket://127.0.0.1:1")
     [
         (("evaluate", "--link", "planar", "--episodes", "2"), "2/2 (100.0%)"),
         (RUN, "1/1 (100.0%)"),
-        (("calibrate", "planar", "straight"), "left_wheel_radius_multiplier"),
         (("identify", "planar", "--duration", "12"), "motor.time_constant"),
-        (("drive", "--link", "planar", "--linear", "0.1", "--duration", "0.1"), "feedback"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
@@ -53,50 +48,28 @@ def test_results_survive_a_full_disk(
 
     monkeypatch.setattr("acsar_gym.recording.sinks.McapFile.add", fail)
     figures, tape = tmp_path / "figures.json", tmp_path / "tape.mcap"
-    more = () if arguments[0] == "drive" else ("--json", figures)
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on"):
-        code, out, error = call(*arguments, "--record", tape, *more)
+        code, out, error = call(*arguments, "--record", tape, "--json", figures)
     assert code == 2
     assert said in out
-    assert figures.exists() == bool(more)
+    assert figures.exists()
     assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A stable-baselines3 zip for PointGoal."""
-    return save(tmp_path_factory.mktemp("model") / "model.zip")
-
-
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize(
-    "command", [(*RUN, "--policy"), ("evaluate", "--policy"), ("export",)], ids=lambda c: c[0]
-)
-def test_an_untrusted_zip_runs_nothing_and_is_one_line(
-    command: tuple[str, ...], place: str, model: Path, tmp_path: Path, call: Call
-) -> None:
-    marker, out = tmp_path / "marker", tmp_path / "policy.onnx"
-    bad = poison(model, place, marker, tmp_path / "model.zip")
-    code, _, error = call(*command, bad, *([out] if command == ("export",) else []))
+@pytest.mark.parametrize("command", [(*RUN, "--policy"), ("evaluate", "--policy"), ("export",)])
+def test_only_a_trusted_zip_runs(command: tuple[str, ...], tmp_path: Path, call: Call) -> None:
+    model, marker, out = save(tmp_path / "model.zip"), tmp_path / "marker", tmp_path / "out.onnx"
+    bad = poison(model, "data", marker, tmp_path / "bad.zip")
+    more = [out] if command == ("export",) else []
+    code, _, error = call(*command, bad, *more)
     assert code == 2
     assert_one_line(error, f"{bad}: a stable-baselines3 zip can run any code")
     assert "--trust" in error
     assert not marker.exists()
     assert not out.exists()
-
-
-def test_a_trusted_zip_is_evaluated_run_and_exported(
-    model: Path, tmp_path: Path, call: Call
-) -> None:
-    out, by_zip, by_onnx = (tmp_path / name for name in ("policy.onnx", "zip.json", "onnx.json"))
-    code, said, error = call("export", model, out, "--trust")
-    assert (code, said, error) == (0, f"written: {out}\n", "")
-    assert call(*RUN, "--policy", model, "--trust")[2] == ""
-    drive = ("evaluate", "--link", "planar", "--episodes", "2", "--policy")
-    assert call(*drive, model, "--trust", "--json", by_zip)[::2] == (0, "")
-    assert call(*drive, out, "--json", by_onnx)[::2] == (0, "")
-    path_of = [json.loads(file.read_text())["path"] for file in (by_zip, by_onnx)]
-    assert path_of[0] == pytest.approx(path_of[1], abs=1e-3)
+    seen = () if "evaluate" not in command else ("--link", "planar", "--episodes", "1")
+    assert call(*command, model, *more, "--trust", *seen)[2] == ""
+    assert out.exists() == bool(more)
 
 
 def test_help_lists_all_subcommands() -> None:
@@ -137,19 +110,6 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
     assert_one_line(error, f"{tape}: other commands than recorded, tick ")
-
-
-def test_an_evaluation_keeps_every_episode(call: Call, tmp_path: Path) -> None:
-    file = tmp_path / "figures.json"
-    code, out, _ = call("evaluate", "--link", "planar", "--episodes", "2", "--json", file)
-    assert code == 0
-    assert "\npoint_goal, seeds 0 to 1, worlds: none" in out
-    assert "95 % intervals: point_goal, seeds 0 to 1, worlds: none" in " ".join(out.split())
-    figures = json.loads(file.read_text())
-    assert figures["header"]["link"] == "planar"
-    assert figures["invalid"] == 0
-    assert len(figures["per_episode"]) == 2
-    assert figures["per_episode"][0]["timing"] is None
 
 
 def test_the_doctor_tells_how_late_ticks_are(

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from cli_tools import Call, assert_one_line
 
@@ -16,14 +15,13 @@ from acsar_gym.errors import BoardSilentError, EmergencyStopError
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
-from acsar_gym.tools.policies import OnnxPolicy
 
 EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 
 
 @pytest.fixture
 def ending(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """`ending(error, after=2)` lets every evaluation end so after some episodes."""
+    """`ending(error, after=2)` ends every evaluation so."""
     whole = evaluation.run_episodes
 
     def install(error: BaseException, after: int = 2) -> None:
@@ -69,19 +67,6 @@ def test_a_stopped_run_writes_its_json(ending: Any, call: Call, tmp_path: Path) 
     data = json.loads(file.read_text())
     assert (data["episodes"], data["per_episode"], data["success_rate"]) == (0, [], None)
     assert "emergency stop" in data["ended_early"]
-
-
-def test_ctrl_c_before_the_first_result_writes_the_json(
-    ending: Any, call: Call, tmp_path: Path
-) -> None:
-    ending(KeyboardInterrupt(), after=0)
-    file = tmp_path / "figures.json"
-    status, output, message = call(*EVALUATE, "--json", file)
-    assert status == 130
-    assert "0/5" in output
-    assert "interrupted" in message
-    data = json.loads(file.read_text())
-    assert (data["episodes"], data["ended_early"]) == (0, "interrupted")
 
 
 def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,11 +128,3 @@ def test_a_run_takes_goals_beyond_those_of_the_training(
     assert code == 2
     assert_one_line(error, "must lie 0.5 to 3 m from the start")
     assert "--goal-distance" in error
-
-
-def test_time_to_goal_is_that_of_the_ticks() -> None:
-    """However long the program took from the reset to the first command."""
-    run = runs.evaluate_policy(OnnxPolicy("point_goal"), "planar", None, range(1))
-    episode: EpisodeResult = run.results[0]
-    assert episode.ended - episode.started == pytest.approx(episode.ticks * 0.01)
-    assert np.isfinite(episode.started)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools import policies
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy, save
@@ -28,20 +28,22 @@ def network(*, outputs: int = 2, dropout: float = 0.0) -> Any:
     return torch.nn.Sequential(*layers, torch.nn.Linear(8, outputs))
 
 
-def test_a_module_decides_the_same_from_its_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize("clip", [2.0, None])
+def test_a_module_decides_the_same_from_its_file(clip: float | None, tmp_path: Path) -> None:
     """With its normalizer, without its dropout, and what is beyond the limits is clipped."""
     import torch
 
     module, path = network(dropout=0.5), tmp_path / "policy.onnx"
     module.train()
     mean, std = np.linspace(-1.0, 1.0, 7), np.linspace(0.1, 2.0, 7)
-    save(module, "point_goal", path, normalizer=[mean, std, 2.0])
+    save(module, "point_goal", path, normalizer=[mean, std, clip])
     assert module.training
     assert module[2].training
     module.eval()
     policy = OnnxPolicy(path)
     for seen in SEEN:
-        normalized = np.clip((seen - mean) / std, -2.0, 2.0).astype(np.float32)
+        most = np.inf if clip is None else clip
+        normalized = np.clip((seen - mean) / std, -most, most).astype(np.float32)
         with torch.no_grad():
             expected = module(torch.from_numpy(normalized)[None])[0].clamp(-1.0, 1.0)
         assert policy(seen) == pytest.approx(expected.numpy(), abs=1e-6)
@@ -60,16 +62,6 @@ def test_a_network_that_is_called_in_its_own_way_decides_the_same(tmp_path: Path
     save(policies.actor(foreign, lambda net, seen: net.decide({"seen": seen})[0].tanh()), ID, path)
     with torch.no_grad():
         expected = foreign.decide({"seen": torch.from_numpy(SEEN[:1])})[0].tanh()[0]
-    assert OnnxPolicy(path)(SEEN[0]) == pytest.approx(expected.numpy(), abs=1e-6)
-
-
-def test_a_normalizer_needs_no_clip(tmp_path: Path) -> None:
-    import torch
-
-    module, path = network(), tmp_path / "policy.onnx"
-    save(module, "point_goal", path, normalizer=(1.0, 0.5))
-    with torch.no_grad():
-        expected = module((torch.from_numpy(SEEN[:1]) - 1.0) / 0.5)[0].clamp(-1.0, 1.0)
     assert OnnxPolicy(path)(SEEN[0]) == pytest.approx(expected.numpy(), abs=1e-6)
 
 
@@ -99,12 +91,9 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
 
 
 @pytest.mark.parametrize("broken", [float("nan"), float("inf")])
-@pytest.mark.parametrize("number", [0, -1])
-def test_weights_that_are_not_finite_are_refused(
-    broken: float, number: int, tmp_path: Path
-) -> None:
+def test_weights_that_are_not_finite_are_refused(broken: float, tmp_path: Path) -> None:
     module = network()
-    list(module.parameters())[number].data.flatten()[0] = broken
+    list(module.parameters())[-1].data.flatten()[0] = broken
     with pytest.raises(PolicyError, match=r"weights network\.\d\.(weight|bias) hold NaN") as raised:
         save(module, "point_goal", tmp_path / "p.onnx")
     assert "\n" not in str(raised.value)
@@ -135,25 +124,16 @@ def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
     runs.make_env(packaged, "planar", None, far | {"distance_scale": 3.0}).close()
 
 
-def test_arguments_that_an_environment_does_not_take_are_one_line(tmp_path: Path) -> None:
-    for options in ({"goals": 1}, {"goal_distance": 1}, {"link": "planar"}):
-        with pytest.raises(ConfigError, match=next(iter(options))) as raised:
-            save(network(), "point_goal", tmp_path / "p.onnx", **options)
+def test_what_an_environment_does_not_take_is_one_line(tmp_path: Path) -> None:
+    for env_id, options, named in (
+        ("point_goal", {"goals": 1}, "goals"),
+        ("point_goal", {"link": "planar"}, "link"),
+        ("no_such_module:Maze-v0", {}, "no_such_module"),
+        ("gymnasium:Pendulum-v1", {}, "Pendulum"),
+    ):
+        with pytest.raises(ConfigError, match=named) as raised:
+            save(network(), env_id, tmp_path / "p.onnx", **options)
         assert "\n" not in str(raised.value)
-
-
-def test_an_unknown_environment_is_one_line(tmp_path: Path) -> None:
-    for env_id in ("maze", "no_such_module:Maze-v0", "gymnasium:Pendulum-v1"):
-        with pytest.raises(ConfigError, match=env_id):
-            save(network(), env_id, tmp_path / "p.onnx")
-
-
-def test_without_onnx_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "acsar_gym.tools.policies.export", raising=False)
-    monkeypatch.delattr(policies, "export", raising=False)
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(MissingExtraError, match=r"onnxscript\) needs .*acsar_gym\[train\]"):
-        save(network(), "point_goal", tmp_path / "p.onnx")
 
 
 def test_importing_policies_imports_no_torch_and_training_no_onnx() -> None:

@@ -9,11 +9,9 @@ from pathlib import Path
 
 import gymnasium
 import pytest
-from onnx_tools import ENV_ID, GOOD, Maker, bundle_of, relabelled
+from onnx_tools import ENV_ID, GOOD, Maker, relabelled
 
-from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, PolicyError
-from acsar_gym.tools.evaluation import runs
+from acsar_gym.errors import PolicyError
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import summarise_episodes
 from acsar_gym.tools.policies import OnnxPolicy, save
@@ -40,47 +38,10 @@ def test_driving_needs_no_torch() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
-def test_a_missing_file_names_those_that_come_along() -> None:
-    with pytest.raises(PolicyError, match="point_goal"):
-        OnnxPolicy("no_such_policy.onnx")
-
-
-@pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x0a" * 50])
-def test_a_broken_file_says_so(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "broken.onnx"
-    path.write_bytes(content)
-    with pytest.raises(PolicyError, match=r"broken\.onnx"):
-        OnnxPolicy(path)
-
-
-def test_a_policy_for_another_observation_is_refused(tmp_path: Path) -> None:
-    names = ["heading_cos", *bundle_of().observation.names[1:]]
-    path = relabelled(tmp_path / "heading.onnx", observation__names=names)
-    with pytest.raises(PolicyError, match=r"observation\[0\] is heading_cos"):
-        runs.make_env(OnnxPolicy(path), "planar", None, {})
-
-
-def test_a_policy_for_another_lidar_is_refused() -> None:
-    wide = RobotConfig.preset("acsar").with_(lidar={"field_of_view": 3.0})
-    with pytest.raises(PolicyError, match=r"lidar\.field_of_view is 6\.283 .* 3 "):
-        runs.make_env(OnnxPolicy("obstacle_goal"), "planar", wide, {})
-
-
-def test_a_policy_of_no_known_environment_is_refused(tmp_path: Path) -> None:
-    path = relabelled(tmp_path / "maze.onnx", env__id="acsar_gym/Maze-v0")
-    with pytest.raises(PolicyError, match="Maze"):
-        runs.make_env(OnnxPolicy(path), "planar", None, {})
-
-
 def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
     path = relabelled(tmp_path / "module.onnx", env__id=f"some_module:{ENV_ID}")
     with pytest.raises(PolicyError, match="must be an id without a module"):
         OnnxPolicy(path)
-
-
-def test_options_that_the_environment_lacks_are_named() -> None:
-    with pytest.raises(ConfigError, match="'walls'"):
-        runs.make_env(OnnxPolicy("point_goal"), "planar", None, {"walls": 3})
 
 
 def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,15 +12,12 @@ from torch.nn import ReLU
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
-from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import recipes
 from acsar_gym.tools.training.networks import MirrorPolicy, RayClearance
 from acsar_gym.tools.training.recipes import (
     ALGORITHMS,
     BATCH_WRAPPER,
-    KNOWN_CLASSES,
     find_algorithm,
-    find_class,
 )
 
 pytestmark = pytest.mark.xdist_group("torch")
@@ -41,30 +37,17 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> N
     assert wrappers == [BATCH_WRAPPER, *({name: {}} for name in recipe.wrappers)]
 
 
-def test_the_files_have_no_ids_that_are_not_registered() -> None:
-    for file in (AGENTS / "recipes").glob("*.yml"):
-        assert set(recipes.read_recipe_file(file)) <= {
-            "default",
-            *(f"acsar_gym/{own}" for own in IDS),
-        }
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("[", "YAML"),
         ("[" + "0, " * 100_000 + "]", "too many"),
-        ("- 1", "by env id"),
         ("mine/Other-v0: {}", "mine/Task-v0"),
-        ("mine/Task-v0: 3", "mine/Task-v0"),
         (GOOD.replace("n_steps", "n_step"), "'n_step'; did you mean 'n_steps'"),
         (GOOD.replace("n_steps: 8", "normalize: true"), "normalize: only rl_zoo3"),
         (GOOD.replace("1e3", "many"), "n_timesteps = 'many'"),
         (GOOD.replace("n_envs: 4, ", ""), "n_envs"),
-        (GOOD.replace("n_envs: 4", "n_envs: 0"), "n_envs = 0"),
         (GOOD.replace("n_steps: 8", "target_kl: [0.1]"), "target_kl = [0.1]"),
-        (GOOD.replace("n_steps: 8", "gamma: high"), "gamma = 'high'"),
-        (GOOD.replace("n_steps: 8", "n_epochs: 2.5"), "n_epochs = 2.5"),
         (GOOD.replace("n_steps: 8", "use_sde: 1"), "use_sde = 1"),
         (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy'"),
         (
@@ -72,8 +55,6 @@ def test_the_files_have_no_ids_that_are_not_registered() -> None:
             "did you mean 'torch.nn.ReLU'",
         ),
         (GOOD.replace("n_steps: 8", "gamma: &a 0.9, ent_coef: *a"), "alias"),
-        (GOOD.replace("n_steps: 8", "env_kwargs: 3"), "env_kwargs = 3"),
-        (GOOD.replace("n_steps: 8", "vec_env_wrapper: [[a.b]]"), "vec_env_wrapper"),
         (GOOD.replace("n_steps: 8", "vec_env_wrapper: [a.b, a.b]"), "'a.b'"),
     ],
 )
@@ -87,39 +68,20 @@ def test_a_bad_recipe_is_refused_in_one_line(text: str, said: str, tmp_path: Pat
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("value", ["linear", "lin_nan"])
-def test_a_bad_schedule_is_named_with_its_key(value: object, tmp_path: Path) -> None:
-    file = tmp_path / "mine.yml"
-    given = {"n_timesteps": 8, "n_envs": 1, "learning_rate": value}
-    file.write_text(yaml.safe_dump({"default": given}))
-    recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
-    with pytest.raises(ConfigError, match="default: learning_rate: "):
-        recipe.build_arguments()
-
-
 EVIL = "import pathlib; pathlib.Path('ran').touch()\n"
 HOSTILE: dict[str, dict[str, object]] = {
     "code": {"policy_kwargs": "dict(activation_fn=get_class_by_name('os.abort'))"},
-    "code of the env": {"env_kwargs": "dict(worlds=print('ran'))"},
     "function": {"policy_kwargs": {"activation_fn": "os.abort"}},
-    "method": {"policy_kwargs": {"features_extractor_class": "pathlib.Path.touch"}},
-    "optimizer": {"policy_kwargs": {"optimizer_class": "evil.Sgd"}},
     "policy": {"policy": "evil.Policy"},
     "worlds": {"env_kwargs": {"worlds": "evil:corr:0-9"}},
     "sensors": {"env_kwargs": {"sensors": ["evil:Sonar"]}},
-    "sensor like a split": {"env_kwargs": {"sensors": ["evil:test"]}},
     "task": {"env_kwargs": {"task": "evil:Task"}},
-    "defaults": {"env_kwargs": {"defaults": {"worlds": "evil:corr:0-9"}}},
     "nested": {"env_kwargs": {"faults": {"evil:x": [["evil:y"]]}}},
-    "robot": {"env_kwargs": {"robot": "acsar"}},
-    "num_envs": {"env_kwargs": {"num_envs": 3}},
     "wrapper": {"vec_env_wrapper": "evil.wrap"},
     "monitor": {
         "vec_env_wrapper": {"stable_baselines3.common.vec_env.VecMonitor": {"filename": "ran"}}
     },
-    "statistics": {"vec_env_wrapper": "stable_baselines3.common.vec_env.VecNormalize"},
     "buffer": {"replay_buffer_class": "evil.Buffer"},
-    "callback": {"callback": "evil.Callback"},
 }
 
 
@@ -149,18 +111,6 @@ def test_a_hostile_recipe_runs_and_writes_nothing(name: str, folder: Path) -> No
     assert "evil" not in sys.modules
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["code", "worlds", "monitor"])
-def test_a_hostile_recipe_is_one_line_of_train(name: str, folder: Path) -> None:
-    file = written(folder, HOSTILE[name])
-    command = [sys.executable, str(AGENTS / "train.py"), "--conf-file", str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith(f"acsar-gym: {file}: default: ")
-    assert done.stderr.count("\n") == 1
-    assert not (folder / "ran").exists()
-
-
 def test_named_modules_may_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "my_networks.py").write_text("from torch.nn import ReLU as MyUnit\n")
     monkeypatch.chdir(tmp_path)
@@ -187,12 +137,6 @@ def test_a_schedule_falls_to_zero(tmp_path: Path) -> None:
     assert (falling(1.0), falling(0.5), falling(0.0)) == (0.5, 0.25, 0.0)
 
 
-def test_every_listed_class_is_there() -> None:
-    for place, names in KNOWN_CLASSES.items():
-        for name in names:
-            assert callable(find_class(place, name))
-
-
 def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
     given = recipes.read_recipe(find_algorithm("ppo"), "acsar_gym/Barn-v1").arguments[
         "policy_kwargs"
@@ -214,8 +158,3 @@ def test_options_change_a_recipe(tmp_path: Path) -> None:
     built = changed.build_arguments()
     assert built["gamma"] == 0.5
     assert built["policy_kwargs"] == {"log_std_init": 1.0, "net_arch": [8, 4]}
-
-
-def test_an_unknown_algorithm_is_told_those_that_there_are() -> None:
-    with pytest.raises(ConfigError, match="--algo pppo: unknown; did you mean 'ppo'"):
-        find_algorithm("pppo")

@@ -29,14 +29,11 @@ def zoo(script: str, *arguments: str | Path) -> str:
     return done.stdout
 
 
-def common(folder: Path, recipe: Path) -> list[str | Path]:
-    return ["--conf-file", recipe, "-f", folder]
-
-
 def test_rl_zoo_trains_on_the_batch_and_enjoys(tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / "ppo.yml"
-    options = [*common(tmp_path, recipe), "-n", "2000", "--eval-episodes", "1"]
-    said = zoo("train", "--algo", "ppo", *options, "--eval-freq", "1000", *SMALL)
+    given = ("--conf-file", recipe, "-f", tmp_path)
+    options = ("-n", "2000", "--eval-episodes", "1")
+    said = zoo("train", "--algo", "ppo", *given, *options, "--eval-freq", "1000", *SMALL)
     assert "Using 8 environments" in said
     run = tmp_path / "ppo" / "acsar_gym-PointGoal-v0_1"
     assert (run / "acsar_gym-PointGoal-v0.zip").exists()
@@ -51,15 +48,17 @@ def test_rl_zoo_trains_on_the_batch_and_enjoys(tmp_path: Path) -> None:
 @pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
 def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / f"{algo}.yml"
-    options = [*common(tmp_path, recipe), "-n", "2500", "--eval-freq", "-1"]
-    zoo("train", "--algo", algo, *options, "--hyperparams", "n_envs:8")
+    given = ("--conf-file", recipe, "-f", tmp_path)
+    options = ("-n", "2500", "--eval-freq", "-1")
+    zoo("train", "--algo", algo, *given, *options, "--hyperparams", "n_envs:8")
     zoo("enjoy", "--algo", algo, "-f", tmp_path, "--no-render", "-n", "50")
 
 
 def test_rl_zoo_tunes(tmp_path: Path) -> None:
     recipe = AGENTS / "recipes" / "ppo.yml"
-    options = [*common(tmp_path, recipe), "-n", "4000", "--n-trials", "1"]
+    given = ("--conf-file", recipe, "-f", tmp_path)
+    options = ("-n", "4000", "--n-trials", "1")
     tuning = ["-optimize", "--n-evaluations", "1", "--eval-episodes", "1", "--no-optim-plots"]
-    said = zoo("train", "--algo", "ppo", *options, *tuning, "--hyperparams", "n_envs:8")
+    said = zoo("train", "--algo", "ppo", *given, *options, *tuning, "--hyperparams", "n_envs:8")
     assert "Number of finished trials:  1" in said
     assert list((tmp_path / "ppo").glob("report_*.csv"))

@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +16,6 @@ from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 
 pytestmark = pytest.mark.xdist_group("torch")
 
-TIMEOUT = 300.0
 SMALL = ("--steps", "1", "--robots", "4")
 
 
@@ -33,9 +27,7 @@ def test_seeds_are_ranges_and_lists(text: str, wanted: list[int]) -> None:
     assert seeds.parse_seeds(text) == wanted
 
 
-@pytest.mark.parametrize(
-    "text", ["", "a", "1-", "-1", "4-0", "0-1000", "1,,2", "0-99999999999", "4294967296"]
-)
+@pytest.mark.parametrize("text", ["", "a", "1-", "-1", "4-0", "0-1000", "1,,2", "4294967296"])
 def test_what_isnt_seeds_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"--seeds .*: must be like 0-4 or 1,5,9"):
         seeds.parse_seeds(text)
@@ -119,32 +111,3 @@ def test_a_recipe_has_the_ranges_of_its_level() -> None:
     assert friction == sorted(friction)
     with pytest.raises(ConfigError, match="must be 1, 2 or 3"):
         seeds.randomized_recipe("point_goal", 4)
-
-
-@pytest.mark.slow
-def test_a_killed_process_goes_on_at_its_checkpoint(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "acsar_gym", "train", "--seeds", "0-1", "--workers", "2"]
-    command += ["--steps", "400000", "--robots", "64", "--checkpoint-seconds", "1"]
-    with subprocess.Popen([*command, "--out", str(tmp_path)], stdout=subprocess.PIPE) as running:
-        deadline = time.monotonic() + TIMEOUT
-        while not list(tmp_path.glob("seed-1/checkpoints/*.zip")):
-            assert running.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        killed = _process_of(running.pid, tmp_path / "seed-1")
-        os.kill(killed, signal.SIGKILL)
-        running.communicate(timeout=TIMEOUT)
-    assert running.returncode == 0
-    assert "going on at" in (tmp_path / "seed-1" / "log.txt").read_text(encoding="utf-8")
-    data = json.loads((tmp_path / "seeds.json").read_text(encoding="utf-8"))
-    assert [each["steps"] >= 400_000 for each in data["seeds"]] == [True, True]
-
-
-def _process_of(parent: int, folder: Path) -> int:
-    """The process that trains in a folder: it has the log open."""
-    import psutil
-
-    for each in psutil.Process(parent).children(recursive=True):
-        if any(Path(file.path) == folder / "log.txt" for file in each.open_files()):
-            return each.pid
-    raise AssertionError("no process trains there")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import gymnasium
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -96,13 +97,8 @@ def test_nothing_is_remembered_between_steps() -> None:
     assert_allclose(other.step(actions)[1], rewards)
 
 
-def test_wrappers_in_between_are_looked_through() -> None:
+def test_wrappers_are_looked_through_and_single_envs_stay() -> None:
     assert isinstance(detours(VecCheckNan(batch())), Detours)
-
-
-def test_single_envs_stay_as_they_are() -> None:
-    import gymnasium
-
     single = DummyVecEnv([lambda: gymnasium.make("CartPole-v1")])
     assert detours(single) is single
     single.close()

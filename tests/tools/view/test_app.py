@@ -8,7 +8,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from dash import no_update
 from recording_tools import begun
@@ -22,7 +21,7 @@ from acsar_gym.tools.view.app import (
     PageInputs,
     update_page,
 )
-from acsar_gym.tools.view.drawing import COLOURS, find_world
+from acsar_gym.tools.view.drawing import COLOURS
 from acsar_gym.tools.view.session import Session
 
 BASE = "http://127.0.0.1:8050"
@@ -47,14 +46,6 @@ def session(tape: Path) -> Session:
 @pytest.fixture(scope="module")
 def client(session: Session) -> Any:
     return apps.make_app(session).server.test_client()
-
-
-def page(**changes: Any) -> PageInputs:
-    return PageInputs(**(vars(OPENED) | changes))
-
-
-def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
-    return update_page(session, page(**changes), cause, now)
 
 
 def test_everything_comes_from_this_server(client: Any) -> None:
@@ -120,6 +111,10 @@ def test_a_recording_is_opened_at_its_beginning_and_has_no_stop_button(session: 
     assert told["longest"] == pytest.approx(session.tail.episodes[0].end)
     assert told["pulse"] == SLOW_UPDATE
     assert told["message"] == ""
+    dragged = answered(session, "time", at=0.6)
+    assert (dragged["slider"], dragged["time"]) == (0.6, "0.6")
+    assert dragged["linear_asked"] == "0.30"
+    assert dragged["late"] == "\N{EN DASH}"  # simulated
 
 
 def test_playing_moves_on_by_the_time_that_has_passed(session: Session) -> None:
@@ -134,20 +129,6 @@ def test_playing_moves_on_by_the_time_that_has_passed(session: Session) -> None:
     assert (again["slider"], again["playing"]) == (0.0, True)
 
 
-def test_nothing_is_drawn_again_while_nothing_changes(session: Session) -> None:
-    told = answered(session, "pulse", at=0.3)
-    assert told["top"] is no_update
-    assert told["state"] == "recorded"
-
-
-def test_dragging_shows_that_time(session: Session) -> None:
-    told = answered(session, "time", at=0.6)
-    assert (told["slider"], told["time"]) == (0.6, "0.6")
-    assert told["linear_asked"] == "0.30"
-    assert told["end"] == f"of {told['longest']:.1f} s"
-    assert told["late"] == "\N{EN DASH}"  # simulated
-
-
 def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "live.mcap"
     path.write_bytes(begun(tape))
@@ -158,30 +139,19 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
     assert (past["slider"], past["playing"], past["play"]) == (0.2, False, "Follow")
     assert answered(live, "pulse", playing=False, at=0.2)["pulse"] == QUICK_UPDATE
     assert answered(live, "play", playing=False, at=0.2)["slider"] == told["longest"]
-
-
-def test_a_live_run_is_drawn_only_where_there_is_something_new(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "live.mcap"
-    path.write_bytes(begun(tape))
-    live = Session(path)
-    told = answered(live, "pulse", playing=True)
-    assert (told["top"], told["playing"]) == (no_update, True)
+    assert answered(live, "pulse", playing=True)["top"] is no_update
     path.write_bytes(tape.read_bytes())
+    before = {"at": told["slider"], "longest": told["longest"], "clock": 99.9}
     for _ in range(2):  # two tabs
-        assert answered(live, "pulse", playing=True)["top"] is not no_update
+        over = answered(live, "pulse", playing=True, **before)
+        assert over["slider"] == over["longest"] > told["longest"]
+        assert (over["state"], over["playing"]) == ("ended", False)
+        assert over["top"] is not no_update
     assert answered(live, "pulse", seen=live.revision)["top"] is no_update
 
 
-def test_the_end_of_a_live_run_is_shown(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "live.mcap"
-    path.write_bytes(begun(tape))
-    live = Session(path)
-    told = answered(live, None, playing=True)
-    path.write_bytes(tape.read_bytes())
-    before = {"at": told["slider"], "longest": told["longest"], "clock": 99.9}
-    over = answered(live, "pulse", playing=True, **before)
-    assert over["slider"] == over["longest"] > told["longest"]
-    assert (over["state"], over["playing"]) == ("ended", False)
+def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
+    return update_page(session, PageInputs(**(vars(OPENED) | changes)), cause, now)
 
 
 def test_unknown_episodes_show_a_known_one(session: Session) -> None:
@@ -235,13 +205,6 @@ def test_any_file_name_is_only_text(tape: Path, tmp_path: Path, name: str) -> No
     assert odd.get("/_dash-layout", base_url=BASE).status_code == 200
 
 
-@pytest.mark.parametrize("env", [3, {"kwargs": 3}, {"kwargs": {"worlds": "clutter"}}])
-def test_headers_of_strangers_have_no_world(session: Session, env: object) -> None:
-    (episode,) = session.tail.episodes
-    header = {"about": {"env": env}}
-    assert find_world(header, session.tail.config, episode) is None
-
-
 def test_figures_hold_what_their_keys_name(session: Session) -> None:
     figures, _ = session.draw(0, session.tail.episodes[0].end)
     names = [trace["name"] for trace in figures["top"]["data"]]
@@ -254,28 +217,3 @@ def test_figures_hold_what_their_keys_name(session: Session) -> None:
     for name in ("asked", "sent", "measured", "goal", "scan", "seen", "truth"):
         assert f"--{name}: {COLOURS[name]};" in css
     json.dumps(figures)
-
-
-def test_long_lines_have_few_points(session: Session) -> None:
-    long = Session(session.tail.path)
-    (episode,) = long.tail.episodes
-    rows = episode.ticks.rows
-    for turn in range(1, 200):
-        later = rows[:120].copy()
-        later[:, 1] += 2.0 * turn
-        episode.ticks.add(later)
-    figures, values = long.draw(0, episode.end)
-    assert len(json.dumps(figures)) < 200_000
-    assert np.isfinite(float(values["time"]))
-
-
-def test_a_recording_without_an_episode_is_refused(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "begun.mcap"
-    data = tape.read_bytes()
-    whole = Session(tape)
-    assert whole.tail.header
-    path.write_bytes(data[:60_000])
-    begun = Session(path)
-    begun.tail.episodes.clear()
-    assert begun.draw(0, 0.0) == ({}, {})
-    assert answered(begun, None)["message"] == "waiting for the first episode"

@@ -5,15 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from acsar_gym import RobotConfig
 from acsar_gym.tools.view.drawing import (
-    ViewContents,
-    draw_top_view,
-    thin_evenly,
     thin_keeping_peaks,
 )
 from acsar_gym.tools.view.tail import INITIAL_ROWS, GrowingTable
-from acsar_gym.worlds import World
 
 
 def test_rows_are_kept_while_more_are_added() -> None:
@@ -43,21 +38,3 @@ def test_gaps_and_short_lines_are_allowed(count: int) -> None:
     assert len(chosen) <= 500
     assert np.isin(chosen, np.arange(count)).all()
     assert np.isnan(values[thin_keeping_peaks(np.full(count, np.nan), 500)]).sum() <= count
-
-
-def test_ends_are_among_evenly_chosen_points() -> None:
-    assert thin_evenly(3, 10).tolist() == [0, 1, 2]
-    chosen = thin_evenly(1000, 10)
-    assert (len(chosen), chosen[0], chosen[-1]) == (10, 0, 999)
-
-
-def test_others_draw_a_robot_from_above_without_a_recording() -> None:
-    config = RobotConfig.of(None)
-    world = World(segments=np.array([[2.0, -1.0, 2.0, 1.0]]))
-    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.3]])
-    few = draw_top_view(config, poses[:0])
-    around = ViewContents(goal=(7.3, 0.0), world=world, truth=poses[:, :2])
-    more = draw_top_view(config, poses, 1, around)
-    names = [[trace["name"] for trace in drawn["data"]] for drawn in (few, more)]
-    assert set(names[1]) - set(names[0]) == {"obstacles", "walls", "true path", "goal"}
-    assert more["layout"]["xaxis"]["range"] == [-1.0, 9.0]

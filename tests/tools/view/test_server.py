@@ -57,31 +57,10 @@ def test_a_device_is_the_recording_of_whoever_drives_it(driving: list[str]) -> N
     assert driving == []
 
 
-def test_a_driver_that_records_nothing_is_named() -> None:
-    listener = StopListener("/dev/ttyX")
-    over = threading.Event()
-
-    def loop() -> None:
-        while not over.wait(0.001):
-            listener.is_requested()
-
-    thread = threading.Thread(target=loop)
-    thread.start()
-    try:
-        with pytest.raises(LinkError, match=f"process {os.getpid()} drives it without a recording"):
-            find_recording("/dev/ttyX")
-    finally:
-        over.set()
-        thread.join()
-        listener.close()
-
-
 def test_files_are_themselves_and_simulations_need_one() -> None:
     assert find_recording("drive.mcap") == Path("drive.mcap")
     assert find_recording("replay:drive.mcap") == Path("drive.mcap")
-    assert find_recording("./drive.mcap") == Path("drive.mcap")
     assert find_recording("/data/drive.mcap") == Path("/data/drive.mcap")
-    assert find_recording(__file__) == Path(__file__)
     with pytest.raises(ConfigError, match="planar is simulated by the program that drives it"):
         find_recording("planar")
     with pytest.raises(ConfigError, match="serial: name the device"):

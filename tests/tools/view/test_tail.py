@@ -14,9 +14,6 @@ from acsar_gym.recording import read
 from acsar_gym.tools.view.session import BROKEN, ENDED, LIVE, RECORDED, STOPPED, Session, StopAnswer
 from acsar_gym.tools.view.tail import WRITING_TIMEOUT, RecordingTail
 
-CHUNK = b"zstd"
-"""Name of the packing, at the beginning of each chunk."""
-
 
 def test_what_was_recorded_is_shown(tape: Path) -> None:
     tail, (whole,) = RecordingTail(tape), read(tape).episodes
@@ -99,17 +96,6 @@ def test_a_file_that_was_left_behind_is_not_live(tape: Path, tmp_path: Path) -> 
     assert Session(path).state == RECORDED
 
 
-def test_a_recorder_that_begins_again_is_followed(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "again.mcap"
-    path.write_bytes(tape.read_bytes())
-    tail = RecordingTail(path)
-    path.rename(tmp_path / "again.1.mcap")
-    path.write_bytes(begun(tape))
-    assert tail.poll()
-    assert not tail.is_complete
-    assert len(tail.episodes) == 1
-
-
 def test_damage_of_a_live_run_is_shown_on_the_page(tape: Path, tmp_path: Path) -> None:
     data, path = tape.read_bytes(), tmp_path / "live.mcap"
     path.write_bytes(data[:60_000])
@@ -120,28 +106,6 @@ def test_damage_of_a_live_run_is_shown_on_the_page(tape: Path, tmp_path: Path) -
         assert "is damaged" in session.problem
         assert session.state == BROKEN
     assert session.is_live  # the robot drives on: it can be stopped
-
-
-def test_a_live_run_whose_file_does_not_grow_goes_on(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "full.mcap"
-    path.write_bytes(begun(tape))
-    session = Session(path)
-    os.utime(path, (1.0, 1.0))
-    session.poll()
-    assert session.state == LIVE
-
-
-def test_a_file_that_was_away_is_shown_again(tape: Path, tmp_path: Path) -> None:
-    path, away = tmp_path / "drive.mcap", tmp_path / "drive.1.mcap"
-    path.write_bytes(begun(tape))
-    session = Session(path)
-    path.rename(away)
-    session.poll()
-    assert "no such file" in session.problem
-    assert session.is_live
-    away.rename(path)
-    session.poll()
-    assert session.state == LIVE
 
 
 def test_a_recording_that_begins_again_is_shown_once_its_header_is_there(
