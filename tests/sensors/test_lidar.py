@@ -15,9 +15,9 @@ from acsar_gym.sensors.lidar import (
     SimulatedLidar,
     add_noise,
     noise_draws,
-    open_lidar,
 )
 from acsar_gym.sensors.rplidar import RplidarLidar
+from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
