@@ -14,7 +14,6 @@ from env_tools import IDS, LINKS, SEEING, inner, make
 from acsar_gym import World
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import (
-    AcsarError,
     ConfigError,
     WorldError,
 )
@@ -23,25 +22,6 @@ from acsar_gym.worlds import Region
 from acsar_gym.worlds.world import to_world
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
-
-
-@pytest.mark.parametrize(
-    ("world", "message"),
-    [
-        (World(np.array([[0.1, 0.0, 0.3]]), goal=Region(3.0, 0.0)), "the start .* obstacle"),
-        (World(np.array([[3.0, 0.0, 0.1]]), goal=Region(3.0, 0.0)), "the goal .* obstacle"),
-        (
-            World(
-                segments=np.array([[1, -1, 1, 1], [-1, -1, -1, 1], [-1, -1, 1, -1], [-1, 1, 1, 1]]),
-                goal=Region(3.0, 0.0),
-            ),
-            "no way from start to goal",
-        ),
-    ],
-)
-def test_worlds_that_cannot_be_driven_are_refused(world: World, message: str) -> None:
-    with pytest.raises(AcsarError, match=message):
-        make(SEEING[0], worlds=world).reset(seed=0)
 
 
 def test_options_of_a_reset_choose_world_goal_and_path() -> None:
@@ -72,19 +52,12 @@ def test_barns_rules() -> None:
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_barn_takes_a_folder_of_published_worlds() -> None:
     env = make("acsar_gym/Barn-v1", worlds=BARN)
-    names, lengths = set(), []
+    lengths = []
     for number in range(5):
         env.reset(options={"world": number})
-        assignment = inner(env).episode.assignment
-        assert assignment.world is not None
-        names.add(assignment.world.name)
-        lengths.append(assignment.length)
-    assert names == {"world_1", "world_77", "world_101", "world_201", "world_299"}
+        lengths.append(inner(env).episode.assignment.length)
     assert sorted(lengths) == pytest.approx([10.029, 10.738, 10.758, 12.312, 13.446], abs=0.01)
     env.close()
-
-
-# Worlds to train in and to test in, and their numbers
 
 
 WORLDS = [env_id for env_id in IDS if env_id != "acsar_gym/PointGoal-v0"]
@@ -116,9 +89,6 @@ def test_a_world_is_known_by_its_generators_number() -> None:
         with pytest.raises(WorldError, match=f"world {number}: must be 1000 to 1399"):
             env.reset(options={"world": number})
     env.close()
-
-
-# Worlds that don't move: the robot begins at the scene's start
 
 
 START = (5.0, -3.0, 2.0)
