@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from env_tools import IDS, LINKS, SEEING, WALL, inner, make
+from env_tools import IDS, LINKS, SEEING, inner, make
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
@@ -103,24 +103,6 @@ def test_info_holds_the_same_floats_at_every_step(env_id: str) -> None:
         assert info.keys() == first.keys()
         assert all(type(value) is float for value in info.values())
         assert not any(math.isnan(value) for value in info.values())
-    env.close()
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_a_wall_is_seen_and_a_collision_ends_the_episode(link: str) -> None:
-    env = make("acsar_gym/ObstacleGoal-v1", link, worlds=WALL, robot=quiet())
-    observation, _ = env.reset(seed=0)
-    config, terminated = inner(env).robot.config, False
-    info: dict[str, Any] = {}
-    reward: Any = 0.0
-    ahead = config.lidar.rays // 2 - config.lidar.rays
-    assert observation[ahead] * config.lidar.max_range == pytest.approx(1.15, abs=1e-6)
-    while not terminated:
-        observation, reward, terminated, _, info = env.step(np.array([1.0, 0.0], np.float32))
-    assert reward < -4.0
-    assert info["true_contact"] == 1.0
-    assert info["is_success"] == 0.0
-    assert info["true_x"] == pytest.approx(1.0 - config.body.length / 2.0, abs=0.06)
     env.close()
 
 

@@ -12,7 +12,6 @@ import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
 
 from acsar_gym import World
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import (
     ConfigError,
     WorldError,
@@ -99,34 +98,17 @@ PILLAR = World(
     name="pillar",
 )
 AHEAD = np.array([1.0, 0.0], np.float32)
-
-
-def make_pillar(link: str, **options: Any) -> Any:
-    robot = {"lidar": {"noise": 0.0}}
-    return gymnasium.make(
-        "acsar_gym/ObstacleGoal-v1", link=link, robot=robot, worlds=PILLAR, **options
-    )
-
-
-def driven(env: Any) -> list[bytes]:
-    """What is seen on the way to the pillar."""
-    seen = [env.reset(seed=0)[0].tobytes()]
-    for _ in range(60):
-        observation, _, over, _, _ = env.step(AHEAD)
-        seen.append(observation.tobytes())
-        if over:
-            break
-    return seen
+QUIET = {"lidar": {"noise": 0.0}}
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_info_is_told_in_the_odometry_frame(link: str) -> None:
-    env = make_pillar(link)
-    inner: RobotEnv = env.unwrapped
+    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
+    robot = inner(env).robot
     _, info = env.reset(seed=0)
     assert (info["true_x"], info["true_y"], info["true_theta"]) == pytest.approx((0, 0, 0))
     assert info["true_goal_distance"] == pytest.approx(math.hypot(3.0, 1.0))
-    truth = inner.robot.link.truth
+    truth = robot.link.truth
     assert truth is not None
     assert truth.pose == pytest.approx(START, abs=1e-9)
     for _ in range(10):
@@ -134,20 +116,29 @@ def test_info_is_told_in_the_odometry_frame(link: str) -> None:
     true = tuple(info[f"true_{name}"] for name in ("x", "y", "theta"))
     assert true[0] > 0.2
     assert info["odometry_error"] < 0.05
-    truth = inner.robot.link.truth
+    truth = robot.link.truth
     assert truth is not None
     assert to_world(START, true)[:2] == pytest.approx(truth.pose[:2])
-    lidar = inner.robot.config.lidar_x_offset
-    ahead = observation[10 + 32] * inner.robot.config.lidar.max_range
+    lidar = robot.config.lidar_x_offset
+    ahead: Any = observation[10 + 32] * robot.config.lidar.max_range
     assert ahead == pytest.approx(1.4 - true[0] - lidar, abs=0.02)
     env.close()
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_a_world_that_was_hit_leaves_no_trace(link: str) -> None:
+def test_a_collision_ends_the_episode_and_leaves_no_trace(link: str) -> None:
     """PyBullet keeps what stands still as long as the world is the same."""
-    env = make_pillar(link)
-    first = driven(env)
-    assert len(first) < 60, "the pillar was hit"
-    assert driven(env) == first
+    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
+    episodes = []
+    for _ in range(2):
+        seen, over = [env.reset(seed=0)[0].tobytes()], False
+        while not over:
+            observation, reward, over, _, info = env.step(AHEAD)
+            seen.append(observation.tobytes())
+        assert float(reward) < -4.0
+        assert (info["true_contact"], info["is_success"]) == (1.0, 0.0)
+        reach = inner(env).robot.config.body.length / 2.0
+        assert info["true_x"] == pytest.approx(1.4 - reach, abs=0.06)
+        episodes.append(seen)
+    assert episodes[0] == episodes[1]
     env.close()
