@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from env_tools import LINKS, inner, make
 
-from acsar_gym.errors import (
-    LinkError,
-)
+from acsar_gym.errors import LinkError
 
 FAULTS: list[tuple[dict[str, Any], float]] = [
     ({"unplug_at": 1.0, "replug_time": 0.5}, 3.0),

@@ -12,10 +12,7 @@ import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
 
 from acsar_gym import World
-from acsar_gym.errors import (
-    ConfigError,
-    WorldError,
-)
+from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.world import to_world

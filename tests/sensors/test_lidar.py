@@ -11,11 +11,7 @@ import pytest
 from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import open_link
-from acsar_gym.sensors.lidar import (
-    SimulatedLidar,
-    add_noise,
-    noise_draws,
-)
+from acsar_gym.sensors.lidar import SimulatedLidar, add_noise, noise_draws
 from acsar_gym.sensors.rplidar import RplidarLidar
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, World

@@ -17,11 +17,7 @@ from gymnasium.vector import AutoresetMode
 from varied import RANGES
 
 from acsar_gym import RobotConfig, RobotEnv, World
-from acsar_gym.envs import (
-    ObstacleGoalVectorEnv,
-    PathFollowVectorEnv,
-    PointGoalVectorEnv,
-)
+from acsar_gym.envs import ObstacleGoalVectorEnv, PathFollowVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import CommandError, ConfigError, WorldError
 from acsar_gym.physics import Randomization
 from acsar_gym.tasks import PointGoal

@@ -241,16 +241,6 @@ def test_sensors_are_a_list(env: Any, sensors: Any) -> None:
         env(PointGoal, sensors=sensors)
 
 
-@needs_numba
-@pytest.mark.parametrize("writes", [True, False])
-def test_what_a_memory_does_not_declare_is_named(writes: bool) -> None:
-    batch = RobotVectorEnv(Writing if writes else Reading)
-    with pytest.raises(ConfigError, match=r"memory\.turns isn't declared"):
-        batch.reset(seed=0)
-        batch.step(ACTIONS[0, :1])
-    batch.close()
-
-
 class Writing(Unsound):
     compiled = True
 
@@ -263,6 +253,16 @@ class Reading(Unsound):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         return float(memory.turns) if state.time > 0.15 else 0.0
+
+
+@needs_numba
+@pytest.mark.parametrize("task", [Writing, Reading])
+def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
+    batch = RobotVectorEnv(task)
+    with pytest.raises(ConfigError, match=r"memory\.turns isn't declared"):
+        batch.reset(seed=0)
+        batch.step(ACTIONS[0, :1])
+    batch.close()
 
 
 class Failing(Remembering):

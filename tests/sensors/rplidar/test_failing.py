@@ -12,13 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rplidar_tools import (
-    MAX,
-    Open,
-    Start,
-    newer,
-    reset,
-)
+from rplidar_tools import MAX, Open, Start, newer, reset
 from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError

@@ -11,15 +11,7 @@ import time
 import pytest
 from lds2d.drivers import rplidar as library
 from lidar_tools import room, state
-from rplidar_tools import (
-    MAX,
-    Open,
-    Start,
-    measure,
-    newer,
-    reset,
-    shows_the_room,
-)
+from rplidar_tools import MAX, Open, Start, measure, newer, reset, shows_the_room
 from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
