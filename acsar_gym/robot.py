@@ -33,7 +33,8 @@ from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
-from acsar_gym.sensors.lidar import newest_scan, sensor_factories
+from acsar_gym.sensors.lidar import newest_scan
+from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
-import numpy as np
 
-from acsar_gym import World
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.worlds import Region
 
 IDS = {
     "acsar_gym/PointGoal-v0": {},
@@ -19,12 +16,6 @@ IDS = {
 }
 SEEING = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Barn-v1"]
 LINKS = ["bullet", "planar"]
-WALL = World(
-    segments=np.array([[1.0, -9.0, 1.0, 9.0]]),
-    goal=Region(3.0, 0.0),
-    start=Region(0.0, 0.0, 0.0, 0.0),
-    path=np.array([[0.0, 0.0], [3.0, 0.0]]),
-)
 
 
 def make(env_id: str, link: Any = "planar", **options: Any) -> gymnasium.Env[Any, Any]:

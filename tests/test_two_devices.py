@@ -14,7 +14,7 @@ from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LateTicksError, LidarError
-from acsar_gym.sensors.lidar import open_lidar
+from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius

@@ -39,7 +39,8 @@ from acsar_gym.recording.encoder import Stepped
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
 from acsar_gym.sensors import LIDAR, Sensor
-from acsar_gym.sensors.lidar import footprint_edges, newest_scan, sensor_factories
+from acsar_gym.sensors.lidar import footprint_edges, newest_scan
+from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
 from acsar_gym.tasks.episode import Assignment, RunningEpisode, Spawn

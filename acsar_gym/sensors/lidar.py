@@ -7,23 +7,22 @@ its measurements by what the robot drove since, or will have driven, at its pres
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import LidarConfig, RobotConfig
 from acsar_gym.config.footprint import Outline, outline_reach
-from acsar_gym.errors import ConfigError, LidarError, show_value, suggest_name
+from acsar_gym.errors import LidarError
 from acsar_gym.jit import loop
-from acsar_gym.links.base import Link, ScannedLink, tape_of
+from acsar_gym.links.base import Link, ScannedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
-from acsar_gym.reading import import_object
-from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors.base import LIDAR, Sensor
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, RaySpec, cast_rays, make_surroundings
 
@@ -382,66 +381,3 @@ class ReplayedLidar:
 
     def close(self) -> None:
         """Do nothing: there is no device."""
-
-
-def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
-    """Make the LiDAR that a user names; nothing is opened before its `reset`.
-
-    Args:
-        url: None or "simulated" for rays in the world of a simulated link, or the scans of a
-            recording, or "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
-        link: of the robot.
-        config: of the robot.
-
-    Raises:
-        ConfigError: for anything else, and for a simulated LiDAR on a link without a simulation.
-    """
-    if hasattr(url, "scan"):
-        ready: Lidar = url
-        return ready
-    if url is None or (isinstance(url, str) and url == "simulated"):
-        if (tape := tape_of(link)) is not None:
-            return ReplayedLidar(tape, link, config)
-        if link.truth is None:
-            raise ConfigError(
-                "this env needs a LiDAR and this link simulates none: "
-                "pass lidar='rplidar:///dev/ttyUSB1'"
-            )
-        return SimulatedLidar(link, config)
-    if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
-        from acsar_gym.sensors.rplidar import RplidarLidar  # noqa: PLC0415 - optional
-
-        clock = getattr(link, "clock", link.now)
-        return RplidarLidar(url.removeprefix("rplidar://"), config, clock)
-    raise ConfigError(
-        f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
-    )
-
-
-def sensor_factories(
-    sensors: Iterable[str | Sensor | Factory], lidar: Any = None
-) -> list[Sensor | Factory]:
-    """Replace names among the sensors of a task or an env by factories.
-
-    Args:
-        sensors: "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
-        lidar: What "lidar" means, as `open_lidar` takes it.
-
-    Raises:
-        ConfigError: A name is unknown.
-    """
-
-    def make_lidar(link: Link, config: RobotConfig) -> Sensor:
-        return LidarSensor(open_lidar(lidar, link, config), config)
-
-    found: list[Sensor | Factory] = []
-    for sensor in sensors:
-        if not isinstance(sensor, str):
-            found.append(sensor)
-        elif ":" in sensor:
-            found.append(import_object("sensor", sensor))
-        elif sensor == LIDAR:
-            found.append(make_lidar)
-        else:
-            raise ConfigError(f"unknown sensor {show_value(sensor)}{suggest_name(sensor, [LIDAR])}")
-    return found

@@ -18,7 +18,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors import LIDAR, Factory, Sensor
-from acsar_gym.sensors.lidar import LidarSensor, sensor_factories
+from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import (
     add_sensor_info,
     check_info_key,
@@ -26,6 +26,7 @@ from acsar_gym.sensors.suite import (
     check_numbers,
     make_sensor,
     naming_sensor,
+    sensor_factories,
 )
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.pcg import Generators, LentGenerators

@@ -85,7 +85,7 @@ class Threads:
         if not self._idle:
             number = next(self._numbers)
             for orders in self._orders:
-                orders.put((number, _nothing, 0, 0))  # done once all orders before it are
+                orders.put((number, lambda *_: None, 0, 0))  # done once all orders before it are
             self._errors_of(number)
             self._idle = True
 
@@ -117,10 +117,6 @@ class Threads:
     def __del__(self) -> None:
         if hasattr(self, "_orders"):
             self._end()
-
-
-def _nothing(first: int, last: int) -> None:
-    """Do nothing: its report says that all orders before it are done."""
 
 
 def _serve(orders: SimpleQueue[Order | None], reports: SimpleQueue[OrderReport]) -> None:

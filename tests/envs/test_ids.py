@@ -12,21 +12,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from env_tools import IDS, LINKS, SEEING, WALL, inner, make
+from env_tools import IDS, LINKS, SEEING, inner, make
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
-from acsar_gym import RobotConfig
+from acsar_gym import RobotConfig, World
 from acsar_gym.envs.base import EnvOptions
-from acsar_gym.errors import (
-    AcsarError,
-    LidarError,
-    LinkError,
-    MissingExtraError,
-    OffScreenWarning,
-)
+from acsar_gym.errors import AcsarError, LidarError, LinkError, MissingExtraError, OffScreenWarning
 from acsar_gym.sensors.lidar import Scan
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Region, Scene
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -106,44 +100,46 @@ def test_info_holds_the_same_floats_at_every_step(env_id: str) -> None:
     env.close()
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_a_wall_is_seen_and_a_collision_ends_the_episode(link: str) -> None:
-    env = make("acsar_gym/ObstacleGoal-v1", link, worlds=WALL, robot=quiet())
-    observation, _ = env.reset(seed=0)
-    config, terminated = inner(env).robot.config, False
-    info: dict[str, Any] = {}
-    reward: Any = 0.0
-    ahead = config.lidar.rays // 2 - config.lidar.rays
-    assert observation[ahead] * config.lidar.max_range == pytest.approx(1.15, abs=1e-6)
-    while not terminated:
-        observation, reward, terminated, _, info = env.step(np.array([1.0, 0.0], np.float32))
-    assert reward < -4.0
-    assert info["true_contact"] == 1.0
-    assert info["is_success"] == 0.0
-    assert info["true_x"] == pytest.approx(1.0 - config.body.length / 2.0, abs=0.06)
-    env.close()
-
-
 def quiet(**lidar: Any) -> RobotConfig:
     """The robot with a LiDAR without noise."""
     return RobotConfig.preset("acsar").with_(lidar={"noise": 0.0, **lidar})
 
 
+PORT = "/dev/ttyUSB0"
+VARIED = {"mass": (0.5, 2.0)}
+BLOCKED = World(np.array([[3.0, 0.0, 0.1]]), goal=Region(3.0, 0.0))
+
+
 @pytest.mark.parametrize(
-    ("link", "options", "named"),
+    ("env_id", "options", "named"),
     [
-        ("/dev/ttyUSB0", {}, "pass lidar='rplidar:///dev/ttyUSB1'"),
-        ("planar", {"worlds": "clutte"}, "did you mean 'clutter'"),
-        ("planar", {"worlds": "no/such.world"}, "no/such.world"),
-        ("planar", {"worlds": 7}, "worlds"),
-        ("planar", {"difficulty": 2.0}, "difficulty"),
-        ("planar", {"lidar": "lidar"}, "lidar"),
-        ("planar", {"view": "side"}, "view"),
+        ("PointGoal-v0", {"link": "bulet"}, "'bullet'"),
+        ("PointGoal-v0", {"link": None}, "link"),
+        ("PointGoal-v0", {"robot": "acsra"}, "'acsar'"),
+        ("PointGoal-v0", {"robot": {"wheel_radios": 1.0}}, "'wheel_radius'"),
+        ("PointGoal-v0", {"policy_rate": 30.0}, "policy_rate"),
+        ("PointGoal-v0", {"goal_distance": 3}, "goal_distance"),
+        ("PointGoal-v0", {"goal_tolerance": None}, "goal_tolerance"),
+        ("PointGoal-v0", {"on_fault": "ignore"}, "on_fault"),
+        ("PointGoal-v0", {"faults": {"droped_lines": 0.1}}, "'dropped_lines'"),
+        ("PointGoal-v0", {"render_mode": "rgb_array", "view": "camera"}, "bullet"),
+        ("PointGoal-v0", {"render_mode": "rgb_array", "view": "camera", "link": PORT}, "bullet"),
+        ("PointGoal-v0", {"randomization": {"frictoin": (0.5, 1.0)}}, "'friction'"),
+        ("PointGoal-v0", {"randomization": {"latency": (0.0, 0.1)}}, "latency"),
+        ("PointGoal-v0", {"randomization": {"feedback_rate": (1.0, 20.0)}}, "feedback_timeout"),
+        ("PointGoal-v0", {"randomization": VARIED, "link": PORT}, "simulated"),
+        ("PointGoal-v0", {"randomization": VARIED, "link": "replay:tape.mcap"}, "simulated"),
+        ("ObstacleGoal-v1", {"link": PORT}, "lidar='rplidar:///dev/ttyUSB1'"),
+        ("ObstacleGoal-v1", {"worlds": "clutte"}, "'clutter'"),
+        ("ObstacleGoal-v1", {"worlds": BLOCKED}, "goal"),
+        ("ObstacleGoal-v1", {"difficulty": 2.0}, "difficulty"),
+        ("ObstacleGoal-v1", {"lidar": "lidar"}, "lidar"),
+        ("ObstacleGoal-v1", {"view": "side"}, "view"),
     ],
 )
-def test_bad_options_are_one_clear_error(link: str, options: dict[str, Any], named: str) -> None:
+def test_bad_options_are_one_clear_error(env_id: str, options: dict[str, Any], named: str) -> None:
     with pytest.raises(AcsarError, match=named) as caught:
-        make(SEEING[0], link, **options).reset(seed=0)
+        make(f"acsar_gym/{env_id}", **options).reset(seed=0)
     assert "\n" not in str(caught.value)
 
 
@@ -224,20 +220,6 @@ def test_videos_can_be_recorded(tmp_path: Path) -> None:
         recorder.close()  # type: ignore[no-untyped-call]
     (video,) = tmp_path.glob("*.mp4")
     assert video.stat().st_size > 1000
-
-
-@pytest.mark.parametrize("link", LINKS)
-def test_without_a_display_human_draws_off_screen(
-    link: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    env = make("acsar_gym/PointGoal-v0", link, render_mode="human")
-    with pytest.warns(OffScreenWarning, match="needs a display.*off-screen"):
-        env.reset(seed=0)
-    env.step(np.array([1.0, 0.0], np.float32))
-    assert env.render() is None
-    assert inner(env).robot.active
-    env.close()
 
 
 def test_a_picture_that_cannot_be_drawn_leaves_no_robot_driving(

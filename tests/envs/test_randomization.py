@@ -11,7 +11,6 @@ import pytest
 from varied import RANGES
 
 from acsar_gym import open_link
-from acsar_gym.errors import ConfigError
 
 ACTION = np.array([0.7, 0.3], np.float32)
 
@@ -57,20 +56,6 @@ def test_pybullet_and_the_planar_robot_drive_alike_with_what_was_drawn() -> None
     assert ends[0][0] > 0.2
 
 
-def test_what_was_drawn_is_told_at_every_step_in_arrays_of_ones_own() -> None:
-    env = make("planar")
-    _, first = env.reset(seed=1)
-    *_, second = env.step(ACTION)
-    assert drawn(first) == drawn(second)
-    assert first["drawn_motor_gain"] is not second["drawn_motor_gain"]
-    assert [name for name in RANGES if np.shape(first[f"drawn_{name}"]) == (4,)] == [
-        "motor_gain",
-        "motor_lag",
-        "deadband_offset",
-    ]
-    env.close()
-
-
 def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
     """The goals of later episodes are those of an env without randomization."""
     goals = []
@@ -81,24 +66,3 @@ def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
         goals.append(env.reset()[1]["goal_distance"])
         env.close()
     assert goals[0] == goals[1] == goals[2]
-
-
-@pytest.mark.parametrize("link", ["/dev/ttyUSB0", "replay:tape.mcap"])
-def test_a_real_robot_cannot_be_randomized(link: str) -> None:
-    with pytest.raises(ConfigError, match="only a simulated robot's physics can vary") as raised:
-        make(link)
-    assert "\n" not in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("ranges", "named"),
-    [
-        ({"frictoin": (0.5, 1.0)}, "did you mean 'friction'"),
-        ({"mass": (2.0, 1.0)}, "mass"),
-        ({"latency": (0.0, 0.1)}, "latency"),
-        ({"feedback_rate": (1.0, 20.0)}, "feedback_timeout"),
-    ],
-)
-def test_bad_ranges_are_one_clear_error(ranges: Any, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        gymnasium.make("acsar_gym/PointGoal-v0", link="planar", randomization=ranges)

@@ -12,36 +12,12 @@ import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
 
 from acsar_gym import World
-from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import (
-    AcsarError,
-    ConfigError,
-    WorldError,
-)
+from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.world import to_world
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
-
-
-@pytest.mark.parametrize(
-    ("world", "message"),
-    [
-        (World(np.array([[0.1, 0.0, 0.3]]), goal=Region(3.0, 0.0)), "the start .* obstacle"),
-        (World(np.array([[3.0, 0.0, 0.1]]), goal=Region(3.0, 0.0)), "the goal .* obstacle"),
-        (
-            World(
-                segments=np.array([[1, -1, 1, 1], [-1, -1, -1, 1], [-1, -1, 1, -1], [-1, 1, 1, 1]]),
-                goal=Region(3.0, 0.0),
-            ),
-            "no way from start to goal",
-        ),
-    ],
-)
-def test_worlds_that_cannot_be_driven_are_refused(world: World, message: str) -> None:
-    with pytest.raises(AcsarError, match=message):
-        make(SEEING[0], worlds=world).reset(seed=0)
 
 
 def test_options_of_a_reset_choose_world_goal_and_path() -> None:
@@ -72,19 +48,12 @@ def test_barns_rules() -> None:
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_barn_takes_a_folder_of_published_worlds() -> None:
     env = make("acsar_gym/Barn-v1", worlds=BARN)
-    names, lengths = set(), []
+    lengths = []
     for number in range(5):
         env.reset(options={"world": number})
-        assignment = inner(env).episode.assignment
-        assert assignment.world is not None
-        names.add(assignment.world.name)
-        lengths.append(assignment.length)
-    assert names == {"world_1", "world_77", "world_101", "world_201", "world_299"}
+        lengths.append(inner(env).episode.assignment.length)
     assert sorted(lengths) == pytest.approx([10.029, 10.738, 10.758, 12.312, 13.446], abs=0.01)
     env.close()
-
-
-# Worlds to train in and to test in, and their numbers
 
 
 WORLDS = [env_id for env_id in IDS if env_id != "acsar_gym/PointGoal-v0"]
@@ -118,9 +87,6 @@ def test_a_world_is_known_by_its_generators_number() -> None:
     env.close()
 
 
-# Worlds that don't move: the robot begins at the scene's start
-
-
 START = (5.0, -3.0, 2.0)
 PILLAR = World(
     circles=np.array([[*to_world(START, (1.5, 0.0, 0.0))[:2], 0.1]]),
@@ -129,34 +95,17 @@ PILLAR = World(
     name="pillar",
 )
 AHEAD = np.array([1.0, 0.0], np.float32)
-
-
-def make_pillar(link: str, **options: Any) -> Any:
-    robot = {"lidar": {"noise": 0.0}}
-    return gymnasium.make(
-        "acsar_gym/ObstacleGoal-v1", link=link, robot=robot, worlds=PILLAR, **options
-    )
-
-
-def driven(env: Any) -> list[bytes]:
-    """What is seen on the way to the pillar."""
-    seen = [env.reset(seed=0)[0].tobytes()]
-    for _ in range(60):
-        observation, _, over, _, _ = env.step(AHEAD)
-        seen.append(observation.tobytes())
-        if over:
-            break
-    return seen
+QUIET = {"lidar": {"noise": 0.0}}
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_info_is_told_in_the_odometry_frame(link: str) -> None:
-    env = make_pillar(link)
-    inner: RobotEnv = env.unwrapped
+    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
+    robot = inner(env).robot
     _, info = env.reset(seed=0)
     assert (info["true_x"], info["true_y"], info["true_theta"]) == pytest.approx((0, 0, 0))
     assert info["true_goal_distance"] == pytest.approx(math.hypot(3.0, 1.0))
-    truth = inner.robot.link.truth
+    truth = robot.link.truth
     assert truth is not None
     assert truth.pose == pytest.approx(START, abs=1e-9)
     for _ in range(10):
@@ -164,20 +113,29 @@ def test_info_is_told_in_the_odometry_frame(link: str) -> None:
     true = tuple(info[f"true_{name}"] for name in ("x", "y", "theta"))
     assert true[0] > 0.2
     assert info["odometry_error"] < 0.05
-    truth = inner.robot.link.truth
+    truth = robot.link.truth
     assert truth is not None
     assert to_world(START, true)[:2] == pytest.approx(truth.pose[:2])
-    lidar = inner.robot.config.lidar_x_offset
-    ahead = observation[10 + 32] * inner.robot.config.lidar.max_range
+    lidar = robot.config.lidar_x_offset
+    ahead: Any = observation[10 + 32] * robot.config.lidar.max_range
     assert ahead == pytest.approx(1.4 - true[0] - lidar, abs=0.02)
     env.close()
 
 
 @pytest.mark.parametrize("link", LINKS)
-def test_a_world_that_was_hit_leaves_no_trace(link: str) -> None:
+def test_a_collision_ends_the_episode_and_leaves_no_trace(link: str) -> None:
     """PyBullet keeps what stands still as long as the world is the same."""
-    env = make_pillar(link)
-    first = driven(env)
-    assert len(first) < 60, "the pillar was hit"
-    assert driven(env) == first
+    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
+    episodes = []
+    for _ in range(2):
+        seen, over = [env.reset(seed=0)[0].tobytes()], False
+        while not over:
+            observation, reward, over, _, info = env.step(AHEAD)
+            seen.append(observation.tobytes())
+        assert float(reward) < -4.0
+        assert (info["true_contact"], info["is_success"]) == (1.0, 0.0)
+        reach = inner(env).robot.config.body.length / 2.0
+        assert info["true_x"] == pytest.approx(1.4 - reach, abs=0.06)
+        episodes.append(seen)
+    assert episodes[0] == episodes[1]
     env.close()

@@ -24,10 +24,10 @@ TWISTS = [(0.5, 0.0), (0.5, 1.2), (0.5, -1.2), (0.0, 1.5), (-0.3, -0.5)]
 def pose(twist: tuple[float, float], time: float) -> tuple[float, float, float]:
     """Where a robot is that is at the origin at time 0, by small steps."""
     x = y = theta = 0.0
-    for _ in range(2000):
-        x += twist[0] * time / 2000 * math.cos(theta + twist[1] * time / 4000)
-        y += twist[0] * time / 2000 * math.sin(theta + twist[1] * time / 4000)
-        theta += twist[1] * time / 2000
+    for _ in range(200):
+        x += twist[0] * time / 200 * math.cos(theta + twist[1] * time / 400)
+        y += twist[0] * time / 200 * math.sin(theta + twist[1] * time / 400)
+        theta += twist[1] * time / 200
     return x, y, theta
 
 

@@ -43,21 +43,26 @@ def test_options_choose_the_world_and_the_goal() -> None:
     assert draw_in_world(pool, rng, {"goal": (1, 2)}).goal == (1.0, 2.0)
 
 
+PATHLESS = Pool("given", range(1), lambda _: World(goal=Region(1.0, 0.0)))
+
+
 @pytest.mark.parametrize(
-    ("options", "error"),
+    ("pool", "options", "named"),
     [
-        ({"world": 5}, WorldError),
-        ({"world": -1}, WorldError),
-        ({"world": "three"}, ConfigError),
-        ({"world": 2.5}, ConfigError),
-        ({"world": math.nan}, ConfigError),
-        ({"world": math.inf}, ConfigError),
-        ({"goal": (1.0, math.inf)}, ConfigError),
+        (Pool.of("open:5"), {"world": 5}, "world"),
+        (Pool.of("open:5"), {"world": -1}, "world"),
+        (Pool.of("open:5"), {"world": "three"}, "world"),
+        (Pool.of("open:5"), {"world": 2.5}, "world"),
+        (Pool.of("open:5"), {"world": math.inf}, "world"),
+        (Pool.of("open:5"), {"goal": (1.0, math.inf)}, "goal"),
+        (PATHLESS, {}, "path"),
     ],
 )
-def test_bad_options_are_one_clear_error(options: dict[str, Any], error: type[Exception]) -> None:
-    with pytest.raises(error) as caught:
-        draw_in_world(Pool.of("open:5"), np.random.default_rng(0), options)
+def test_what_cannot_be_drawn_is_one_clear_error(
+    pool: Pool, options: dict[str, Any], named: str
+) -> None:
+    with pytest.raises((ConfigError, WorldError), match=named) as caught:
+        draw_in_world(pool, np.random.default_rng(0), options, follow=pool is PATHLESS)
     assert "\n" not in str(caught.value)
 
 
@@ -76,13 +81,6 @@ def test_worlds_do_not_move() -> None:
     given = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
     worlds = [draw_in_world(pool, rng, {"world": given}).world for _ in range(2)]
     assert worlds[0] is worlds[1], "nothing has to be built again"
-
-
-def test_a_world_without_a_path_cannot_be_followed() -> None:
-    world = World(goal=Region(1.0, 0.0), name="pathless")
-    pool = Pool("given", range(1), lambda _: world)
-    with pytest.raises(WorldError, match="pathless: has no path to follow"):
-        draw_in_world(pool, np.random.default_rng(0), {}, follow=True)
 
 
 def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:

@@ -67,9 +67,7 @@ def test_goals_come_from_all_sides_in_range_and_repeat_with_the_seed() -> None:
     assert counts.min() > 80
 
 
-@pytest.mark.parametrize(
-    "goal", [(0.1, 0.0), (3.0, 3.0), (1.0,), "ab", 7, (1.0, 2.0, 3.0), (math.nan, 1.0)]
-)
+@pytest.mark.parametrize("goal", [(0.1, 0.0), (3.0, 3.0), (1.0,), "ab", 7, (math.nan, 1.0)])
 def test_bad_goals_are_refused(goal: object) -> None:
     with pytest.raises(ConfigError, match=r"^goal = "):
         played(goal)
@@ -89,9 +87,6 @@ def test_bad_goals_are_refused(goal: object) -> None:
 def test_limits_that_make_no_sense_are_refused(fields: dict[str, object], named: str) -> None:
     with pytest.raises(ConfigError, match=f"^{named} = "):
         PointGoal(**fields)  # type: ignore[arg-type]
-    if "goal_distance" not in fields and "distance_scale" not in fields:
-        with pytest.raises(ConfigError, match=f"^{named} = "):
-            ObstacleGoal(**fields)  # type: ignore[arg-type]
 
 
 def test_goals_may_be_farther_than_what_distances_are_divided_by() -> None:

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +16,15 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from varied import RANGES
 
-from acsar_gym import RobotConfig, RobotEnv
-from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
-from acsar_gym.errors import CommandError, ConfigError
-from acsar_gym.physics import Physics, Randomization, compute_physics
+from acsar_gym import RobotConfig, RobotEnv, World
+from acsar_gym.envs import ObstacleGoalVectorEnv, PathFollowVectorEnv, PointGoalVectorEnv
+from acsar_gym.errors import CommandError, ConfigError, WorldError
+from acsar_gym.physics import Randomization
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.threads import Threads
+from acsar_gym.worlds import Region, generators
 
 ENV_ID = "acsar_gym/PointGoal-v0"
 
@@ -49,8 +49,11 @@ def test_make_vec_finds_the_batch() -> None:
     env.close()
 
 
-def reference(mode: AutoresetMode) -> Any:
-    return gymnasium.make_vec(
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_autoreset_is_gymnasiums_own(mode: AutoresetMode) -> None:
+    """Step for step what SyncVectorEnv makes of four single environments, infos included."""
+    ours = batch(goal_distance=(0.3, 0.6), max_episode_steps=25, autoreset_mode=mode)
+    theirs = gymnasium.make_vec(
         ENV_ID,
         4,
         vectorization_mode="sync",
@@ -59,13 +62,6 @@ def reference(mode: AutoresetMode) -> Any:
         goal_distance=(0.3, 0.6),
         max_episode_steps=25,
     )
-
-
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_autoreset_is_gymnasiums_own(mode: AutoresetMode) -> None:
-    """Step for step what SyncVectorEnv makes of four single environments, infos included."""
-    ours = batch(goal_distance=(0.3, 0.6), max_episode_steps=25, autoreset_mode=mode)
-    theirs = reference(mode)
     ours.reset(seed=7)
     theirs.reset(seed=7)
     rng, ended = np.random.default_rng(1), 0
@@ -131,10 +127,10 @@ def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None
 
 
 class Interrupted:
-    """A batch in which Ctrl-C comes within the call with this number, in the midst of a share."""
+    """A batch in which Ctrl-C comes within the first call of this, in the midst of a share."""
 
-    def __init__(self, env: RobotVectorEnv, name: str, call: int) -> None:
-        self.whole, self.left = getattr(env.batch, name), call
+    def __init__(self, env: RobotVectorEnv, name: str) -> None:
+        self.whole, self.left = getattr(env.batch, name), 1
         setattr(env.batch, name, self)
 
     def __call__(self, *arguments: Any) -> None:
@@ -147,36 +143,14 @@ class Interrupted:
         self.whole(*others, first, last)
 
 
-class LostReport:
-    """Reports of a batch's threads; Ctrl-C comes twice while one of them is waited for."""
-
-    def __init__(self, env: RobotVectorEnv, call: int) -> None:
-        self.reports, self.calls = env._threads._reports, call
-        env._threads._reports = self  # type: ignore[assignment]
-
-    def get(self) -> Any:
-        self.calls -= 1
-        if self.calls in (0, -1):
-            raise KeyboardInterrupt
-        return self.reports.get()
-
-
-INTERRUPTS: dict[str, Callable[[RobotVectorEnv], object]] = {
-    "in a reset": lambda env: Interrupted(env, "_begin", 1),
-    "in the caller's share": lambda env: Interrupted(env, "_drive", 1),
-    "waiting": lambda env: LostReport(env, 2),
-    "waiting, later": lambda env: LostReport(env, 5),
-}
-
-
-@pytest.mark.parametrize("place", INTERRUPTS)
+@pytest.mark.parametrize("place", ["_begin", "_drive"])
 def test_after_ctrl_c_a_seeded_reset_begins_anew(place: str) -> None:
     """Whatever it interrupts, the next seeded rollout is that of a new batch."""
     options: dict[str, Any] = {"worlds": "open:3", "max_episode_steps": 20, "threads": 1}
     expected = rollout(ObstacleGoalVectorEnv(40, **options))
     env = ObstacleGoalVectorEnv(40, **options)
     env._threads = Threads(3)
-    INTERRUPTS[place](env)
+    Interrupted(env, place)
     with pytest.raises(KeyboardInterrupt):
         rollout(env, seed=99)
     with pytest.raises(ConfigError, match="reset"):
@@ -215,51 +189,23 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> 
         assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
 
 
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_what_is_drawn_is_told_at_every_step(mode: AutoresetMode) -> None:
-    """New values with every episode, those of the state's own physics."""
-    env = batch(30, randomization=RANGES, max_episode_steps=4, autoreset_mode=mode)
-    _, first = env.reset(seed=1)
-    drawn = {key: first[f"drawn_{key}"] for key in RANGES}
-    for key, width in RANGES.items():
-        low, high = min(width), max(width)
-        wheels = key in ("motor_gain", "motor_lag", "deadband_offset")
-        assert drawn[key].shape == ((30, 4) if wheels else (30,))
-        assert (drawn[key] >= low - 0.005).all()  # delays are whole loops of the firmware
-        assert (drawn[key] <= high * 1.2 + 0.005).all()  # and so are the lines' intervals
-        assert np.ptp(drawn[key]) > 0.3 * (high - low)
-        assert first[f"_drawn_{key}"].all()
-    for step in range(1, 7):
-        *_, info = env.step(np.zeros((30, 2)))
-        anew = step >= (4 if mode is AutoresetMode.SAME_STEP else 5)
-        for key in RANGES:
-            assert (info[f"drawn_{key}"] == drawn[key]).all() != anew
-    own, told = Physics(*env.batch.state[layout.PHYSICS :]), env.batch.info()
-    grip = compute_physics(env.config).grip * told["drawn_mass"] * told["drawn_friction"]
-    assert own.grip == pytest.approx(grip, rel=1e-12)
-    gains = np.array([own.gain_a, own.gain_b, own.gain_c, own.gain_d])
-    assert told["drawn_motor_gain"] == pytest.approx(gains.T)
-    env.close()
-
-
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"num_envs": 0}, "num_envs"),
         ({"num_envs": 2.5}, "num_envs"),
         ({"num_envs": 10**11}, "num_envs"),
-        ({"max_episode_steps": 10**400}, "max_episode_steps"),
         ({"max_episode_steps": 0}, "max_episode_steps"),
+        ({"max_episode_steps": 10**400}, "max_episode_steps"),
         ({"threads": 0}, "threads"),
         ({"threads": 10_000}, "threads"),
-        ({"randomization": {"frictoin": (0.5, 1.0)}}, "did you mean 'friction'"),
-        ({"randomization": "friction"}, "randomization"),
-        ({"randomization": {"mass": 3}}, "mass"),
+        ({"randomization": {"frictoin": (0.5, 1.0)}}, "'friction'"),
         ({"randomization": {"latency": (0.0, 0.5)}}, "latency"),
         ({"render_mode": "rgb_array"}, "render_mode"),
         ({"link": "bullet"}, "link"),
-        ({"autoreset_mode": "Sometimes"}, "autoreset_mode"),
         ({"autoreset_mode": 3}, "autoreset_mode"),
+        ({"faults": {"unplug_rate": 0.1}}, "unplug_rate: a batch knows dropped_lines, late_lines"),
+        ({"faults": {"droped_lines": 0.1}}, "'dropped_lines'"),
+        ({"faults": {"late_lines": 0.1, "lateness": 50.0}}, "lateness"),
     ],
 )
 def test_bad_options_are_one_clear_error(options: dict[str, Any], named: str) -> None:
@@ -335,3 +281,86 @@ def test_randomization_true_is_that_of_a_training(kind: Any) -> None:
     env = kind(PointGoal, randomization=False)
     assert not [name for name in env.reset(seed=0)[1] if name.startswith("drawn_")]
     env.close()
+
+
+def test_options_hold_until_the_next_reset_of_the_robot() -> None:
+    env = ObstacleGoalVectorEnv(40, worlds="open:8", max_episode_steps=2, threads=1)
+    everything = set(range(8))
+
+    def worlds(robots: slice = slice(None), episodes: int = 6) -> set[float]:
+        found: set[float] = set()
+        for _ in range(3 * episodes):
+            found |= set(env.step(np.zeros((40, 2)))[4]["world"][robots].tolist())
+        return found
+
+    env.reset(seed=0, options={"world": 5})
+    assert worlds() == {5}
+    env.reset(options={"world": 3, "reset_mask": np.arange(40) < 20})
+    assert (worlds(slice(0, 20)), worlds(slice(20, 40))) == ({3}, {5})
+    env.reset(options={"reset_mask": np.arange(40) < 20})
+    assert (worlds(slice(0, 20)), worlds(slice(20, 40))) == (everything, {5})
+    env.reset(seed=1)
+    assert worlds() == everything
+    again = env.reset(seed=1)[1]["world"]
+    env.reset(seed=1, options={"world": 5})
+    assert (env.reset(seed=1)[1]["world"] == again).all()
+    env.close()
+
+
+def test_a_curriculum_goes_on_without_ending_episodes() -> None:
+    env = ObstacleGoalVectorEnv(40, worlds="open:30", max_episode_steps=3, threads=1)
+    levels = {number: generators.draw_difficulty("open", number) for number in range(30)}
+    env.reset(seed=0, options={"difficulty": (0.0, 0.3)})
+    for low, high in ((0.2, 0.5), (0.5, 1.0)):
+        before = env.batch.state.copy()
+        env.set_options({"difficulty": (low, high)})
+        assert (env.batch.state[: layout.WISHED_WORLD] == before[: layout.WISHED_WORLD]).all()
+        for _ in range(4):
+            *_, info = env.step(np.zeros((40, 2)))
+        drawn = [levels[int(number)] for number in info["world"]]
+        assert low <= min(drawn) <= max(drawn) <= high
+        assert len(set(drawn)) > 3
+    env.close()
+
+
+PATH = World(goal=Region(3.0, 2.0), path=np.array([[0.0, 0.0], [2.0, 0.0], [3.0, 2.0]]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "named"),
+    [
+        (ObstacleGoalVectorEnv, {"world": 8}, "world of robot 0 = 8"),
+        (ObstacleGoalVectorEnv, {"world": [0, 0.5]}, "world of robot 1 = 0.5"),
+        (ObstacleGoalVectorEnv, {"world": [0, 1, 2]}, "world"),
+        (ObstacleGoalVectorEnv, {"world": World()}, "world"),
+        (ObstacleGoalVectorEnv, {"goal": [1.0, 2.0, 3.0]}, "goal"),
+        (ObstacleGoalVectorEnv, {"goal": [[1.0, 2.0], [np.nan, 1.0]]}, "goal of robot 1"),
+        (ObstacleGoalVectorEnv, {"difficulty": 0.5}, "difficulty"),
+        (ObstacleGoalVectorEnv, {"difficulty": (0.999, 1.0)}, "none of the env's worlds"),
+        (ObstacleGoalVectorEnv, {"wrld": 3}, "'world'"),
+        (ObstacleGoalVectorEnv, {"reset_mask": [True]}, "reset_mask"),
+        (ObstacleGoalVectorEnv, 3, "mapping"),
+        (PointGoalVectorEnv, {"world": 3}, "'world'"),
+        (PointGoalVectorEnv, {"goal": (9.0, 9.0)}, "goal"),
+        (PathFollowVectorEnv, {"goal": (1.0, 1.0)}, "'goal'"),
+        (PathFollowVectorEnv, {"difficulty": (0.0, 1.0)}, "difficulty"),
+    ],
+)
+def test_bad_options_of_a_reset_change_nothing(kind: Any, options: Any, named: str) -> None:
+    worlds: dict[Any, Any] = {ObstacleGoalVectorEnv: "open:8", PathFollowVectorEnv: PATH}
+    env = kind(2, threads=1, **({"worlds": worlds[kind]} if kind in worlds else {}))
+    env.reset(seed=0)
+    before = env.batch.state.copy()
+    with pytest.raises(ConfigError, match=named):
+        env.reset(options=options)
+    with pytest.raises(ConfigError, match=named):
+        env.set_options(options)
+    assert (env.batch.state == before).all()
+    env.close()
+
+
+def test_worlds_that_a_batch_cannot_use_are_refused() -> None:
+    blocked = World(np.array([[0.0, 0.0, 1.0]]), goal=Region(5.0, 0.0))
+    for worlds, said in ((blocked, "the start"), ("open:10001", "too many for a batch")):
+        with pytest.raises(WorldError, match=said):
+            ObstacleGoalVectorEnv(2, worlds=worlds)

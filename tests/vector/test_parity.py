@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import gymnasium
@@ -10,17 +11,11 @@ import pytest
 from varied import RANGES
 
 from acsar_gym import RobotConfig, World
-from acsar_gym.envs import (
-    BarnVectorEnv,
-    ObstacleGoalVectorEnv,
-    PathFollowVectorEnv,
-    PointGoalVectorEnv,
-)
 from acsar_gym.envs.ids import full_id
-from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.errors import LinkError
 from acsar_gym.registration import snake_case
-from acsar_gym.vector.kernel import layout
-from acsar_gym.worlds import Region, generators
+from acsar_gym.sensors import Sensor
+from acsar_gym.worlds import Region
 
 ACSAR = RobotConfig.preset("acsar")
 REGIONS = World(
@@ -133,38 +128,79 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
 }
 
 
-def assert_robot_1_is_the_single_env(
-    kind: str, arguments: dict[str, Any], options: dict[str, Any], steps: int, seed: int = 41
-) -> int:
-    """Every number, through the byte-level firmware twin on the single side; ends of episodes."""
-    env_id, limits = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
-    many: Any = gymnasium.make_vec(env_id, 3, vectorization_mode="vector_entry_point", **limits)
-    one = gymnasium.make(env_id, link="planar", **limits)
-    mine = {name: of_robot_1(value) for name, value in options.items()}
-    expected, info = one.reset(seed=seed, options=mine)
+SILENT = "silent in the reset"
+
+
+class Single:
+    """The planar env, through the byte-level firmware twin; its reset may fail."""
+
+    def __init__(self, env_id: str, arguments: dict[str, Any], options: Any = None) -> None:
+        self._env = gymnasium.make(env_id, link="planar", disable_env_checker=True, **arguments)
+        env: Any = self._env.unwrapped
+        self.size = sum(sensor.size for sensor in env.sensors)
+        self.told: Any = None
+        self.options = options
+        self.over = False
+
+    def reset(self, seed: int | None = None) -> None:
+        try:
+            observation, info = self._env.reset(seed=seed, options=self.options)
+            self.told = observation, 0.0, False, False, info
+        except LinkError:
+            self.told = SILENT
+        self.over = False
+
+    def step(self, action: Any) -> None:
+        """A step, or a reset where the episode is over; one that failed ends the next episode."""
+        if self.over:
+            self.reset()
+        elif self.told is SILENT:
+            self.over = True
+        else:
+            self.told = self._env.step(action)
+            self.over = self.told[2] or self.told[3]
+
+    def close(self) -> None:
+        self._env.close()
+
+
+def compare(
+    kind: str, arguments: dict[str, Any], steps: int, seed: int = 41, options: Any = None
+) -> Counter[str]:
+    """Every number of robot 1 against the single env; how often what happened."""
+    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
+    many: Any = gymnasium.make_vec(
+        env_id, 3, vectorization_mode="vector_entry_point", threads=1, **arguments
+    )
+    mine = {name: of_robot_1(value) for name, value in (options or {}).items()}
+    one = Single(env_id, arguments, mine)
+    one.reset(seed)
     seen, infos = many.reset(seed=seed - 1, options=options)
-    reward, end, ends = 0.0, [False, False], 0
-    rewards, terminated, truncated = np.zeros(3), np.zeros(3, np.bool_), np.zeros(3, np.bool_)
+    rewards, ends, count = np.zeros(3), np.zeros((2, 3)), Counter[str]()
     rng = np.random.default_rng(0)
     for step in range(steps):
-        assert seen[1] == pytest.approx(expected, abs=1e-6)  # float32
-        assert rewards[1] == pytest.approx(reward, abs=1e-9)
-        assert [terminated[1], truncated[1]] == end
-        got = {key: infos[key][1] for key in info}
-        assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
-        acts = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
-        acts[:, 0] = abs(acts[:, 0]) if step % 100 < 70 else acts[:, 0]
-        acts *= step % 50 != 0  # a stop is immediate
-        seen, rewards, terminated, truncated, infos = many.step(acts)
-        if any(end):
-            expected, info = one.reset(options=mine)
-            reward, end, ends = 0.0, [False, False], ends + 1
+        if one.told is SILENT:
+            count["failed"] += one.over
+            assert not one.over or (rewards[1], *ends[:, 1], infos["fault"][1]) == (0.0, 0, 1, 1.0)
         else:
-            expected, value, *end, info = one.step(acts[1])
-            reward = float(value)
+            expected, reward, *end, info = one.told
+            assert seen[1] == pytest.approx(expected, abs=1e-6)  # float32
+            assert (rewards[1], *ends[:, 1]) == (pytest.approx(float(reward), abs=1e-9), *end)
+            info.pop("fault_reason", None)
+            got = {key: infos[key][1] for key in info}
+            assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
+            count["ends"] += any(end)
+            count["cut"] += info.get("fault") == 1.0
+            count["stale"] += info["sent_reason"] == 3.0
+        actions = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
+        actions[:, 0] = abs(actions[:, 0]) if step % 100 < 70 else actions[:, 0]
+        actions *= step % 17 != 0  # a stop is immediate
+        seen, rewards, *both, infos = many.step(actions)
+        ends = np.array(both)
+        one.step(actions[1])
     many.close()
     one.close()
-    return ends
+    return count
 
 
 def numbers(info: dict[str, Any]) -> dict[str, float]:
@@ -182,21 +218,22 @@ def of_robot_1(value: Any) -> Any:
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_robot_of_the_batch_is_the_single_planar_env(name: str) -> None:
-    assert assert_robot_1_is_the_single_env(*CASES[name], 200) >= 2
+    kind, arguments, options = CASES[name]
+    assert compare(kind, arguments, 200, options=options)["ends"] >= 2
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
     kind, robot = ROBOTS[name]
     worlds = {"PointGoal": {}, "ObstacleGoal": {"worlds": REGIONS}}.get(kind, {"worlds": PATH})
-    assert assert_robot_1_is_the_single_env(kind, {"robot": robot, **worlds}, {}, 100) >= 1
+    assert compare(kind, {"robot": robot, **worlds}, 100)["ends"] >= 1
 
 
 @pytest.mark.parametrize("name", RANGES)
 def test_each_randomized_parameter_is_the_single_envs(name: str) -> None:
     """Nine episodes; the values that were drawn are compared as everything else in info."""
     arguments = {"randomization": {name: RANGES[name]}, "max_episode_steps": 5}
-    assert assert_robot_1_is_the_single_env("PointGoal", arguments, {}, 54) == 9
+    assert compare("PointGoal", arguments, 54)["ends"] == 9
 
 
 FINE = ACSAR.with_(firmware={"loop_rate": 500.0})
@@ -217,106 +254,143 @@ EVERYTHING: list[tuple[str, dict[str, Any]]] = [
 @pytest.mark.parametrize(("kind", "arguments"), EVERYTHING)
 def test_everything_at_once_is_the_single_envs(kind: str, arguments: dict[str, Any]) -> None:
     arguments = {"max_episode_steps": 25, **arguments}
-    assert assert_robot_1_is_the_single_env(kind, arguments, {}, 100, 12) >= 2
+    assert compare(kind, arguments, 100, 12)["ends"] >= 2
 
 
-def test_options_hold_until_the_next_reset_of_the_robot() -> None:
-    env = ObstacleGoalVectorEnv(40, worlds="open:8", max_episode_steps=2, threads=1)
-    everything = set(range(8))
-
-    def worlds(robots: slice = slice(None), episodes: int = 6) -> set[float]:
-        found: set[float] = set()
-        for _ in range(3 * episodes):
-            found |= set(env.step(np.zeros((40, 2)))[4]["world"][robots].tolist())
-        return found
-
-    env.reset(seed=0, options={"world": 5})
-    assert worlds() == {5}
-    env.reset(options={"world": 3, "reset_mask": np.arange(40) < 20})
-    assert (worlds(slice(0, 20)), worlds(slice(20, 40))) == ({3}, {5})
-    env.reset(options={"reset_mask": np.arange(40) < 20})
-    assert (worlds(slice(0, 20)), worlds(slice(20, 40))) == (everything, {5})
-    env.reset(seed=1)
-    assert worlds() == everything
-    again = env.reset(seed=1)[1]["world"]
-    env.reset(seed=1, options={"world": 5})
-    assert (env.reset(seed=1)[1]["world"] == again).all()
-    env.close()
+# Lost and late lines
 
 
-def test_a_curriculum_goes_on_without_ending_episodes() -> None:
-    env = ObstacleGoalVectorEnv(40, worlds="open:30", max_episode_steps=3, threads=1)
-    levels = {number: generators.draw_difficulty("open", number) for number in range(30)}
-    env.reset(seed=0, options={"difficulty": (0.0, 0.3)})
-    for low, high in ((0.2, 0.5), (0.5, 1.0)):
-        before = env.batch.state.copy()
-        env.set_options({"difficulty": (low, high)})
-        assert (env.batch.state[: layout.WISHED_WORLD] == before[: layout.WISHED_WORLD]).all()
-        for _ in range(4):
-            *_, info = env.step(np.zeros((40, 2)))
-        drawn = [levels[int(number)] for number in info["world"]]
-        assert low <= min(drawn) <= max(drawn) <= high
-        assert len(set(drawn)) > 3
-    env.close()
+MEASURED: dict[str, Any] = {
+    "left_wheel_radius_multiplier": 0.98,
+    "encoder": {"quantum": 0.1},
+    "motor": {"acceleration": [60.0, 20.0, 33.0, 50.0]},
+    "body": {"turn_factor": 1.8},
+}
+DROPPED: dict[str, Any] = {"dropped_lines": 0.3}
+DELAYED: dict[str, Any] = {"dropped_lines": 0.2, "late_lines": 0.2, "lateness": 0.033}
+LONG: dict[str, Any] = {"late_lines": 0.05, "lateness": 0.2}
+FAULTS: dict[str, tuple[dict[str, Any], RobotConfig]] = {
+    "limits": (DROPPED, ACSAR),
+    "no limits": (DROPPED, UNLIMITED),
+    "geofence": (DROPPED, FENCED.with_(feedback_timeout=0.2)),
+    "slow feedback": (DROPPED, ACSAR.with_(firmware={"feedback_rate": 25.0})),
+    "odd feedback": (DELAYED, ACSAR.with_(firmware={"feedback_rate": 30.0})),
+    "fast feedback": (DELAYED, ACSAR.with_(firmware={"feedback_rate": 200.0})),
+    "time-outs": ({"dropped_lines": 0.5}, ACSAR.with_(feedback_timeout=0.06)),
+    "commands": (
+        {"dropped_lines": 0.7, "direction": "commands"},
+        ACSAR.with_(firmware={"command_timeout": 0.03}),
+    ),
+    "feedback": ({"dropped_lines": 0.7, "direction": "feedback"}, ACSAR),
+    "some episodes": ({"dropped_lines": 0.7, "episodes": 0.5}, ACSAR),
+    "a command delay": (DROPPED, ACSAR.with_(firmware={"command_delay": 0.0137}, **MEASURED)),
+    "late with a delay longer than a step": (
+        DELAYED,
+        ACSAR.with_(firmware={"command_delay": 0.1371}),
+    ),
+    "late on a slow wire": (LONG | {"direction": "commands"}, ACSAR.with_(baud_rate=38400)),
+    "late and stale": (LONG | {"direction": "feedback"}, ACSAR.with_(feedback_timeout=0.15)),
+    "half of 25 Hz": (
+        {"dropped_lines": 0.5},
+        ACSAR.with_(firmware={"feedback_rate": 25.0}, feedback_timeout=0.06),
+    ),
+}
+VARIED = {"latency": (0.0, 0.03), "feedback_rate": (20.0, 60.0), "mass": (0.9, 1.1)}
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"world": 8}, "world of robot 0 = 8: must be 0 to 7 \\(open\\)"),
-        ({"world": [0, 0.5]}, "world of robot 1 = 0.5"),
-        ({"world": [0, 1, 2]}, "world: must be a number, or an array of shape \\(2,\\)"),
-        ({"world": World()}, "world: must be"),
-        ({"goal": [1.0, 2.0, 3.0]}, "goal: must be \\(2,\\), or"),
-        ({"goal": [[1.0, 2.0], [np.nan, 1.0]]}, "goal of robot 1"),
-        ({"goal": "there"}, "goal: must be"),
-        ({"difficulty": 0.5}, "difficulty: must be"),
-        ({"difficulty": (0.9, 0.1)}, "must be from 0 to 1"),
-        ({"difficulty": (0.999, 1.0)}, "none of the env's worlds; theirs are"),
-        ({"wrld": 3}, "did you mean 'world'"),
-        ({"reset_mask": [True]}, "reset_mask"),
-        (3, "must be a mapping"),
-    ],
-)
-def test_bad_options_are_one_clear_error_and_change_nothing(options: Any, message: str) -> None:
-    env = ObstacleGoalVectorEnv(2, worlds="open:8", threads=1)
-    env.reset(seed=0)
-    before = env.batch.state.copy()
-    for call in (lambda: env.reset(options=options), lambda: env.set_options(options)):
-        with pytest.raises(ConfigError, match=message):
-            call()
-    assert (env.batch.state == before).all()
-    env.close()
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_same_lines_are_lost(name: str) -> None:
+    faults, robot = FAULTS[name]
+    count = compare("PointGoal", {"robot": robot, "faults": faults}, 150)
+    assert (count["cut"] > 0) == (name in {"time-outs", "late and stale", "half of 25 Hz"})
+    assert (count["failed"] > 0) >= (name == "half of 25 Hz")
+    assert (count["stale"] > 0) >= (name in {"time-outs", "late and stale"})
 
 
 @pytest.mark.parametrize(
-    ("make", "options", "named"),
+    ("kind", "more"),
     [
-        (PointGoalVectorEnv, {"world": 3}, "'world'"),
-        (PointGoalVectorEnv, {"goal": (9.0, 9.0)}, "goal"),
-        (PathFollowVectorEnv, {"goal": (1.0, 1.0)}, "'goal'"),
-        (PathFollowVectorEnv, {"difficulty": (0.0, 1.0)}, "difficulty"),
+        ("ObstacleGoal", {"worlds": "clutter:6", "randomization": VARIED}),
+        ("ObstacleGoal", {"worlds": "clutter:6", "faults": {"dropped_lines": 0.5}}),
+        ("PathFollow", {"worlds": "smooth_path:6"}),
     ],
+    ids=["randomized", "noise of scans goes on after a cut", "path"],
 )
-def test_options_are_those_of_the_task(make: Any, options: Any, named: str) -> None:
-    env = make(2, **({} if make is PointGoalVectorEnv else {"worlds": PATH}))
-    with pytest.raises(ConfigError, match=named):
-        env.reset(options=options)
+def test_the_same_lines_are_lost_with_every_task(kind: str, more: dict[str, Any]) -> None:
+    timeout = 0.3 if "randomization" in more else 0.06
+    more = {"faults": DELAYED, "robot": ACSAR.with_(feedback_timeout=timeout)} | more
+    compare(kind, more, 150)
+
+
+class Noise(Sensor):
+    """Draws at its reset, and when it is read."""
+
+    name, size = "noise", 1
+
+    def reset(self, scene: Any, rng: Any) -> None:
+        super().reset(scene, rng)
+        self.bias = rng.normal()
+
+    def read(self, truth: Any, now: float) -> Any:
+        return [self.bias + self.rng.normal()]
+
+
+@pytest.mark.parametrize("sensors", [("lidar",), (Noise,)], ids=["LiDAR", "in Python"])
+def test_generators_stay_those_of_the_single_env_after_a_silent_reset(sensors: Any) -> None:
+    robot = ACSAR.with_(firmware={"feedback_rate": 25.0}, feedback_timeout=0.08)
+    arguments = {"robot": robot, "faults": {"dropped_lines": 0.5}, "sensors": sensors}
+    many = batch(autoreset_mode="Disabled", **arguments)
+    first, _ = many.reset(seed=0)
+    again, info = many.reset(options={"reset_mask": np.ones(40, np.bool_)})
+    compared = 0
+    for i in range(40):
+        one = Single("acsar_gym/PointGoal-v0", arguments)
+        one.reset(seed=i)
+        failed = one.told is SILENT
+        assert not failed or (first[i, -one.size :] == 0.0).all()
+        one.reset()
+        if failed and one.told is not SILENT:
+            assert again[i] == pytest.approx(one.told[0], abs=1e-6)
+            assert info["true_goal_distance"][i] == one.told[4]["true_goal_distance"]
+            compared += 1
+        one.close()
+    assert compared > 0
+    many.close()
+
+
+def batch(**arguments: Any) -> Any:
+    return gymnasium.make_vec(
+        "acsar_gym/PointGoal-v0", 40, vectorization_mode="vector_entry_point", **arguments
+    )
+
+
+def test_what_is_told_of_a_silent_robot_is_what_it_was_told_last() -> None:
+    robot = ACSAR.with_(feedback_timeout=0.06)
+    env = batch(robot=robot, faults={"dropped_lines": 0.5}, autoreset_mode="SameStep")
+    before, told = env.reset(seed=0)
+    cut = np.zeros(40, np.bool_)
+    for _ in range(20):
+        after, rewards, terminated, truncated, info = env.step(np.full((40, 2), 0.5))
+        cut = truncated
+        if cut.any():
+            break
+        before, told = after, info
+    final, last = info["final_obs"], info["final_info"]
+    assert not (terminated & cut).any()
+    assert (rewards[cut] == 0.0).all()
+    assert (last["fault"] == cut).all()
+    for robot_number in np.flatnonzero(cut):
+        assert (final[robot_number] == before[robot_number]).all()
+        for key in ("odom_x", "true_x", "true_theta", "feedback_age", "sent_linear"):
+            assert last[key][robot_number] == told[key][robot_number]
+    assert (info["fault"] == 0.0).all()
+    assert (last["episode_length"][cut] >= 1).all()
     env.close()
 
 
-def test_robots_of_a_batch_are_in_different_worlds() -> None:
-    env = BarnVectorEnv(30, worlds="barn:4")
-    _, infos = env.reset(seed=0)
-    assert set(infos["world"].tolist()) == {0.0, 1.0, 2.0, 3.0}
-    env.close()
-
-
-def test_a_world_that_cannot_be_driven_is_one_clear_error() -> None:
-    with pytest.raises(WorldError, match="the start"):
-        ObstacleGoalVectorEnv(2, worlds=World(np.array([[0.0, 0.0, 1.0]]), goal=Region(5.0, 0.0)))
-
-
-def test_too_many_worlds_are_refused_before_any_is_made() -> None:
-    with pytest.raises(WorldError, match="10,001 of open are too many for a batch"):
-        ObstacleGoalVectorEnv(2, worlds="open:10001")
+def test_faults_that_cannot_happen_change_nothing() -> None:
+    plain, none = batch(), batch(faults={"dropped_lines": 0.5, "episodes": 0.0})
+    assert (plain.reset(seed=0)[0] == none.reset(seed=0)[0]).all()
+    assert "fault" not in none.step(np.zeros((40, 2)))[4]
+    plain.close()
+    none.close()

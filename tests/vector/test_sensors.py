@@ -127,20 +127,6 @@ def batch(*sensors: Any, robots: int = 64, **options: Any) -> Any:
     )
 
 
-def test_a_batch_of_many_goes_through_its_episodes() -> None:
-    env = batch(ThreeRays, max_episode_steps=5)
-    seen, infos = env.reset(seed=0)
-    assert env.observation_space.contains(seen)
-    told = infos["three_rays_time"]
-    before = told.copy()
-    for _ in range(12):
-        seen, _, _, _, infos = env.step(np.full((64, 2), 0.5))
-        assert env.observation_space.contains(seen)
-    assert (told == before).all()  # what was told never changes
-    assert infos["three_rays_time"].shape == (64,)
-    env.close()
-
-
 def test_only_robots_that_are_reset_are_read_anew_and_seeds_repeat() -> None:
     env = batch(ThreeRays, Coin, robots=3)
     first, _ = env.reset(seed=0)
@@ -175,24 +161,18 @@ def failing(what: Any, robot: int) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("what", "kind", "message"),
+    ("what", "message"),
     [
-        (np.zeros(2), SensorError, "sensor 'three_rays'.*shape \\(2,\\)"),
-        (np.array([0.0, np.nan, 0.0]), SensorError, "sensor 'three_rays'.*nan"),
-        (
-            ValueError("too hot"),
-            SensorError,
-            r"'three_rays' of robot 2: read\(\) raised ValueError: too hot \(.*test_sensors.py:\d+",
-        ),
+        (np.zeros(2), "shape"),
+        (np.array([0.0, np.nan, 0.0]), "nan"),
+        (ValueError("too hot"), r"too hot \(.*test_sensors.py:\d+"),
     ],
 )
-def test_errors_name_the_robot_and_need_a_reset(
-    what: Any, kind: type[Exception], message: str
-) -> None:
+def test_errors_name_the_robot_and_need_a_reset(what: Any, message: str) -> None:
     env = batch(failing(what, 2), robots=4)
     first, _ = env.reset(seed=0)
     env.step(np.zeros((4, 2)))
-    with pytest.raises(kind, match=message) as caught:
+    with pytest.raises(SensorError, match=f"'three_rays'.*{message}") as caught:
         env.step(np.zeros((4, 2)))
     notes = getattr(caught.value, "__notes__", [])
     assert "sensor 'three_rays' of robot 2" in [*notes, str(caught.value).partition(":")[0]]
@@ -213,36 +193,18 @@ class Polled(AtOnce):
         """Isn't called in a batch."""
 
 
-class Biased(AtOnce):
-    def reset(self, scene: Any, rng: Any) -> None:
-        """Isn't called in a batch."""
-
-
 def own_lidar(link: Any, config: Any) -> Sensor:
     return LidarSensor(SimulatedLidar(link, config), config)
-
-
-class Shadow(ThreeRays):
-    def info(self, now: float) -> dict[str, float]:
-        return {"odom_x": 0.0}
-
-
-class Other(ThreeRays):
-    name = "other"
 
 
 @pytest.mark.parametrize(
     ("sensors", "message"),
     [
-        ((ThreeRays, ThreeRays), "two are named 'three_rays'"),
         ((ThreeRays(None, None),), "needs one for each robot: pass its class"),  # type: ignore[arg-type]
-        ((Polled,), "has read_batch, so reset, poll and info aren't used"),
-        ((Biased,), "has read_batch, so reset, poll and info aren't used"),
+        ((Polled,), "read_batch"),
         ((own_lidar,), "sensor 'lidar': a batch has no LiDAR but its own: name it 'lidar'"),
         (("lidar",), "sensors: two are named 'lidar'"),
-        (("lidr",), "unknown sensor 'lidr'"),
-        ((Shadow,), "info tells 'odom_x', which is there already"),
-        ((ThreeRays, Other), "'other': info tells 'three_rays_time'"),
+        ((ThreeRays, type("Other", (ThreeRays,), {"name": "other"})), "'three_rays_time'"),
     ],
 )
 def test_what_cannot_be_in_a_batch_is_named(sensors: tuple[Any, ...], message: str) -> None:

@@ -73,8 +73,7 @@ class Interrupted:
         return self.queue.get()
 
 
-@pytest.mark.parametrize("old", [False, True], ids=["at once", "after an old report"])
-def test_no_thread_works_on_after_an_interrupt(old: bool) -> None:
+def test_no_thread_works_on_after_an_interrupt() -> None:
     """However the wait for the others ends, the next orders wait for the old ones."""
     pool, held, ended = Threads(3), threading.Event(), []
 
@@ -83,11 +82,8 @@ def test_no_thread_works_on_after_an_interrupt(old: bool) -> None:
             held.wait(60.0)
             ended.append(first)
 
-    if old:
-        pool._reports.put((-1, None))
-        pool._reports = Interrupted(pool._reports, 2, 3)  # type: ignore[assignment]
-    else:
-        pool._reports = Interrupted(pool._reports, 1, 2)  # type: ignore[assignment]
+    pool._reports.put((-1, None))  # an old report
+    pool._reports = Interrupted(pool._reports, 2, 3)  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
         pool.share(slow, 90)
     assert ended == []
@@ -110,29 +106,6 @@ def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
         with pytest.raises(KeyboardInterrupt):
             pool.share(work, 90)
         assert len(ended) == 2 * number
-    pool.close()
-
-
-def test_an_interrupt_while_orders_are_handed_out_leaves_nothing_behind() -> None:
-    pool, done = Threads(3), []
-    orders = pool._orders[1]
-    put, calls = orders.put, []
-
-    class Once:
-        """The second thread's orders: Ctrl-C comes instead of the first one."""
-
-        def put(self, order: Any) -> None:
-            calls.append(order)
-            if len(calls) == 1:
-                raise KeyboardInterrupt
-            put(order)
-
-    pool._orders[1] = Once()  # type: ignore[call-overload]
-    with pytest.raises(KeyboardInterrupt):
-        pool.share(lambda *_: None, 90)
-    for _ in range(3):
-        pool.share(lambda first, last: done.append(last - first), 90)
-    assert sum(done) == 270
     pool.close()
 
 

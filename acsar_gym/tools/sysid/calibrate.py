@@ -15,7 +15,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.reading import decode_text, read_file
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
-from acsar_gym.sensors.lidar import sensor_factories
+from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.tools.sysid import calibration_drive, calibration_runs
 from acsar_gym.tools.sysid.calibration_fit import GeometryFit, fit_geometry
 from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, RunReading

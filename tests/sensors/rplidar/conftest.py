@@ -8,10 +8,7 @@ from pathlib import Path
 
 import pytest
 from lidar_tools import start_lidar
-from rplidar_tools import (
-    Open,
-    Start,
-)
+from rplidar_tools import Open, Start
 from serial_tools import Emulated
 
 from acsar_gym import RobotConfig

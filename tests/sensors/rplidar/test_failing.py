@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
-from rplidar_tools import (
-    MAX,
-    Open,
-    Start,
-    newer,
-    reset,
-)
+from rplidar_tools import MAX, Open, Start, newer, reset
 from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
@@ -109,35 +105,32 @@ def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
     assert lidar.scan().ranges.max() < MAX
 
 
-def refusal(lidar: RplidarLidar) -> str:
-    message = error_of(lambda: reset(lidar))
-    assert message.startswith(f"LiDAR {lidar.device}: ")
-    return message
-
-
-def test_what_is_no_rplidar_is_named(
-    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--fault", "silent"), "no answer in 1.2 s: check its power and cable"),
+        (("--fault", "garbage"), "none from an RPLIDAR: check the port's name"),
+        (("--broken",), "reports error 0x8001"),
+        (("--spin-up", "1000"), "no complete turn in 0.5 s: check that its head"),
+    ],
+)
+def test_what_does_not_measure_says_why(
+    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch, arguments: Any, said: str
 ) -> None:
     monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.3)
-    silent, other = make(start("--fault", "silent")), make(start("--fault", "garbage"))
-    assert "no answer in 1.2 s: check its power and cable" in refusal(silent)
-    assert "none from an RPLIDAR: check the port's name" in refusal(other)
-
-
-def test_an_rplidar_that_does_not_measure_says_why(
-    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr(rplidar, "SPIN_UP_TIMEOUT", 0.5)
-    broken, stuck = make(start("--broken")), make(start("--spin-up", "1000"))
-    assert "reports error 0x8001 and won't measure: unplug it" in refusal(broken)
-    assert "no complete turn in 0.5 s: check that its head" in refusal(stuck)
+    lidar = make(start(*arguments))
+    message = error_of(lambda: reset(lidar))
+    assert message.startswith(f"LiDAR {lidar.device}: ")
+    assert said in message
 
 
 def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
-    assert "no such device: serial ports here" in refusal(make(str(tmp_path / "gone")))
     file = tmp_path / "file"
     file.touch()
-    assert "can't be opened as a serial port" in refusal(make(str(file)))
+    for name, said in (("gone", "no such device"), ("file", "can't be opened as a serial port")):
+        lidar = make(str(tmp_path / name))
+        assert said in error_of(functools.partial(reset, lidar))
     with pytest.raises(ConfigError, match="must be like"):
         reset(make("socket://nowhere"))
 
