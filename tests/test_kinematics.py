@@ -18,28 +18,8 @@ linear_speed = st.floats(-5, 5)
 angular_speed = st.floats(-20, 20)
 
 
-def of_the_document(
-    speeds: tuple[float, float, float, float], radius: float, separation: float
-) -> tuple[float, float]:
-    """Equations (1) to (3), wheel by wheel as in the document's listing."""
-    wheel = dict(zip(("fr", "fl", "rl", "rr"), (speed * radius for speed in speeds), strict=True))
-    v_left = (wheel["fl"] + wheel["rl"]) / 2
-    v_right = (wheel["fr"] + wheel["rr"]) / 2
-    return (v_left + v_right) / 2, (v_right - v_left) / separation
-
-
 def close(value: float, expected: float) -> bool:
     return math.isclose(value, expected, rel_tol=1e-9, abs_tol=1e-9)
-
-
-@given(speeds=four_speeds, radius=length, separation=length)
-def test_forward_is_equations_1_to_3(
-    speeds: tuple[float, float, float, float], radius: float, separation: float
-) -> None:
-    linear, angular = kinematics.forward(speeds, radius, separation)
-    expected_linear, expected_angular = of_the_document(speeds, radius, separation)
-    assert close(linear, expected_linear)
-    assert close(angular, expected_angular)
 
 
 @pytest.mark.parametrize(

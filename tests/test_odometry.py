@@ -142,16 +142,6 @@ def test_position_moves_along_the_heading_before_the_turn() -> None:
     )
 
 
-def test_small_steps_of_a_steady_turn_trace_a_circle() -> None:
-    odometry = Odometry(RADIUS, SEPARATION)
-    linear, angular = 0.5, 2 / 3
-    steps, half_turn = 20_000, math.pi / angular
-    for _ in range(steps):
-        odometry.update(LEFT_ARC, half_turn / steps)
-    assert odometry.twist == pytest.approx((linear, angular))
-    assert odometry.pose[:2] == pytest.approx((0.0, 2 * linear / angular), abs=1e-3)
-
-
 @given(updates=st.lists(st.tuples(four_speeds, st.floats(0, 1)), max_size=8))
 def test_wheel_positions_integrate_each_wheel(
     updates: list[tuple[tuple[float, float, float, float], float]],

@@ -68,13 +68,6 @@ def standing(*answers: bytes, then: bytes = STILL) -> tuple[Robot, ScriptedLink]
     return robot, link
 
 
-def test_a_fresh_robot_stands_at_the_origin() -> None:
-    with Robot(open_link("planar")) as robot:
-        assert robot.odometry.pose == (0.0, 0.0, 0.0)
-        assert robot.link.truth is not None
-        assert robot.link.truth.pose == (0.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("link", ["planar", "bullet"])
 def test_odometry_follows_truth(link: str) -> None:
     with Robot(open_link(link)) as robot:
