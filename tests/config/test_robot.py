@@ -65,20 +65,13 @@ def test_a_bad_number_names_field_and_value(model: type[Any], field: str) -> Non
         assert refusal(model, {field: bad}).startswith(f"{named} = {bad!r}: must be")
 
 
-MOTOR = {"gain": [1.0, 2.0]}
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"wheel_radius": None}, "wheel_radius = None"),
-    ({"serial_port": 3}, "serial_port = 3"),
     ({"lidar_x_offset": math.inf}, "lidar_x_offset = inf"),
-    ({"trailing_comma": "maybe"}, "trailing_comma = 'maybe'"),
     ({"baud_rate": 4800}, "baud_rate = 4800: must be one of 9600, 19200"),
-    ({"baud_rate": "quick"}, "baud_rate = 'quick'"),
     ({"motor": {"time_constant": -0.1}}, "motor.time_constant = -0.1"),
     ({"motor": {"gain": [1.0, 2.0]}}, "motor.gain = [1.0, 2.0]"),
-    ({"motor": None}, "motor = None: must be"),
     ({"firmware": {"command_delay": 1.5}}, "firmware.command_delay = 1.5"),
     ({"firmware": {"delay_samples": [0.0, -0.1]}}, "firmware.delay_samples.1 = -0.1"),
-    ({"encoder": {"counts_per_revolution": 1.5}}, "encoder.counts_per_revolution = 1.5"),
     ({"encoder": {"window": 0.004}}, "encoder.window = 0.004 s"),
     ({"body": {"turn_factor": 1.0}}, "body.turn_factor = 1.0"),
     ({"wheels": {"a": {"motor": "e"}}}, "wheels.a.motor = 'e': must be 'a', 'b', 'c' or 'd'"),
@@ -86,19 +79,14 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"wheels": {"b": {"encoder": "a"}}}, "wheels: encoder a belongs to 2 wheels"),
     ({"wheels": {"b": {"motor": "d"}}}, "wheels: motor d belongs to 2 wheels"),
     ({"wheels": {"e": {}}}, "unknown field 'wheels.e'"),
-    ({"wheels": {"a": {"motr": "a"}}}, "unknown field 'wheels.a.motr'"),
-    ({"wheels": {"a": 5}}, "wheels.a = 5"),
     ({"baudrate": 9600}, "unknown field 'baudrate'; did you mean 'baud_rate'?"),
     ({"port": "COM3"}, "unknown field 'port'; did you mean 'serial_port'?"),
-    ({"motr": {}}, "unknown field 'motr'; did you mean 'motor'?"),
     ({"motor": {"max_sped": 1}}, "unknown field 'motor.max_sped'; did you mean 'max_speed'?"),
-    ({"motor": {"zzz": 1}}, "unknown field 'motor.zzz'; known: acceleration, deadband, gain"),
     ({"control_rate": 30}, "firmware.loop_rate = 200 Hz"),
     ({"control_rate": 300, "firmware": {"loop_rate": 200}}, "firmware.loop_rate = 200 Hz"),
     ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate = 200 Hz"),
     ({"firmware": {"feedback_rate": 2}}, "feedback_timeout = 0.5 s"),
     ({"measured": {"motor.tiem_constant": INTERVAL}}, "measured: unknown field 'motor.tiem_cons"),
-    ({"measured": {"odom_frame": INTERVAL}}, "measured: unknown field 'odom_frame'"),
     ({"measured": {"motor": INTERVAL}}, "measured: unknown field 'motor'"),
     ({"measured": {"wheelbase": {**INTERVAL, "low": 0.2}}}, "measured: low = 0.2"),
     ({"measured": {"wheelbase": {**INTERVAL, "logs": ["01"]}}}, "measured.logs.0 = '01'"),
@@ -182,17 +170,6 @@ def test_lines_must_fit_the_baud_rate(name: str, baud: int, lines: int) -> None:
     message = refusal(RobotConfig, at(lines + 1))
     assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 34 bytes a second")
     assert f"{name} needs {lines + 1}" in message
-
-
-@pytest.mark.parametrize(
-    ("rate", "baud", "enough"), [(40, 9600, 19200), (100, 9600, 38400), (200, 19200, 115200)]
-)
-def test_a_slow_wire_names_the_first_baud_rate_that_is_fast_enough(
-    rate: int, baud: int, enough: int
-) -> None:
-    message = refusal(RobotConfig, {"control_rate": rate, "baud_rate": baud})
-    assert f"use baud_rate {enough} or more" in message
-    assert config_of(control_rate=rate, baud_rate=enough).baud_rate == enough
 
 
 def test_the_trailing_comma_takes_its_time_on_the_wire() -> None:

@@ -126,15 +126,6 @@ def test_steady_turns_are_slower_by_the_factor(make: type[Body], factor: float) 
 
 
 @pytest.mark.parametrize("factor", FACTORS)
-def test_circles_are_larger_by_the_factor_at_the_same_speed(factor: float) -> None:
-    for turn, plain in ((TURNS[1], 0.45), (TURNS[2], 0.375), (TURNS[4], 0.15)):
-        body = PlanarBody(on(factor))
-        rate, (speed, _) = mean_yaw_rate(body, turn), body.truth.twist
-        assert speed == pytest.approx((turn[0] + turn[1]) / 2.0 * 0.05, rel=0.01)
-        assert speed / abs(rate) == pytest.approx(plain * factor, rel=0.015)
-
-
-@pytest.mark.parametrize("factor", FACTORS)
 def test_a_batch_turns_as_commanded_where_its_multiplier_is_the_factor(factor: float) -> None:
     config = on(factor, wheel_separation_multiplier=factor, max_angular=1.2)
     env = PointGoalVectorEnv(5, robot=config, max_episode_steps=1000)

@@ -7,6 +7,8 @@ import os
 import re
 import socket
 import stat
+import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -15,7 +17,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from estop_tools import DRIVING, answering, estop_command
 from serial_tools import (
     DRIVER,
     TIMEOUT,
@@ -29,6 +30,7 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig
+from acsar_gym.__main__ import main
 from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
@@ -38,6 +40,46 @@ from acsar_gym.tools.doctor import checks as doctor
 from acsar_gym.worlds import Scene
 
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
+
+
+DRIVING = """
+import sys
+from acsar_gym.tools.cli import main
+sys.argv = ["acsar-gym", *sys.argv[1:]]
+main()
+"""
+
+
+def answering(listener: estop.StopListener) -> threading.Thread:
+    """A control loop that heeds one stop."""
+
+    def loop() -> None:
+        while not listener.is_requested():
+            time.sleep(0.001)
+        listener.confirm()
+
+    thread = threading.Thread(target=loop, daemon=True)
+    thread.start()
+    return thread
+
+
+def estop_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
+) -> tuple[object, str, str]:
+    """`acsar-gym estop ARGUMENTS`: exit code, output, errors."""
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, *capsys.readouterr()
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of this test alone, with time to answer; paths of sockets must be short."""
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", TIMEOUT)
+    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
+        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
+        yield Path(base)
 
 
 def folder() -> Path:
