@@ -73,19 +73,6 @@ def test_wheels_beyond_the_limit_shrink_together(
     assert held == pytest.approx([speed * limit / fastest for speed in free], abs=1e-9)
 
 
-@given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
-def test_saturation_keeps_the_turn_radius_and_the_direction(
-    linear: float, angular: float, limit: float
-) -> None:
-    speeds = kinematics.inverse(linear, angular, RADIUS, SEPARATION, limit)
-    slow_linear, slow_angular = kinematics.forward(speeds, RADIUS, SEPARATION)
-    assert close(slow_linear * angular, linear * slow_angular)
-    assert slow_linear * linear >= 0.0 or close(slow_linear, 0.0)
-    assert slow_angular * angular >= 0.0 or close(slow_angular, 0.0)
-    assert abs(slow_linear) <= abs(linear) + 1e-9
-    assert abs(slow_angular) <= abs(angular) + 1e-9
-
-
 @given(linear=linear_speed, angular=angular_speed, left=length, right=length)
 def test_wheels_of_each_side_have_their_own_radius(
     linear: float, angular: float, left: float, right: float

@@ -211,14 +211,6 @@ def test_a_clock_that_jumps_while_the_wheels_settle_is_no_error(first: bytes) ->
     assert len(link.written) <= 3
 
 
-def test_a_twist_beyond_the_wheels_keeps_its_radius() -> None:
-    robot, _ = standing()
-    a, b, c, d = robot.wheel_speeds(5.0, 3.0)
-    assert max(map(abs, (a, b, c, d))) == pytest.approx(robot.config.max_wheel_speed)
-    slow = robot.wheel_speeds(0.05, 0.03)
-    assert a / b == pytest.approx(slow[0] / slow[1])
-
-
 def test_after_a_pause_every_line_has_its_share_of_the_time() -> None:
     robot, link = standing(LINE.replace(b"p0", b"p1") + 9 * LINE)
     link.pause = 0.99
