@@ -17,12 +17,6 @@ def test_urdf_parameters_and_preset_agree() -> None:
     assert loaded.with_(serial_port=None) == RobotConfig.preset("acsar")
 
 
-def test_the_multiplier_is_the_closed_form() -> None:
-    config = RobotConfig.preset("acsar")
-    expected = 1.0 + (config.wheelbase / config.wheel_separation) ** 2
-    assert config.wheel_separation_multiplier == pytest.approx(expected, abs=1e-3)
-
-
 def test_joints_stand_where_the_parameters_say() -> None:
     config = RobotConfig.preset("acsar")
     root = ElementTree.fromstring(URDF.read_text())

@@ -17,7 +17,7 @@ from disk_tools import full_disk
 from acsar_gym import jit as compiled
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.tasks import PointGoal
-from acsar_gym.tools import cli, warm_up
+from acsar_gym.tools import warm_up
 from acsar_gym.vector.kernel import task as kernel
 
 needs_numba = pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
@@ -206,18 +206,6 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
     assert caplog.records == []
     assert warm_up.warm_env(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
-
-
-@needs_numba
-def test_the_command_says_what_it_did(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(warm_up, "ENV_NAMES", ("point_goal",))
-    warm_up.warm_env("point_goal")
-    assert cli.COMMANDS["warm-up"]() == 0
-    done, ready = capsys.readouterr().out.splitlines()
-    assert done.startswith("point_goal: 0 functions compiled, ")
-    assert ready.endswith("everything had been compiled before")
 
 
 def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:

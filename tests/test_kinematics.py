@@ -18,28 +18,8 @@ linear_speed = st.floats(-5, 5)
 angular_speed = st.floats(-20, 20)
 
 
-def of_the_document(
-    speeds: tuple[float, float, float, float], radius: float, separation: float
-) -> tuple[float, float]:
-    """Equations (1) to (3), wheel by wheel as in the document's listing."""
-    wheel = dict(zip(("fr", "fl", "rl", "rr"), (speed * radius for speed in speeds), strict=True))
-    v_left = (wheel["fl"] + wheel["rl"]) / 2
-    v_right = (wheel["fr"] + wheel["rr"]) / 2
-    return (v_left + v_right) / 2, (v_right - v_left) / separation
-
-
 def close(value: float, expected: float) -> bool:
     return math.isclose(value, expected, rel_tol=1e-9, abs_tol=1e-9)
-
-
-@given(speeds=four_speeds, radius=length, separation=length)
-def test_forward_is_equations_1_to_3(
-    speeds: tuple[float, float, float, float], radius: float, separation: float
-) -> None:
-    linear, angular = kinematics.forward(speeds, radius, separation)
-    expected_linear, expected_angular = of_the_document(speeds, radius, separation)
-    assert close(linear, expected_linear)
-    assert close(angular, expected_angular)
 
 
 @pytest.mark.parametrize(
@@ -91,19 +71,6 @@ def test_wheels_beyond_the_limit_shrink_together(
     held = kinematics.inverse(linear, angular, RADIUS, SEPARATION, limit)
     assert close(max(map(abs, held)), limit)
     assert held == pytest.approx([speed * limit / fastest for speed in free], abs=1e-9)
-
-
-@given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
-def test_saturation_keeps_the_turn_radius_and_the_direction(
-    linear: float, angular: float, limit: float
-) -> None:
-    speeds = kinematics.inverse(linear, angular, RADIUS, SEPARATION, limit)
-    slow_linear, slow_angular = kinematics.forward(speeds, RADIUS, SEPARATION)
-    assert close(slow_linear * angular, linear * slow_angular)
-    assert slow_linear * linear >= 0.0 or close(slow_linear, 0.0)
-    assert slow_angular * angular >= 0.0 or close(slow_angular, 0.0)
-    assert abs(slow_linear) <= abs(linear) + 1e-9
-    assert abs(slow_angular) <= abs(angular) + 1e-9
 
 
 @given(linear=linear_speed, angular=angular_speed, left=length, right=length)

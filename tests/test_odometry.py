@@ -132,37 +132,6 @@ def test_the_quaternion_is_equation_11_and_of_unit_length(
     assert (w * w - z * z, 2 * w * z) == pytest.approx((math.cos(theta), math.sin(theta)), abs=1e-9)
 
 
-def test_position_moves_along_the_heading_before_the_turn() -> None:
-    odometry = Odometry(RADIUS, SEPARATION)
-    odometry.update(LEFT_ARC, 0.5)
-    assert odometry.pose == pytest.approx((0.25, 0.0, 1 / 3))
-    odometry.update(LEFT_ARC, 0.5)
-    assert odometry.pose == pytest.approx(
-        (0.25 + 0.25 * math.cos(1 / 3), 0.25 * math.sin(1 / 3), 2 / 3)
-    )
-
-
-def test_small_steps_of_a_steady_turn_trace_a_circle() -> None:
-    odometry = Odometry(RADIUS, SEPARATION)
-    linear, angular = 0.5, 2 / 3
-    steps, half_turn = 20_000, math.pi / angular
-    for _ in range(steps):
-        odometry.update(LEFT_ARC, half_turn / steps)
-    assert odometry.twist == pytest.approx((linear, angular))
-    assert odometry.pose[:2] == pytest.approx((0.0, 2 * linear / angular), abs=1e-3)
-
-
-@given(updates=st.lists(st.tuples(four_speeds, st.floats(0, 1)), max_size=8))
-def test_wheel_positions_integrate_each_wheel(
-    updates: list[tuple[tuple[float, float, float, float], float]],
-) -> None:
-    odometry = Odometry(RADIUS, SEPARATION)
-    for speeds, dt in updates:
-        odometry.update(speeds, dt)
-    expected = [math.fsum(speeds[i] * dt for speeds, dt in updates) for i in range(4)]
-    assert odometry.wheel_positions == pytest.approx(expected, abs=1e-9)
-
-
 def test_covariances_are_what_the_driver_publishes() -> None:
     odometry = Odometry(RADIUS, SEPARATION)
     covariances = (odometry.pose_covariance, {0, 7, 35}), (odometry.twist_covariance, {0, 35})

@@ -72,12 +72,6 @@ def test_hosts_read_numbers_that_are_not_padded(vector: Vector) -> None:
     assert read(vector["bytes"].encode("latin-1"), 3) == vector["lines"]
 
 
-def test_names_are_unique_and_plain() -> None:
-    names = [each["name"] for section in ("encode", "decode") for each in VECTORS[section]]
-    assert len(names) == len(set(names))
-    assert not set("".join(names)) & set('"\\')
-
-
 def test_the_page_says_what_the_code_does() -> None:
     rules = dict(re.findall(r"^([\w-]+) += ([^;\n]*?) *(?:;.*)?$", PAGE, re.M))
     assert rules.items() >= TERMINALS.items()

@@ -15,12 +15,9 @@ from gymnasium.vector import AutoresetMode
 from serial_tools import TIMEOUT
 
 import acsar_gym
-from acsar_gym.envs.base import EnvOptions
 from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import ConfigError
 from acsar_gym.tasks import ObstacleGoal
-from acsar_gym.tasks.factory import ONE_MODE_OPTIONS
-from acsar_gym.vector.env import BatchOptions
 
 KNOWN = "assert gymnasium.spec('acsar_gym/PointGoal-v0').max_episode_steps == 200"
 ORDERS = {
@@ -108,8 +105,3 @@ def test_a_mode_ignores_registered_defaults_of_the_other(registered: str) -> Non
         make_vec(registered, 2, on_fault="raise")
     with pytest.raises(ConfigError, match="unknown option 'threads'"):
         gymnasium.make(registered, link="planar", threads=1)
-
-
-def test_options_of_one_mode_are_listed() -> None:
-    shared = {"link", "max_episode_steps"}  # arguments of the env, and of `register`
-    assert {*ONE_MODE_OPTIONS} == ({*EnvOptions.names()} ^ {*BatchOptions.names()}) - shared

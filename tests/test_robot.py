@@ -68,13 +68,6 @@ def standing(*answers: bytes, then: bytes = STILL) -> tuple[Robot, ScriptedLink]
     return robot, link
 
 
-def test_a_fresh_robot_stands_at_the_origin() -> None:
-    with Robot(open_link("planar")) as robot:
-        assert robot.odometry.pose == (0.0, 0.0, 0.0)
-        assert robot.link.truth is not None
-        assert robot.link.truth.pose == (0.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("link", ["planar", "bullet"])
 def test_odometry_follows_truth(link: str) -> None:
     with Robot(open_link(link)) as robot:
@@ -216,14 +209,6 @@ def test_a_clock_that_jumps_while_the_wheels_settle_is_no_error(first: bytes) ->
     robot.activate()
     assert robot.speeds == ZERO
     assert len(link.written) <= 3
-
-
-def test_a_twist_beyond_the_wheels_keeps_its_radius() -> None:
-    robot, _ = standing()
-    a, b, c, d = robot.wheel_speeds(5.0, 3.0)
-    assert max(map(abs, (a, b, c, d))) == pytest.approx(robot.config.max_wheel_speed)
-    slow = robot.wheel_speeds(0.05, 0.03)
-    assert a / b == pytest.approx(slow[0] / slow[1])
 
 
 def test_after_a_pause_every_line_has_its_share_of_the_time() -> None:

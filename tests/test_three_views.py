@@ -6,7 +6,6 @@ import importlib.util
 import math
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -63,17 +62,3 @@ def test_the_map_is_what_the_lidar_said(script: ModuleType) -> None:
     assert known.shape == told.shape == (script.SIDE, script.SIDE, 3)
     dark = [(picture == OBSTACLE_COLOUR).all(axis=2).sum() for picture in (known, told)]
     assert dark[0] > 10 * dark[1] > 0, "a disc; a point"
-
-
-def test_views_end_together(script: ModuleType, tmp_path: Path) -> None:
-    camera = [np.full((script.SIDE, script.SIDE, 3), shade, np.uint8) for shade in (0, 255)]
-    rows = list(script.film(camera, track(4), track(6), 2))
-    assert [row[0][9, 9, 0] for row in rows] == [0, 255, 255], "the last one stays"
-    out = tmp_path / "film.gif"
-    script.write(rows, script.Options(out=out))
-    with Pillow.open(out) as film:
-        assert film.n_frames == 3
-        assert film.size == (3 * script.SIDE + 2 * script.GAP, script.BAND + script.SIDE)
-        assert film.convert("RGB").getpixel((9, film.height - 9)) == (0, 0, 0)
-        film.seek(2)
-        assert film.convert("RGB").getpixel((9, film.height - 9)) == (255, 255, 255)

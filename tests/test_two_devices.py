@@ -14,6 +14,7 @@ from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LateTicksError, LidarError
+from acsar_gym.links.shutdown import install_handlers
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
@@ -66,6 +67,7 @@ def test_hardware_sees_what_the_simulation_sees(
 ) -> None:
     config = config.with_(lidar={"noise": 0.0, "timeout": 5.0})
     port, lidar = devices
+    install_handlers()  # the pipe that a program's first link opens stays open
     with no_leak():
         env = gymnasium.make(
             ENV_ID, link=port, lidar=f"rplidar://{lidar}", worlds=WORLD, robot=config

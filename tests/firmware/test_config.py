@@ -9,10 +9,6 @@ import firmware_tools
 import pytest
 
 Build = Callable[..., str]
-MANY_EDGES = (
-    "COUNTS_PER_TURN: more than the 16000 edges/s of a wheel that the chip counts, at "
-    "FULL_SPEED: set what your motors reach, or count one channel, ENCODER_CHANNELS 1"
-)
 
 
 @pytest.fixture
@@ -47,29 +43,17 @@ def test_other_numbers_compile(build: Build, changes: dict[str, str]) -> None:
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"BAUD_RATE": "9600UL"}, "FEEDBACK_RATE: more lines than BAUD_RATE can carry"),
-        ({"BAUD_RATE": "230400UL"}, "BAUD_RATE: this clock makes none within 2.5 % of it"),
-        (
-            {"LOOP_RATE": "100", "COUNTS_PER_TURN": "2000"},
-            "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED, at most 63 counts a loop",
-        ),
-        (
-            {"LOOP_RATE": "200"},
-            "LOOP_RATE: too low for COUNTS_PER_TURN at MAX_SPEED and this TIME_CONSTANT",
-        ),
-        ({"LOOP_RATE": "1024"}, "LOOP_RATE: must be a multiple of FEEDBACK_RATE"),
-        (
-            {"COUNTS_PER_TURN": "8384"},
-            MANY_EDGES,
-        ),
-        (
-            {"ENCODER_CHANNELS": "3"},
-            "ENCODER_CHANNELS: 2 counts every edge of A and B, 1 those of A",
-        ),
-        ({"STALL_MS": "70000"}, "STALL_MS: must be less than 65536 loops"),
-        ({"MAX_SPEED": "120.0"}, "MAX_SPEED: the wire carries 99.99 rad/s"),
-        ({"COMMAND_TIMEOUT_MS": "70000"}, "COMMAND_TIMEOUT_MS: must be less than 65536 loops"),
+        ({"BAUD_RATE": "9600UL"}, "FEEDBACK_RATE"),
+        ({"BAUD_RATE": "230400UL"}, "BAUD_RATE"),
+        ({"LOOP_RATE": "100", "COUNTS_PER_TURN": "2000"}, "LOOP_RATE"),
+        ({"LOOP_RATE": "200"}, "LOOP_RATE"),
+        ({"LOOP_RATE": "1024"}, "LOOP_RATE"),
+        ({"COUNTS_PER_TURN": "8384"}, "COUNTS_PER_TURN"),
+        ({"ENCODER_CHANNELS": "3"}, "ENCODER_CHANNELS"),
+        ({"STALL_MS": "70000"}, "STALL_MS"),
+        ({"MAX_SPEED": "120.0"}, "MAX_SPEED"),
+        ({"COMMAND_TIMEOUT_MS": "70000"}, "COMMAND_TIMEOUT_MS"),
     ],
 )
 def test_impossible_numbers_are_named(build: Build, changes: dict[str, str], told: str) -> None:
-    assert f'"{told}"' in build(**changes)
+    assert f'"{told}: ' in build(**changes)

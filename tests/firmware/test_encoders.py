@@ -56,17 +56,3 @@ def test_a_gear_motor_with_many_edges_drives_at_its_speed(chip: str, tmp_path: P
     assert ran.at(2.9, "speeds") == pytest.approx(speeds, abs=0.02)
     mean = np.mean([line for _, line in ran.feedback()[-100:]], axis=0)
     assert mean == pytest.approx(speeds, abs=0.01)
-
-
-def test_one_channel_counts_both_directions(chip: str, tmp_path: Path) -> None:
-    elf, said = firmware_tools.build_changed(
-        tmp_path, chip, COUNTS_PER_TURN="660", ENCODER_CHANNELS="1"
-    )
-    assert not said
-    script = Script(chip, elf=elf)
-    for begin, sign in ((0.1, 1.0), (1.5, -1.0)):
-        script.command(begin, begin + 1.4, (sign * 8.0, sign * -3.0, sign * 0.5, sign * -20.0))
-    ran = script.run(2.9, tmp_path)
-    for time, sign in ((1.4, 1.0), (2.8, -1.0)):
-        wanted = [sign * 8.0, sign * -3.0, sign * 0.5, sign * -20.0]
-        assert ran.at(time, "speeds") == pytest.approx(wanted, abs=0.2)

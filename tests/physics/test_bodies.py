@@ -12,16 +12,11 @@ import psutil
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import border_distance, contains_point
 from acsar_gym.envs import PointGoalVectorEnv
 from acsar_gym.errors import RenderError
 from acsar_gym.physics.body import Body, Camera
 from acsar_gym.physics.bullet import (
-    MAX_SHAPES,
     BulletBody,
-    StaticObstacles,
-    place_feet,
-    wheel_hubs,
 )
 from acsar_gym.physics.model import closed_form_yaw_rate, turn_factor
 from acsar_gym.physics.planar import PlanarBody
@@ -131,15 +126,6 @@ def test_steady_turns_are_slower_by_the_factor(make: type[Body], factor: float) 
 
 
 @pytest.mark.parametrize("factor", FACTORS)
-def test_circles_are_larger_by_the_factor_at_the_same_speed(factor: float) -> None:
-    for turn, plain in ((TURNS[1], 0.45), (TURNS[2], 0.375), (TURNS[4], 0.15)):
-        body = PlanarBody(on(factor))
-        rate, (speed, _) = mean_yaw_rate(body, turn), body.truth.twist
-        assert speed == pytest.approx((turn[0] + turn[1]) / 2.0 * 0.05, rel=0.01)
-        assert speed / abs(rate) == pytest.approx(plain * factor, rel=0.015)
-
-
-@pytest.mark.parametrize("factor", FACTORS)
 def test_a_batch_turns_as_commanded_where_its_multiplier_is_the_factor(factor: float) -> None:
     config = on(factor, wheel_separation_multiplier=factor, max_angular=1.2)
     env = PointGoalVectorEnv(5, robot=config, max_episode_steps=1000)
@@ -171,18 +157,6 @@ def test_without_a_factor_the_geometry_gives_it() -> None:
     for turn in TURNS:
         with_factor = mean_yaw_rate(PlanarBody(on(2.0, wheelbase=0.3)), turn)
         assert mean_yaw_rate(PlanarBody(own), turn) == pytest.approx(with_factor, rel=1e-9)
-
-
-def test_tyres_that_grip_less_sideways_are_pushed_sideways_more_easily() -> None:
-    """The friction of a sideways slide is sqrt(kappa) of that of locked wheels."""
-    slides = []
-    for factor in (1.2, None):
-        body = PlanarBody(on(factor))
-        body._velocity = (0.0, 0.5, 0.0)
-        body.step((0.0, 0.0, 0.0, 0.0))
-        slides.append(0.5 - body._velocity[1])
-    kappa = 0.2 * (0.3 / 0.22) ** 2
-    assert slides[0] / slides[1] == pytest.approx(math.sqrt(kappa), rel=1e-3)
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
@@ -303,16 +277,6 @@ def test_contact_is_forgotten_with_the_next_reset() -> None:
     body.close()
 
 
-def test_compounds_are_small_and_few() -> None:
-    body = BulletBody(ACSAR)
-    rng = np.random.default_rng(0)
-    circles = np.column_stack([rng.uniform(-9, 9, (300, 2)), np.full(300, 0.1)])
-    statics = StaticObstacles(body._client, World(circles))
-    assert math.ceil(300 / MAX_SHAPES) <= len(statics) <= 1.3 * 300 / MAX_SHAPES
-    assert len(StaticObstacles(body._client, None)) == 0
-    body.close()
-
-
 MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
     "one world": lambda rng: Scene(goal=(1.0, 1.0)),
     "changing worlds": lambda rng: Scene(
@@ -352,27 +316,3 @@ def test_a_polygon_drives_as_the_box_does() -> None:
         body.close()
     assert ends[1] == pytest.approx(ends[0], abs=1e-6)
     assert ends[2] == pytest.approx(ends[0], abs=1e-6)
-
-
-@pytest.mark.parametrize("outline", [None, WEDGE, FORK], ids=["box", "wedge", "fork"])
-def test_feet_stand_within_the_footprint(outline: Any) -> None:
-    config = ACSAR.with_(footprint=outline)
-    feet, foot = place_feet(config)
-    assert 1e-3 <= foot <= config.wheel_radius
-    for (x, y), hub in zip(feet, wheel_hubs(config), strict=True):
-        assert contains_point(config.outline, x, y)
-        assert border_distance(config.outline, x, y) >= foot - 1e-12
-        assert x * hub[1] == pytest.approx(y * hub[0])
-        if outline is None:
-            assert (x, y) == hub[:2]
-
-
-def test_its_camera_sees_it() -> None:
-    pictures = []
-    for outline in (None, WEDGE):
-        body = BulletBody(ACSAR.with_(footprint=outline))
-        image = body.image(160, 120)
-        assert image is not None
-        pictures.append(image)
-        body.close()
-    assert (pictures[0] != pictures[1]).any()

@@ -132,12 +132,6 @@ def test_set_points_ramp() -> None:
     assert speeds[-1] == 8.0
 
 
-def test_speeds_are_limited_to_what_the_motors_reach() -> None:
-    firmware, body = board(RobotConfig(motor=MotorConfig(max_speed=6.0)))
-    drive(firmware, encode((99.0, -99.0, -99.0, 99.0)), 200)
-    assert body.wheel_speeds == pytest.approx((6.0, -6.0, -6.0, 6.0))
-
-
 def test_motors_stop_when_commands_stop() -> None:
     firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.3)))
     drive(firmware, encode(FORWARD), 100)

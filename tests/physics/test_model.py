@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
 from acsar_gym.jit import record_of
-from acsar_gym.physics import GRAVITY, Physics, compute_physics, model
-from acsar_gym.physics.model import Velocity, loop_period, robot_step, tyre_step, wheel_speed
+from acsar_gym.physics import GRAVITY, compute_physics, model
+from acsar_gym.physics.model import loop_period, robot_step, tyre_step, wheel_speed
 from acsar_gym.protocol import ZERO, Speeds
 
 SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
@@ -39,11 +39,6 @@ def test_spin_on_the_spot_is_the_closed_form() -> None:
     assert steady_yaw_rate(SPIN, config) == pytest.approx(
         model.closed_form_yaw_rate(SPIN, config), rel=1e-6
     )
-
-
-def test_a_square_robot_turns_half_as_fast_as_a_differential_drive() -> None:
-    config = RobotConfig(wheel_separation=0.3, wheelbase=0.3)
-    assert steady_yaw_rate(SPIN, config) == pytest.approx(4.0 * 0.05 / 0.15 / 2.0, rel=1e-6)
 
 
 @given(speed, speed, speed, speed, slow, slow, slow)
@@ -75,39 +70,6 @@ def test_compiled_and_plain_python_agree(
     assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == pytest.approx(
         plain(tyre_step)(vx, vy, rate, wheels, p, p.kappa, DT), abs=1e-9
     )
-
-
-def isotropic(vx: float, vy: float, rate: float, wheels: Speeds, p: Physics) -> Velocity:
-    """One substep with equal friction in all directions, as it was before there was `kappa`."""
-    a, b, m, j = p.half_wheelbase, p.half_track, p.mass / DT, p.yaw_inertia / DT
-    rims = [wheel * p.left_radius for wheel in wheels]
-    nx, ny, nw, floor = vx, vy, rate, p.slip_speed * p.slip_speed
-    for _ in range(3):
-        right, left, front, rear = nx + nw * b, nx - nw * b, ny + nw * a, ny - nw * a
-        ends = (front, front, rear, rear)
-        slips = zip((right, left, left, right), rims, ends, strict=True)
-        da, db, dc, dd = (
-            p.grip / math.sqrt(max((side - rim) ** 2 + end**2, floor)) for side, rim, end in slips
-        )
-        total = da + db + dc + dd
-        k, s = m + total, j + (a * a + b * b) * total
-        x, y = b * (da + dd - db - dc), a * (da + db - dc - dd)
-        fx = m * vx + da * rims[0] + db * rims[1] + dc * rims[2] + dd * rims[3]
-        fw = j * rate + b * (da * rims[0] + dd * rims[3] - db * rims[1] - dc * rims[2])
-        free = 1.0 / k
-        nw = (fw - (x * fx + y * (m * vy)) * free) / (s - (x * x + y * y) * free)
-        nx, ny = (fx - x * nw) * free, (m * vy - y * nw) * free
-    return nx, ny, nw
-
-
-@given(speed, speed, speed, speed, slow, slow, slow)
-def test_tyres_without_a_turn_factor_are_isotropic_to_the_last_bit(
-    a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
-) -> None:
-    p, wheels = compute_physics(RobotConfig()), (a, b, c, d)
-    assert p.kappa == 1.0
-    expected = isotropic(vx, vy, rate, wheels, p)
-    assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == expected
 
 
 @given(st.floats(0.05, 9.0), speed, speed, slow, slow, slow)
@@ -186,10 +148,3 @@ def test_a_robot_step_turns_with_the_heading(
     (bx, by, brate), _, _ = robot_step(1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, record_of(p), DT)
     assert (wx, wy, wrate) == pytest.approx((c * bx - s * by, s * bx + c * by, brate), abs=1e-9)
     assert angles == pytest.approx([wheel * DT for wheel in wheels])
-
-
-def test_physics_comes_from_the_config() -> None:
-    p = compute_physics(RobotConfig(wheel_radius=0.1, wheelbase=0.5, body=BodyConfig(mass=8.0)))
-    assert isinstance(p, Physics)
-    assert (p.left_radius, p.right_radius, p.half_wheelbase, p.mass) == (0.1, 0.1, 0.25, 8.0)
-    assert p.grip == pytest.approx(8.0 * GRAVITY / 4.0)

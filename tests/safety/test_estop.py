@@ -7,6 +7,8 @@ import os
 import re
 import socket
 import stat
+import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -15,7 +17,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from estop_tools import DRIVING, answering, estop_command
 from serial_tools import (
     DRIVER,
     TIMEOUT,
@@ -29,6 +30,7 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig
+from acsar_gym.__main__ import main
 from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
@@ -40,6 +42,46 @@ from acsar_gym.worlds import Scene
 pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
 
 
+DRIVING = """
+import sys
+from acsar_gym.tools.cli import main
+sys.argv = ["acsar-gym", *sys.argv[1:]]
+main()
+"""
+
+
+def answering(listener: estop.StopListener) -> threading.Thread:
+    """A control loop that heeds one stop."""
+
+    def loop() -> None:
+        while not listener.is_requested():
+            time.sleep(0.001)
+        listener.confirm()
+
+    thread = threading.Thread(target=loop, daemon=True)
+    thread.start()
+    return thread
+
+
+def estop_command(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: str
+) -> tuple[object, str, str]:
+    """`acsar-gym estop ARGUMENTS`: exit code, output, errors."""
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code, *capsys.readouterr()
+
+
+@pytest.fixture
+def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of this test alone, with time to answer; paths of sockets must be short."""
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", TIMEOUT)
+    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:
+        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
+        yield Path(base)
+
+
 def folder() -> Path:
     """Where the sockets of this test are."""
     (usable,), wrong = estop.find_folders()
@@ -47,34 +89,30 @@ def folder() -> Path:
     return usable
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("drive", "--linear", "0.2", "--link"),
+        ("run", "3", "0", "--yes", "--link"),
+        ("doctor", "--spin", "--yes"),
+    ],
+    ids=lambda command: command[0],
+)
 def test_the_command_stops_a_robot_that_another_process_drives(
+    command: tuple[str, ...],
     emulator: Emulated,
     robot_file: RobotFile,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    options = ("--link", emulator.device, "--linear", "0.2", "--robot", str(robot_file()))
-    with program(DRIVING, "drive", *options) as process:
+    with program(DRIVING, *command, emulator.device, "--robot", str(robot_file())) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
         done = estop_command(capsys, monkeypatch)
         assert done == (0, f"process {process.pid}: stopped\n", "")
-        _, error = process.communicate(timeout=TIMEOUT)
+        said = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 3
-    assert error.startswith("acsar-gym: ended by an emergency stop after ")
+    assert "emergency stop" in "".join(said)
     wait_until(emulator.is_stopped, "zero as the newest command")
-
-
-def test_a_run_ends_with_one_line(emulator: Emulated, robot_file: RobotFile) -> None:
-    options = ("--yes", "--link", emulator.device, "--robot", str(robot_file()))
-    with program(DRIVING, "run", "3", "0", *options) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert [each.answered for each in estop.stop_all()] == [True]
-        _, error = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 3
-    assert error == (
-        "acsar-gym: emergency stop: look after the robot, then start again, "
-        "or run 'acsar-gym estop --release'\n"
-    )
 
 
 def test_without_a_robot_the_command_says_so(
@@ -281,17 +319,6 @@ def test_other_messages_are_ignored(config: RobotConfig, shared_device: str) -> 
             other.sendto(b"go on", str(path))
         robot.drive(0.0, 0.0)
         assert robot.safety.reason is Reason.NONE
-
-
-def test_the_doctor_heeds_it(emulator: Emulated, robot_file: RobotFile) -> None:
-    options = ("--spin", "--yes", "--robot", str(robot_file()))
-    with program(DRIVING, "doctor", emulator.device, *options) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert estop.stop_all() == [estop.StopResult(process.pid, answered=True)]
-        output, _ = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 3
-    assert "emergency stop" in output
-    wait_until(emulator.is_stopped, "zero as the newest command")
 
 
 INSISTING = f"""
@@ -532,17 +559,6 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(LinkError, match="yours alone"):
         estop.stop_all()
     assert "yours alone" in estop.StopListener().unavailable
-
-
-def test_the_command_line_warns_in_one_line(
-    place: Path, emulator: Emulated, robot_file: RobotFile
-) -> None:
-    estop.list_candidates()[0].write_text("")
-    options = ("--link", emulator.device, "--linear", "0.2", "--duration", "0.05")
-    with program(DRIVING, "drive", *options, "--robot", str(robot_file())) as process:
-        _, error = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 0
-    assert re.fullmatch("acsar-gym: 'acsar-gym estop' can't stop this robot: .*\n", error)
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym import Robot, RobotConfig, kinematics
-from acsar_gym import jit as compiled
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
 from acsar_gym.resources import ASSETS
-from acsar_gym.safety import rules
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
@@ -156,17 +154,6 @@ def test_a_first_command_is_slow(config: RobotConfig) -> None:
     assert (reasons[0], reasons[-1]) == (Reason.LIMITS, Reason.NONE)
 
 
-def test_a_held_twist_costs_no_new_line() -> None:
-    """Once it is reached, the same tuple of speeds is sent, which is encoded once."""
-    safety = Safety(ACSAR)
-    for _ in range(60):
-        reached = safety.allowed(0.37, -0.9, ORIGIN, 0.0)
-    assert safety.allowed(0.37, -0.9, ORIGIN, 0.0) is reached
-    assert safety.sent == pytest.approx((0.37, -0.9))
-    safety.halt(Reason.STALE_FEEDBACK)
-    assert safety.allowed(0.37, -0.9, ORIGIN, 0.0) != reached
-
-
 def test_acceleration_limits_ramp_commands_but_no_stop() -> None:
     driver, link = robot(linear_limits={"max_acceleration": 1.0})
     for drives in (True, False):
@@ -254,18 +241,3 @@ def test_info_says_what_was_sent_and_why(link: str) -> None:
     *_, info = env.step(np.array([1.0, 0.0], np.float32))
     assert (info["sent_linear"], info["sent_reason"]) == (0.0, 4.0)
     env.close()
-
-
-@pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
-def test_after_a_reset_nothing_is_left_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
-    functions: list[Any] = [
-        compiled.loop(getattr(rules, name).py_func) for name in ("update_twist", "update_holds")
-    ]
-    for function in functions:
-        monkeypatch.setattr(rules, function.__name__, function)
-    safety = Safety(ACSAR)
-    before = [list(function.signatures) for function in functions]
-    safety.allowed(0.2, 0.1, ORIGIN, 0.0)
-    safety.bounded((3.0, 3.0, 3.0, 3.0), ORIGIN, 0.0)
-    assert [function.signatures for function in functions] == before
-    assert all(before)

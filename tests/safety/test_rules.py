@@ -148,12 +148,6 @@ def test_what_jazzy_leaves_out_follows_from_the_rest() -> None:
     assert sent[60:62] == pytest.approx([-0.95, -0.9])
 
 
-def test_an_axis_takes_ready_limits_without_a_default() -> None:
-    config = RobotConfig(linear_limits=SpeedLimits(max_velocity=0.3))
-    assert config.linear_limits.max_acceleration is None
-    assert RobotConfig(**config.model_dump()) == config
-
-
 @given(st.lists(speed, min_size=3, max_size=60))
 def test_what_is_sent_keeps_to_the_limits(wanted: list[float]) -> None:
     sent = [0.0, *driven(wanted, max_velocity=0.8, max_acceleration=3.0)]
