@@ -80,14 +80,6 @@ def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
         Window("a title").show(image)
 
 
-def test_a_window_that_never_opened_is_closed_quietly() -> None:
-    window = Window("a title")
-    window.close()
-    window.close()
-    window.show(HALVES)
-    assert window.closed
-
-
 @needs_display
 def test_it_shows_the_pixels(window: Window) -> None:
     window.show(HALVES)
@@ -162,8 +154,3 @@ def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: .+") as caught:
         renderer.write_video(path, iter(noise), 10.0)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_that_is_gone_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: No such file"):
-        renderer.write_video(tmp_path / "gone" / "some.mp4", iter(IMAGES), 10.0)

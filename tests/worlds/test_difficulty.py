@@ -86,26 +86,21 @@ def test_more_points_on_a_path_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "message"),
+    ("path", "radius", "message"),
     [
-        (None, "has no path"),
-        (array([0.0, 0.0]), "two points"),
-        (array([1.0, 1.0], [1.0, 1.0]), "two points"),
-        (np.zeros((0, 2)), "two points"),
-        (array([0.0, math.nan], [1.0, 1.0]), "finite"),
-        (array([0.0, 0.0, 0.0]), "rows of 2"),
-        (array([0.0, 0.0], [9000.0, 0.0]), "too long"),
+        (None, None, "has no path"),
+        (array([1.0, 1.0], [1.0, 1.0]), None, "two points"),
+        (np.zeros((0, 2)), None, "two points"),
+        (array([0.0, math.nan], [1.0, 1.0]), None, "finite"),
+        (array([0.0, 0.0, 0.0]), None, "rows of 2"),
+        (array([0.0, 0.0], [9000.0, 0.0]), None, "too long"),
+        *((array([0, 0], [1, 0]), bad, "radius") for bad in (0.0, -1.0, math.nan, math.inf, 99.0)),
     ],
 )
-def test_bad_paths_are_refused(path: Any, message: str) -> None:
+def test_bad_paths_and_radii_are_refused(path: Any, radius: float | None, message: str) -> None:
+    options = {} if radius is None else {"radius": radius}
     with pytest.raises(WorldError, match=message):
-        measure_difficulty(World(), path)
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, VISIBILITY_REACH + 1.0])
-def test_bad_radii_are_refused(radius: float) -> None:
-    with pytest.raises(WorldError, match="radius"):
-        measure_difficulty(corridor(1.0), radius=radius)
+        measure_difficulty(World(), path, **options)
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")

@@ -124,17 +124,11 @@ def test_what_is_no_obstacle_is_left_out(harmless: str) -> None:
     ("broken", "message"),
     [
         (model(body(CYLINDER), pose(0, 0, 0, 0.1, 0, 0)), "tilted"),
-        (model(body(CYLINDER), link=pose(0, 0, 0, 0, -0.1, 0)), "tilted"),
         (model(body(SPHERE), pose("nan", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
-        (model(body(SPHERE), pose(1, 2, 3)), "pose must be 6 finite"),
-        (model(body(SPHERE), pose(1, 2, 3, 4, 5, 6, 7)), "pose must be 6 finite"),
         (model(body(SPHERE), pose(1e9, 2, 3, 4, 5, 6)), "at most 10000"),
         (model(body(SPHERE.replace("0.2", "-1"))), "radius must not be negative"),
-        (model(body(SPHERE.replace("0.2", "NaN"))), "radius must be 1 finite number of"),
         (model(body(SPHERE.replace("0.2", "wide"))), "is 'wide'"),
         (model(body("<sphere/>")), "its sphere has no <radius>"),
-        (model(body("<box><size>1 2</size></box>")), "size must be 3 finite"),
-        (model(body("<box><size>1 -2 1</size></box>")), "size must not be negative"),
         (model(body("<mesh><uri>x.dae</uri></mesh>")), "a mesh can't be read"),
         (model(body("<plane><normal>1 0 0</normal></plane>")), "a plane must be level"),
         (model(body(CYLINDER), pose(0, 0, 0, 0, 0, 0, attributes="relative_to='x'")), "'x'"),
@@ -158,10 +152,8 @@ def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Pat
     ("data", "message"),
     [
         (b"", "not valid XML"),
-        (b"<sdf><world>", "not valid XML"),
         (b"<?xml version='1.0' encoding='klingon'?><sdf/>", "not valid XML"),
         (b"<robot/>", "one <world>"),
-        (b"<sdf><world/><world/></sdf>", "one <world>"),
         (sdf_of("<include><uri>model://house</uri></include>"), "includes 'model://house'"),
         (sdf_of("<population><model/></population>"), "population"),
         (sdf_of("<model>" * 12 + "</model>" * 12), "nested"),
@@ -176,13 +168,6 @@ def test_bad_files_are_refused(data: bytes, message: str, tmp_path: Path) -> Non
         files.load_world(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_names_are_shortened_and_kept_on_one_line() -> None:
-    with pytest.raises(WorldError) as caught:
-        drawn(model(body("<sphere/>"), name="&#10;" + "x" * 10_000))
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 200
 
 
 @pytest.mark.parametrize(
