@@ -55,15 +55,13 @@ def test_without_a_display_it_says_what_to_do(
         monkeypatch.setenv("DISPLAY", display)
     window = Window("a title")
     for _ in range(2):
-        with pytest.raises(RenderError, match="needs a display") as caught:
+        with pytest.raises(RenderError, match=r"needs a display.*rgb_array"):
             window.show(HALVES)
-        assert str(caught.value) == (
-            "render_mode='human' needs a display; use render_mode='rgb_array'"
-        )
     assert not window.closed
-    window.close()
-    window.close()
+    for _ in range(2):
+        window.close()
     window.show(HALVES)
+    assert window.closed
 
 
 def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -100,7 +100,7 @@ def test_numbers_of_json_are_numbers_in_yaml(tmp_path: Path) -> None:
     assert load_world(path).circles.tolist() == [[0.001, -20.0, 5.0], [1.0, 0.5, 1.0]]
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".json", ".yaml"])
 @pytest.mark.parametrize(
     ("changes", "field"),
     [

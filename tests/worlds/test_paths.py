@@ -142,6 +142,11 @@ def test_the_way_goes_round_a_wall() -> None:
     assert length(ways, 1.5, 0.0) < 1.5  # behind it
 
 
+def test_outside_the_grid_the_edge_counts() -> None:
+    ways = measure_goal_distances([World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))], ROBOT)
+    assert length(ways, -1e6, 0.0) == pytest.approx(length(ways, -2.0, 0.0), abs=0.01)
+
+
 def test_worlds_of_different_sizes_keep_apart() -> None:
     small = World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))
     large = World(start=Region(-9.0, 4.0), goal=Region(1.0, 0.0))

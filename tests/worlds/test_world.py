@@ -77,6 +77,11 @@ def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
             World(**{name: more})
 
 
+def test_a_radius_is_never_negative() -> None:
+    with pytest.raises(WorldError, match="circles"):
+        World(circles=array([0.0, 0.0, 1.0], [0.0, 0.0, -1e-300]))
+
+
 @pytest.mark.parametrize("empty", [[], (), [[]], np.zeros((0, 3)), np.zeros((0, 4))])
 def test_nothing_is_no_obstacle(empty: Any) -> None:
     world = World(empty, empty)
