@@ -45,16 +45,6 @@ def test_a_straight_corridor(width: float) -> None:
     assert found.tortuosity == pytest.approx(1.0)
 
 
-def test_a_wide_corridor_has_no_dispersion() -> None:
-    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
-    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
-
-
-def test_an_empty_world_is_as_wide_as_the_robot_looks() -> None:
-    found = measure_difficulty(World(), path=array([0.0, 0.0], [1.0, 0.0]))
-    assert found == Difficulty(VISIBILITY_REACH, VISIBILITY_REACH, 0.0, 2.0 * VISIBILITY_REACH, 1.0)
-
-
 def test_a_pillar_in_the_open() -> None:
     world = World(circles=array([1.0, 0.0, 0.5]), path=array([0.0, 0.0], [0.0, 1e-9]))
     found = measure_difficulty(world)
@@ -63,16 +53,28 @@ def test_a_pillar_in_the_open() -> None:
     assert found.characteristic_dimension == pytest.approx(VISIBILITY_REACH + 0.5)
 
 
-def test_nothing_is_seen_from_inside_a_pillar() -> None:
-    world = World(circles=array([0.0, 0.0, 2.0]), path=array([0.0, 0.0], [0.0, 1.0]))
-    assert measure_difficulty(world) == Difficulty(0.0, 0.0, 0.0, 0.0, 1.0)
+@pytest.mark.parametrize(
+    ("circles", "expected"),
+    [
+        ((), (VISIBILITY_REACH, VISIBILITY_REACH, 0.0, 2.0 * VISIBILITY_REACH, 1.0)),
+        (array([0.0, 0.0, 2.0]), (0.0, 0.0, 0.0, 0.0, 1.0)),
+    ],
+    ids=["an empty world", "inside a pillar"],
+)
+def test_nothing_around_and_nothing_seen(circles: Any, expected: tuple[float, ...]) -> None:
+    found = measure_difficulty(World(circles), path=array([0.0, 0.0], [1.0, 0.0]))
+    assert found == Difficulty(*expected)
 
 
-def test_tortuosity_is_arc_by_chord() -> None:
-    assert measure_difficulty(World(), array([0, 0], [3, 0], [3, 4])).tortuosity == pytest.approx(
-        7.0 / 5.0
-    )
-    assert measure_difficulty(World(), array([0, 0], [3, 0], [0, 0])).tortuosity == math.inf
+def test_a_wide_corridor_has_no_dispersion() -> None:
+    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
+    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
+
+
+@pytest.mark.parametrize(("end", "expected"), [([3, 4], 7.0 / 5.0), ([0, 0], math.inf)])
+def test_tortuosity_is_arc_by_chord(end: Any, expected: float) -> None:
+    path = array([0, 0], [3, 0], end)
+    assert measure_difficulty(World(), path).tortuosity == pytest.approx(expected)
 
 
 def test_more_points_on_a_path_change_nothing() -> None:

@@ -289,30 +289,22 @@ def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
                 assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
 
 
-def test_the_house_is_closed_and_as_large_as_said() -> None:
-    counts = [len(dividers(floor(seed, 0.0), side)) + 1 for seed in range(30) for side in (-1, 1)]
-    assert set(counts) == {3, 4}
-    for seed in range(20):
-        world = floor(seed, 0.5)
+def test_the_house_is_closed_and_as_large_and_as_full_as_said() -> None:
+    counts: set[int] = set()
+    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
+    for seed, level in itertools.product(range(20), FURNISHED):
+        bare, world = floor(seed, 0.0), floor(seed, level)
         half = half_width(world)
         assert 0.6 <= half <= 0.9
-        assert world.bounds == pytest.approx(
-            (0.0, -half - ROOM_DEPTH, CORRIDOR_LENGTH, half + ROOM_DEPTH)
-        )
+        top = half + ROOM_DEPTH
+        assert world.bounds == pytest.approx((0.0, -top, CORRIDOR_LENGTH, top))
         corners = world.segments[:4, :2]
         assert world.segments[:4, 2:].tolist() == np.roll(corners, -1, axis=0).tolist()
-
-
-def test_furniture_grows_from_none_to_four_pieces_a_room() -> None:
-    walls = {seed: floor(seed, 0.0) for seed in range(20)}
-    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
-    for level in FURNISHED:
-        for seed, bare in walls.items():
-            count = sum(len(dividers(bare, side)) + 1 for side in (-1, 1))
-            world = floor(seed, level)
-            pieces[level].append((len(world.circles) + boxes(world)) / count)
-    assert set(pieces[0.0]) == {0.0}
-    assert set(pieces[1.0]) == {4.0}
+        rooms = [len(dividers(bare, side)) + 1 for side in (-1, 1)]
+        counts |= set(rooms)
+        pieces[level].append((len(world.circles) + boxes(world)) / sum(rooms))
+    assert counts == {3, 4}
+    assert (set(pieces[0.0]), set(pieces[1.0])) == ({0.0}, {4.0})
     assert np.mean(pieces[0.3]) == pytest.approx(1.2, abs=0.25)
     assert np.mean(pieces[0.7]) == pytest.approx(2.8, abs=0.25)
 
