@@ -116,20 +116,6 @@ def visibility_graph(world: World, radius: float) -> float:
     return float(lengths[0, 1])
 
 
-@pytest.mark.parametrize(
-    ("circles", "segments"),
-    [
-        ((), ()),
-        (array([1.0, 0.5, 0.2]), ()),  # 0.3 m beside the way
-        ((), array([0.0, 0.26, 2.0, 0.26])),
-        (array([-0.5, 0.0, 0.2], [2.5, 0.0, 0.2]), ()),  # behind start and goal
-    ],
-)
-def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any) -> None:
-    path = shortest_path(between((0, 0), (2, 0), circles, segments), 0.25)
-    assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
-
-
 @pytest.mark.parametrize("radius", [0.1, 0.25, 0.5])
 @pytest.mark.parametrize("degrees", [0, 30, 77])
 def test_round_a_walls_end_it_is_an_arc_of_the_footprint(radius: float, degrees: int) -> None:
@@ -227,6 +213,19 @@ def test_what_has_no_way_is_one_clear_error(world: World, message: str) -> None:
     with pytest.raises(WorldError, match=message) as caught:
         shortest_path(world, 0.25)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("circles", "segments"),
+    [
+        ((), ()),
+        (array([1.0, 0.5, 0.2]), array([0.0, 0.26, 2.0, 0.26])),  # beside the way
+        (array([-0.5, 0.0, 0.2], [2.5, 0.0, 0.2]), ()),  # behind start and goal
+    ],
+)
+def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any) -> None:
+    path = shortest_path(between((0, 0), (2, 0), circles, segments), 0.25)
+    assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
 
 
 @pytest.mark.parametrize("x", [-2.0, -20.0])
