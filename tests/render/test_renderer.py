@@ -55,15 +55,13 @@ def test_without_a_display_it_says_what_to_do(
         monkeypatch.setenv("DISPLAY", display)
     window = Window("a title")
     for _ in range(2):
-        with pytest.raises(RenderError, match="needs a display") as caught:
+        with pytest.raises(RenderError, match=r"needs a display.*rgb_array"):
             window.show(HALVES)
-        assert str(caught.value) == (
-            "render_mode='human' needs a display; use render_mode='rgb_array'"
-        )
     assert not window.closed
-    window.close()
-    window.close()
+    for _ in range(2):
+        window.close()
     window.show(HALVES)
+    assert window.closed
 
 
 def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,14 +76,6 @@ def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch
 def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
     with pytest.raises(ValueError, match="height x width x 3 of uint8"):
         Window("a title").show(image)
-
-
-def test_a_window_that_never_opened_is_closed_quietly() -> None:
-    window = Window("a title")
-    window.close()
-    window.close()
-    window.show(HALVES)
-    assert window.closed
 
 
 @needs_display
@@ -162,8 +152,3 @@ def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: .+") as caught:
         renderer.write_video(path, iter(noise), 10.0)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_that_is_gone_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: No such file"):
-        renderer.write_video(tmp_path / "gone" / "some.mp4", iter(IMAGES), 10.0)

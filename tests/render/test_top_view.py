@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +11,8 @@ from PIL import Image as Pillow
 from top_view_tools import COURT, FRAME
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.render.canvas import View, round_length
+from acsar_gym.errors import ConfigError
+from acsar_gym.render.canvas import View
 from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
     DECK_COLOUR,
@@ -31,7 +30,6 @@ from acsar_gym.render.top_view import (
     TopView,
     TopViewFrame,
     save_picture,
-    thin_path,
 )
 from acsar_gym.tools.atlas import draw_tile
 from acsar_gym.worlds import Pose, Region, World
@@ -88,20 +86,6 @@ def test_ahead_is_up_and_a_map_has_x_to_the_right(config: RobotConfig, top: TopV
         assert steps == [[*ahead], [*left]]
         assert (colour(image, view.view, 2.0, 1.0) == OBSTACLE_COLOUR) == (frame is FRAME)
         assert colour(image, view.view, 4.0, 0.25) == GOAL_COLOUR
-
-
-@pytest.mark.parametrize("size", [(480, 480), (640, 200), (200, 640)])
-def test_the_view_holds_world_start_and_goal_at_one_scale(
-    config: RobotConfig, size: tuple[int, int]
-) -> None:
-    top = TopView(config, size)
-    far = replace(FRAME, goal=(9.0, 1.0))
-    assert top.draw(far).shape == (size[1], size[0], 3)
-    left, low, right, high = COURT.bounds
-    for place in ((left, low), (right, high), (0.0, 0.0), (9.0, 1.0)):
-        assert top.view.shows(*place, 10.0)
-    spans = np.ptp(top.view.pixels(np.array([[0.0, 0.0], [1.0, 1.0]])), axis=0)
-    assert spans.tolist() == pytest.approx([top.view.scale] * 2)
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.7, -2.4])
@@ -199,16 +183,6 @@ def test_the_worlds_path_is_dashed(top: TopView) -> None:
     assert any(inked[-40:])
 
 
-def test_long_paths_are_thinned_but_end_where_they_end() -> None:
-    assert thin_path([]).shape == (0, 2)
-    for count in (1, 2, 999, 1000, 1001, 4097, 100_003):
-        path = [(float(i), -float(i)) for i in range(count)]
-        thin = thin_path(path)
-        assert len(thin) == count if count <= 1000 else 500 <= len(thin) <= 1001
-        assert thin[0].tolist() == [0.0, 0.0]
-        assert thin[-1].tolist() == list(path[-1])
-
-
 def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:
     pose, offset = (1.3, 0.0, math.pi / 2), config.lidar_x_offset
     angles = np.array([-0.6, -0.2, 0.2, 0.6])
@@ -259,21 +233,6 @@ def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
     assert top.layers == 2
 
 
-def test_what_stands_still_is_drawn_once(top: TopView) -> None:
-    assert top.layers == 1
-    for step in range(20):
-        top.draw(replace(FRAME, odom=(0.2 * step, 0.0, 0.1), odom_path=[(0.0, 0.0), (0.1, 0.0)]))
-    assert top.layers == 2
-    for step in range(20):
-        top.draw(replace(FRAME, goal=(0.2 * step, 1.0)))
-    assert top.layers == 2, "a goal may move through a world"
-    top.draw(replace(FRAME, world=replace(COURT)))
-    assert top.layers == 3
-    view = top.view
-    top.draw(FRAME)
-    assert (top.layers, top.view) == (4, view)
-
-
 def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
     top = TopView(config)
     frame = TopViewFrame(goal=(1.0, 1.0))
@@ -307,13 +266,6 @@ def test_sizes_that_cannot_be(config: RobotConfig, size: object) -> None:
         TopView(config, size)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("most", "length"), [(1.0, 1.0), (1.99, 1.0), (2.0, 2.0), (7.0, 5.0), (0.3, 0.2), (99.0, 50.0)]
-)
-def test_scale_bars_are_of_round_lengths(most: float, length: float) -> None:
-    assert round_length(most) == pytest.approx(length)
-
-
 def test_pictures_are_saved_as_png(tmp_path: Path, top: TopView) -> None:
     image = top.draw(FRAME)
     for name in ("a.png", "B.PNG"):
@@ -333,11 +285,3 @@ def test_pictures_that_cannot_be_saved(tmp_path: Path, name: str, message: str) 
         save_picture(np.zeros((2, 2, 3), np.uint8), tmp_path / name)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / name).exists()
-
-
-def test_without_pillow_the_extra_is_named(
-    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
-        TopView(config)

@@ -14,7 +14,7 @@ from serial_tools import cli
 from top_view_tools import COURT
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.errors import ConfigError
 from acsar_gym.render.top_view import (
     GOAL_COLOUR,
     OBSTACLE_COLOUR,
@@ -120,11 +120,6 @@ def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
     atlas.draw_worlds(worlds, 5, 200, tmp_path / "published.png")
     with Image.open(tmp_path / "published.png") as picture:
         assert picture.size == (1000, 200)
-
-
-def test_a_folder_without_worlds_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match="world"):
-        atlas.collect_worlds(str(tmp_path), None, None, 1)
 
 
 def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:

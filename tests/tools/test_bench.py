@@ -6,20 +6,11 @@ import pytest
 
 from acsar_gym.tools import bench
 
-SMALL = {
-    "ENV_BLOCKS": 2,
-    "ENV_STEPS": 3,
-    "BATCH_ROBOTS": 8,
-    "BATCH_WORLDS": 2,
-    "PATH_POINTS": 20,
-}
+SMALL = {"ENV_BLOCKS": 2, "ENV_STEPS": 3, "BATCH_ROBOTS": 8, "BATCH_WORLDS": 2, "PATH_POINTS": 20}
 
 
-@pytest.mark.parametrize("sizes", [SMALL, pytest.param({"ENV_BLOCKS": 2}, marks=pytest.mark.slow)])
-def test_every_figure_is_a_positive_number(
-    sizes: dict[str, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, size in sizes.items():
+def test_every_figure_is_a_positive_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, size in SMALL.items():
         monkeypatch.setattr(bench, name, size)
     figures = bench.measure_all()
     assert all(figure.value > 0.0 for figure in figures)

@@ -45,16 +45,6 @@ def test_a_straight_corridor(width: float) -> None:
     assert found.tortuosity == pytest.approx(1.0)
 
 
-def test_a_wide_corridor_has_no_dispersion() -> None:
-    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
-    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
-
-
-def test_an_empty_world_is_as_wide_as_the_robot_looks() -> None:
-    found = measure_difficulty(World(), path=array([0.0, 0.0], [1.0, 0.0]))
-    assert found == Difficulty(VISIBILITY_REACH, VISIBILITY_REACH, 0.0, 2.0 * VISIBILITY_REACH, 1.0)
-
-
 def test_a_pillar_in_the_open() -> None:
     world = World(circles=array([1.0, 0.0, 0.5]), path=array([0.0, 0.0], [0.0, 1e-9]))
     found = measure_difficulty(world)
@@ -63,16 +53,28 @@ def test_a_pillar_in_the_open() -> None:
     assert found.characteristic_dimension == pytest.approx(VISIBILITY_REACH + 0.5)
 
 
-def test_nothing_is_seen_from_inside_a_pillar() -> None:
-    world = World(circles=array([0.0, 0.0, 2.0]), path=array([0.0, 0.0], [0.0, 1.0]))
-    assert measure_difficulty(world) == Difficulty(0.0, 0.0, 0.0, 0.0, 1.0)
+@pytest.mark.parametrize(
+    ("circles", "expected"),
+    [
+        ((), (VISIBILITY_REACH, VISIBILITY_REACH, 0.0, 2.0 * VISIBILITY_REACH, 1.0)),
+        (array([0.0, 0.0, 2.0]), (0.0, 0.0, 0.0, 0.0, 1.0)),
+    ],
+    ids=["an empty world", "inside a pillar"],
+)
+def test_nothing_around_and_nothing_seen(circles: Any, expected: tuple[float, ...]) -> None:
+    found = measure_difficulty(World(circles), path=array([0.0, 0.0], [1.0, 0.0]))
+    assert found == Difficulty(*expected)
 
 
-def test_tortuosity_is_arc_by_chord() -> None:
-    assert measure_difficulty(World(), array([0, 0], [3, 0], [3, 4])).tortuosity == pytest.approx(
-        7.0 / 5.0
-    )
-    assert measure_difficulty(World(), array([0, 0], [3, 0], [0, 0])).tortuosity == math.inf
+def test_a_wide_corridor_has_no_dispersion() -> None:
+    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
+    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
+
+
+@pytest.mark.parametrize(("end", "expected"), [([3, 4], 7.0 / 5.0), ([0, 0], math.inf)])
+def test_tortuosity_is_arc_by_chord(end: Any, expected: float) -> None:
+    path = array([0, 0], [3, 0], end)
+    assert measure_difficulty(World(), path).tortuosity == pytest.approx(expected)
 
 
 def test_more_points_on_a_path_change_nothing() -> None:
@@ -86,26 +88,21 @@ def test_more_points_on_a_path_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "message"),
+    ("path", "radius", "message"),
     [
-        (None, "has no path"),
-        (array([0.0, 0.0]), "two points"),
-        (array([1.0, 1.0], [1.0, 1.0]), "two points"),
-        (np.zeros((0, 2)), "two points"),
-        (array([0.0, math.nan], [1.0, 1.0]), "finite"),
-        (array([0.0, 0.0, 0.0]), "rows of 2"),
-        (array([0.0, 0.0], [9000.0, 0.0]), "too long"),
+        (None, None, "has no path"),
+        (array([1.0, 1.0], [1.0, 1.0]), None, "two points"),
+        (np.zeros((0, 2)), None, "two points"),
+        (array([0.0, math.nan], [1.0, 1.0]), None, "finite"),
+        (array([0.0, 0.0, 0.0]), None, "rows of 2"),
+        (array([0.0, 0.0], [9000.0, 0.0]), None, "too long"),
+        *((array([0, 0], [1, 0]), bad, "radius") for bad in (0.0, -1.0, math.nan, math.inf, 99.0)),
     ],
 )
-def test_bad_paths_are_refused(path: Any, message: str) -> None:
+def test_bad_paths_and_radii_are_refused(path: Any, radius: float | None, message: str) -> None:
+    options = {} if radius is None else {"radius": radius}
     with pytest.raises(WorldError, match=message):
-        measure_difficulty(World(), path)
-
-
-@pytest.mark.parametrize("radius", [0.0, -1.0, math.nan, math.inf, VISIBILITY_REACH + 1.0])
-def test_bad_radii_are_refused(radius: float) -> None:
-    with pytest.raises(WorldError, match="radius"):
-        measure_difficulty(corridor(1.0), radius=radius)
+        measure_difficulty(World(), path, **options)
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")

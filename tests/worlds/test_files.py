@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
 from typing import Any
@@ -75,16 +74,6 @@ def test_what_is_saved_is_loaded_bit_for_bit(
     assert content(load_world(path)) == content(world)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", SUFFIXES[:2])
-def test_a_full_world_is_saved_and_loaded(suffix: str, tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    circles, segments = rng.uniform(0, 9, (10_000, 3)), rng.uniform(-9, 9, (10_000, 4))
-    world = World(circles, segments, path=rng.uniform(-9, 9, (20_000, 2)))
-    save_world(world, tmp_path / f"full{suffix}")
-    assert content(load_world(tmp_path / f"full{suffix}")) == content(world)
-
-
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_json_is_yaml_too(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"pillars{suffix}"
@@ -111,43 +100,24 @@ def test_numbers_of_json_are_numbers_in_yaml(tmp_path: Path) -> None:
     assert load_world(path).circles.tolist() == [[0.001, -20.0, 5.0], [1.0, 0.5, 1.0]]
 
 
-@pytest.mark.parametrize("theta", [None, math.pi])
-def test_theta_may_be_null(theta: float | None, tmp_path: Path) -> None:
-    path = tmp_path / "world.json"
-    path.write_text(json.dumps({**GOOD, "start": {"x": 0, "y": 0, "theta": theta}}))
-    assert load_world(path).start.theta == theta
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".json", ".yaml"])
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
         ({"cirles": []}, "'cirles'; did you mean 'circles'?"),
         ({"start": None}, "start: {x: 0.0, y: 0.0}"),
-        ({"goal": None}, "goal: {x: 0.0, y: 0.0}"),
-        ({"start": [0, 0]}, "start = [0, 0]"),
         ({"start": {"x": 0}}, "start.y"),
         ({"start": {"x": "0", "y": 0}}, "start.x = '0'"),
-        ({"start": {"x": True, "y": 0}}, "start.x = True"),
         ({"start": {"x": 1e5, "y": 0}}, "start.x = 100000"),
-        ({"start": {"x": 10**400, "y": 0}}, "start.x = 1000"),
         ({"start": {"x": 0, "y": 0, "radius": -1}}, "start.radius = -1"),
-        ({"start": {"x": 0, "y": 0, "thet": 1}}, "start.thet'; did you mean 'theta'"),
         ({"goal": {"x": 0, "y": 0, "theta": 1}}, "goal.theta"),
         ({"circles": [[1, 2]]}, "circles.0.2"),
-        ({"circles": [[1, 2, 3], [1, 2, "3"]]}, "circles.1.2 = '3'"),
-        ({"circles": [[1, 2, None]]}, "circles.0.2 = None"),
-        ({"circles": [[1, 2, False]]}, "circles.0.2 = False"),
         ({"circles": [[1, 10**99, 2]]}, "circles.0.1 = 1000"),
         ({"circles": [[1, 2, -3]]}, "circles.0.2 = -3"),
-        ({"circles": {"x": 1}}, "circles = {'x': 1}"),
         ({"circles": "[[1, 2, 3]]"}, "circles = '[[1, 2, 3]]'"),
         ({"circles": [[0, 0, 0]] * 20_001}, "at most 20000"),
-        ({"segments": [1, 2, 3, 4]}, "segments.0 = 1"),
-        ({"path": [[1]]}, "path.0.1"),
         ({"name": 7}, "name = 7"),
         ({str(number): number for number in range(100)}, "106 keys"),
-        ({"start": {str(number): number for number in range(101)}}, "101 keys"),
         ({"name": "x" * 1001}, "name = 'xxx"),
     ],
 )
@@ -165,10 +135,8 @@ def test_bad_fields_are_refused(
         ("bad.json", json.dumps(GOOD).replace("0.3", "1e999"), "1e999 is no number"),
         ("bad.json", b"\xff\xfe{}", "isn't UTF-8"),
         ("bad.json", b" " * (files.MAX_TEXT_BYTES + 1), "larger than 5 MB"),
-        ("bad.yaml", "", "must be a mapping"),
         ("bad.yaml", "a: [", "not valid YAML"),
         ("bad.yaml", ENDS + "circles: [[.nan, 0, 1]]", "circles.0.0 = nan"),
-        ("bad.yaml", ENDS + "circles: [[0, 0, 2020-01-01]]", "circles.0.2"),
         ("bad.yaml", f"start: {{x: 0x{'f' * 5000}, y: 0}}\ngoal: {{x: 1, y: 0}}", "start.x"),
         ("bad.yaml", "a: &a [*a]", "has an alias"),
         ("bad.yaml", "[" + "[]," * 1_000_000 + "]", "too many values"),
@@ -223,12 +191,6 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     for name in ("README.md", "path_2.npy", ".hidden.json", "map.pgm"):
         (tmp_path / name).write_text("no world", encoding="utf-8")
     assert [world.name for world in load_folder(tmp_path)] == list("01234")
-
-
-def test_a_bad_file_in_a_folder_is_named(tmp_path: Path) -> None:
-    (tmp_path / "bad.json").write_text("{", encoding="utf-8")
-    with pytest.raises(WorldError, match=r"bad\.json: not valid JSON"):
-        load_folder(tmp_path)
 
 
 def test_a_folder_of_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,17 +39,6 @@ LEVELS = (0.0, 0.35, 0.7, 1.0)
 FURNISHED = (0.0, 0.3, 0.7, 1.0)
 
 
-def content(world: World) -> bytes:
-    assert world.path is not None
-    arrays = world.circles, world.segments, world.path
-    text = repr([(array.shape, array.tobytes()) for array in arrays])
-    return f"{text} {world.start} {world.goal} {world.name}".encode()
-
-
-def digest(world: World) -> str:
-    return hashlib.sha256(content(world)).hexdigest()
-
-
 def way(world: World) -> Floats:
     assert world.path is not None
     return world.path
@@ -63,37 +54,29 @@ def turns(path: Floats) -> Any:
     return np.angle(np.exp(1j * np.diff(headings)))
 
 
-NUMBERS = ((0, None), (3, 0.4), (10**20, 1.0))
-ELSEWHERE = """
-import hashlib
-from acsar_gym.worlds.generators import generate_world
-from acsar_gym.worlds.registry import list_kinds
-for kind in reversed(list_kinds()):
-    for number, level in ((0, None), (3, 0.4), (10**20, 1.0)):
-        world = generate_world(kind, number, level)
-        arrays = world.circles, world.segments, world.path
-        text = repr([(array.shape, array.tobytes()) for array in arrays])
-        text += f" {world.start} {world.goal} {world.name}"
-        print(kind, hashlib.sha256(text.encode()).hexdigest())
-"""
+def digests() -> list[str]:
+    found = []
+    for kind, level in itertools.product(KINDS, (None, 0.4, 1.0)):
+        for number in (0, 10**20):
+            world = generate_world(kind, number, level)
+            arrays = world.circles, world.segments, way(world)
+            text = repr([(array.shape, array.tobytes()) for array in arrays])
+            text += f" {world.start} {world.goal} {world.name}"
+            found.append(hashlib.sha256(text.encode()).hexdigest())
+    return found
 
 
 def test_numbers_are_the_same_worlds_in_every_process() -> None:
     np.random.seed(7)  # noqa: NPY002 - what nobody should use
-    here = [
-        f"{kind} {digest(generate_world(kind, number, level))}"
-        for kind in reversed(KINDS)
-        for number, level in NUMBERS
-    ]
-    environment = {**os.environ, "PYTHONHASHSEED": "1234"}
+    folders = Path(__file__).parent, Path(__file__).parents[1]
     there = subprocess.run(
-        [sys.executable, "-c", ELSEWHERE],
-        env=environment,
+        [sys.executable, "-c", "import test_generators; print(*test_generators.digests())"],
+        env={**os.environ, "PYTHONHASHSEED": "1234", "PYTHONPATH": ":".join(map(str, folders))},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert there.stdout.split("\n")[:-1] == here
+    assert there.stdout.split() == digests()
 
 
 @samples(4, 15)
@@ -118,9 +101,8 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
             raise WorldError("can't be crossed")
         return generators.make_open_floor(rng, difficulty, radius)
 
-    assert content(generate_world("clutter", 3, (0.0, 1.0))) == content(
-        generate_world("clutter", 3)
-    )
+    whole, usual = (generate_world("clutter", 3, level) for level in ((0.0, 1.0), None))
+    assert np.array_equal(way(whole), way(usual))
     levels = [generators.draw_difficulty("open", number, (0.2, 0.4)) for number in range(50)]
     assert 0.2 <= min(levels) < 0.25
     assert 0.35 < max(levels) <= 0.4
@@ -130,22 +112,19 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
     assert min(asked) == asked[-1] == 0.2  # made easier, but not too easy
 
 
-@pytest.mark.parametrize("number", [-1, 1.0, 0.5, "1", None, math.nan, [1], -(10**30)])
-def test_bad_numbers_are_refused(number: Any) -> None:
-    with pytest.raises(WorldError, match=r"^world number .*: must be a whole number from 0$"):
-        generate_world("open", number)
-
-
-@pytest.mark.parametrize("level", [-0.1, 1.1, math.nan, "hard", "01", [0.5], (0.5, 0.2), 10**400])
-def test_bad_difficulties_are_refused(level: Any) -> None:
-    with pytest.raises(WorldError, match=r"^difficulty = .*: must be from 0 to 1, or"):
-        generate_world("open", 0, level)
-
-
-@pytest.mark.parametrize("radius", [math.nan, -1.0, math.inf, "wide"])
-def test_a_footprint_that_is_no_size_is_refused(radius: Any) -> None:
-    with pytest.raises(WorldError, match="radius"):
-        generate_world("clutter", 0, None, radius)
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        *(((number,), "number") for number in (-1, 1.0, "1", None, math.nan, [1])),
+        *(((0, level), "difficulty") for level in (-0.1, math.nan, "hard", [0.5], 10**400)),
+        ((0, (0.5, 0.2)), "difficulty"),
+        *(((0, None, radius), "radius") for radius in (math.nan, -1.0, math.inf, "wide")),
+    ],
+)
+def test_a_bad_value_is_one_line_that_names_the_field(arguments: Any, field: str) -> None:
+    with pytest.raises(WorldError, match=field) as caught:
+        generate_world("clutter", *arguments)
+    assert "\n" not in str(caught.value)
 
 
 @samples(8, 40)
@@ -235,35 +214,28 @@ def test_waypoints_turn_as_sharply_as_the_difficulty_says(level: float) -> None:
     assert angles.mean() == pytest.approx(most / 2.0, rel=0.2)
 
 
-TOO_LARGE = r"no .* lets a footprint of radius .* m through; use "
-
-
 @pytest.mark.parametrize(
     ("kind", "radius", "level"),
     [
         ("clutter", 0.8, 1.0),
-        ("clutter", 2.0, 0.0),
-        ("clutter", 2.6, 0.0),
         ("clutter", 4.0, 0.0),
         ("clutter", 50.0, None),
         ("rooms", 0.6, 1.0),
-        ("rooms", 1.0, 0.0),
-        ("rooms", 50.0, None),
         ("barn", 2.0, 1.0),
     ],
 )
 def test_too_large_a_footprint_is_one_clear_error(
     kind: str, radius: float, level: float | None
 ) -> None:
-    with pytest.raises(WorldError, match=TOO_LARGE):
+    with pytest.raises(WorldError, match=r"footprint of radius .* m through; use "):
         generate_world(kind, 0, level, radius)
 
 
-def test_where_no_difficulty_is_asked_for_a_large_footprint_gets_an_easier_world() -> None:
-    for kind in ("clutter", "rooms"):
-        for number in range(5):
-            world = generate_world(kind, number, None, 0.55)
-            assert closest(way(world), world) >= 0.6 - 2.0 * CUT
+@pytest.mark.parametrize("kind", ["clutter", "rooms"])
+def test_without_a_difficulty_a_large_footprint_gets_an_easier_world(kind: str) -> None:
+    for number in range(5):
+        world = generate_world(kind, number, None, 0.55)
+        assert closest(way(world), world) >= 0.6 - 2.0 * CUT
 
 
 RADIUS = 0.25
@@ -303,12 +275,6 @@ def boxes(world: World) -> int:
     return sum(np.array_equal(four[:, 2:], np.roll(four[:, :2], -1, axis=0)) for four in fours)
 
 
-def room_of(world: World, x: float, y: float) -> tuple[float, int]:
-    """Side, and number of the room along it."""
-    side = math.copysign(1.0, y)
-    return side, int(np.searchsorted(dividers(world, side), x))
-
-
 @pytest.mark.parametrize("level", FURNISHED)
 def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
     width = 1.3 - level * (1.3 - 2.0 * RADIUS - 0.2)
@@ -323,52 +289,38 @@ def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
                 assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
 
 
-def test_the_house_is_closed_and_as_large_as_said() -> None:
-    counts = [len(dividers(floor(seed, 0.0), side)) + 1 for seed in range(30) for side in (-1, 1)]
-    assert set(counts) == {3, 4}
-    for seed in range(20):
-        world = floor(seed, 0.5)
+def test_the_house_is_closed_and_as_large_and_as_full_as_said() -> None:
+    counts: set[int] = set()
+    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
+    for seed, level in itertools.product(range(20), FURNISHED):
+        bare, world = floor(seed, 0.0), floor(seed, level)
         half = half_width(world)
         assert 0.6 <= half <= 0.9
-        assert world.bounds == pytest.approx(
-            (0.0, -half - ROOM_DEPTH, CORRIDOR_LENGTH, half + ROOM_DEPTH)
-        )
+        top = half + ROOM_DEPTH
+        assert world.bounds == pytest.approx((0.0, -top, CORRIDOR_LENGTH, top))
         corners = world.segments[:4, :2]
         assert world.segments[:4, 2:].tolist() == np.roll(corners, -1, axis=0).tolist()
-
-
-def test_furniture_grows_from_none_to_four_pieces_a_room() -> None:
-    walls = {seed: floor(seed, 0.0) for seed in range(20)}
-    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
-    for level in FURNISHED:
-        for seed, bare in walls.items():
-            count = sum(len(dividers(bare, side)) + 1 for side in (-1, 1))
-            world = floor(seed, level)
-            pieces[level].append((len(world.circles) + boxes(world)) / count)
-    assert set(pieces[0.0]) == {0.0}
-    assert set(pieces[1.0]) == {4.0}
+        rooms = [len(dividers(bare, side)) + 1 for side in (-1, 1)]
+        counts |= set(rooms)
+        pieces[level].append((len(world.circles) + boxes(world)) / sum(rooms))
+    assert counts == {3, 4}
+    assert (set(pieces[0.0]), set(pieces[1.0])) == ({0.0}, {4.0})
     assert np.mean(pieces[0.3]) == pytest.approx(1.2, abs=0.25)
     assert np.mean(pieces[0.7]) == pytest.approx(2.8, abs=0.25)
 
 
-@pytest.mark.parametrize("radius", [0.15, 0.25, 0.5])
-def test_start_and_goal_lie_in_rooms_away_from_the_walls(radius: float) -> None:
-    for seed in range(20):
-        world = floor(seed, 0.0, radius)
-        ends = np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])
-        assert (point_clearance(ends, world) >= radius + 0.1 - 1e-9).all()
-        assert (np.abs(ends[:, 1]) > half_width(world)).all()
-        assert world.goal.theta is None
-        assert world.start.theta is not None
-        assert -math.pi <= world.start.theta <= math.pi
-
-
-def test_start_and_goal_lie_in_different_rooms() -> None:
-    seen: set[Any] = set()
+def test_start_and_goal_lie_in_different_rooms_away_from_the_walls() -> None:
+    seen: set[tuple[float, int]] = set()
     for seed in range(60):
         world = floor(seed, 0.0)
-        one = room_of(world, world.start.x, world.start.y)
-        other = room_of(world, world.goal.x, world.goal.y)
-        assert one != other
-        seen |= {one, other}
+        ends = np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])
+        assert (point_clearance(ends, world) >= RADIUS + 0.1 - 1e-9).all()
+        assert (np.abs(ends[:, 1]) > half_width(world)).all()
+        sides = np.sign(ends[:, 1]).tolist()
+        rooms = {
+            (side, int(np.searchsorted(dividers(world, side), x)))
+            for x, side in zip(ends[:, 0], sides, strict=True)
+        }
+        assert len(rooms) == 2
+        seen |= rooms
     assert len(seen) == 8

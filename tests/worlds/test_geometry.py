@@ -18,7 +18,6 @@ from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.generators import generate_world
 from acsar_gym.worlds.geometry import (
-    CLEARANCE_CHUNK,
     Obstacles,
     RaySpec,
     Surroundings,
@@ -91,36 +90,35 @@ def test_rays_of_a_full_turn_are_evenly_spaced_without_a_double() -> None:
     assert (ends[0], ends[-1]) == pytest.approx((-math.pi / 2, math.pi / 2))
 
 
-def test_an_empty_world_is_seen_at_full_reach() -> None:
-    around = make_surroundings(Obstacles(), RaySpec(16, 7.5), 1, CONFIG)
-    assert (seen(around, (1.0, 2.0, 3.0)) == 7.5).all()
-
-
-def test_from_inside_an_obstacle_everything_is_near() -> None:
-    around = make_surroundings(Obstacles([[0.0, 0.0, 2.0]]), RaySpec(16), 1, CONFIG)
-    assert (seen(around, (0.5, 0.0, 0.0)) == 0.0).all()
+@pytest.mark.parametrize(("circles", "expected"), [((), 7.5), ([[0.0, 0.0, 2.0]], 0.0)])
+def test_nothing_is_seen_at_full_reach_and_all_from_inside(circles: Any, expected: float) -> None:
+    around = make_surroundings(Obstacles(circles), RaySpec(16, 7.5), 1, CONFIG)
+    assert (seen(around, (0.5, 0.0, 3.0)) == expected).all()
 
 
 @pytest.mark.parametrize(
-    ("circles", "segments"),
+    ("make", "arguments", "error", "field"),
     [
-        ([[0.0, 0.0]], ()),
-        ([[0.0, 0.0, -1.0]], ()),
-        ([[0.0, math.nan, 1.0]], ()),
-        ((), [[1.0, 2.0, 3.0]]),
-        (np.zeros((7, 2, 3)), ()),
-        ("abc", ()),
+        (Obstacles, ([[0.0, 0.0]],), ConfigError, "obstacles"),
+        (Obstacles, ([[0.0, 0.0, -1.0]],), ConfigError, "obstacles"),
+        (Obstacles, ([[0.0, math.nan, 1.0]],), ConfigError, "obstacles"),
+        (Obstacles, ((), [[1.0, 2.0, 3.0]]), ConfigError, "obstacles"),
+        (Obstacles, (np.zeros((7, 2, 3)),), ConfigError, "obstacles"),
+        (Obstacles, ("abc",), ConfigError, "obstacles"),
+        (RaySpec, (0,), ConfigError, "10,000 rays"),
+        (RaySpec, (8, -1.0), ConfigError, "positive reach"),
+        (RaySpec, (8, 1.0, 7.0), ConfigError, "field_of_view must"),
+        (RaySpec, (8, math.inf), ConfigError, "positive reach"),
+        (point_clearance, ([1.0, 2.0, 3.0], World()), ValueError, "shape"),
+        (segment_clearance, ([(0, 0), (1, 1)], [(1, 0)], World()), ValueError, "2 starts"),
     ],
 )
-def test_malformed_obstacles_are_one_clear_error(circles: Any, segments: Any) -> None:
-    with pytest.raises(ConfigError, match="obstacles"):
-        Obstacles(circles, segments).arrays(3)
-
-
-@pytest.mark.parametrize("spec", [(0,), (8, -1.0), (8, 1.0, 7.0), (8, math.inf)])
-def test_malformed_sensors_are_one_clear_error(spec: tuple[Any, ...]) -> None:
-    with pytest.raises(ConfigError, match="must"):
-        RaySpec(*spec)
+def test_bad_values_name_the_field(
+    make: Any, arguments: tuple[Any, ...], error: type[Exception], field: str
+) -> None:
+    with pytest.raises(error, match=field):
+        made = make(*arguments)
+        made.arrays(3)
 
 
 NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
@@ -130,8 +128,6 @@ STAR = tuple(
 )
 ASIDE = ((0.5, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.5, -0.1))
 SHAPES: dict[str, Any] = {"notched": NOTCHED, "star": STAR, "aside": ASIDE}
-GRID = 0.004
-"""Between the points of a grid over a footprint [m]."""
 
 
 def hits(config: RobotConfig, circles: Any, segments: Any, poses: Any) -> list[bool]:
@@ -141,66 +137,34 @@ def hits(config: RobotConfig, circles: Any, segments: Any, poses: Any) -> list[b
     ]
 
 
-def points(outline: Any, grow: float) -> Any:
-    """A grid over an outline, moved outwards or inwards by `grow` along x or y [m]."""
-    span = np.arange(-0.6, 0.6, GRID)
-    x, y = (axis.ravel() for axis in np.meshgrid(span, span))
-    inside = np.zeros(len(x), np.bool_)
-    for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        if ay != by:
-            inside ^= ((ay > y) != (by > y)) & (x < ax + (bx - ax) * (y - ay) / (by - ay))
-    held = np.column_stack([x, y])[inside]
-    if grow < 0.0:
-        apart = [to_segments(held, [[*a, *b]]) for a, b in sides(outline)]
-        held = held[np.min(apart, axis=0) > -grow]
-    return held
-
-
-def sides(outline: Any) -> Any:
-    return zip(outline, (*outline[1:], outline[0]), strict=True)
-
-
-def to_segments(places: Any, segments: Any) -> Any:
-    """Distance of every point to the nearest segment [m]."""
-    best = np.full(len(places), np.inf)
-    for x1, y1, x2, y2 in np.asarray(segments):
-        start, along = np.array([x1, y1]), np.array([x2 - x1, y2 - y1])
-        share = np.clip((places - start) @ along / (along @ along), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(places - start - share[:, None] * along, axis=1))
-    return best
-
-
-def gap(places: Any, circles: Any, segments: Any) -> float:
-    """From the nearest point to the nearest obstacle [m]."""
-    apart = np.linalg.norm(places[:, None] - circles[None, :, :2], axis=2) - circles[:, 2]
-    to_circles = float(apart.min(initial=math.inf))
-    return min(to_circles, float(to_segments(places, segments).min(initial=math.inf)))
+def is_inside(outline: Any, place: Any) -> bool:
+    """Whether a ray from the place crosses the outline an odd number of times."""
+    (ax, ay), (bx, by) = outline.T, np.roll(outline, -1, axis=0).T
+    passed = (ay > place[1]) != (by > place[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        right = place[0] < ax + (bx - ax) * (place[1] - ay) / (by - ay)
+    return bool((passed & right).sum() % 2)
 
 
 @pytest.mark.parametrize("kind", ["circles", "segments"])
 @pytest.mark.parametrize("name", SHAPES)
-def test_collisions_are_those_of_a_dense_grid_of_points(name: str, kind: str) -> None:
+def test_collisions_are_those_of_the_outline_and_what_is_in_it(name: str, kind: str) -> None:
     rng, config = np.random.default_rng(1), CONFIG.with_(footprint=SHAPES[name])
-    outline = config.outline
-    whole, core = points(outline, 0.0), points(outline, -GRID)
-    counts = {True: 0, False: 0}
-    for _ in range(60):
+    found = []
+    for _ in range(200):
         circles = np.column_stack([rng.uniform(-1.0, 1.0, (3, 2)), rng.uniform(0.0, 0.2, 3)])
         starts = rng.uniform(-1.0, 1.0, (3, 2))
         segments = np.column_stack([starts, starts + rng.uniform(-0.5, 0.5, (3, 2))])
+        world = World(circles, ()) if kind == "circles" else World((), segments)  # type: ignore[arg-type]
         pose = np.array([[*rng.uniform(-0.3, 0.3, 2), rng.uniform(-7.0, 7.0)]])
         c, s = math.cos(pose[0, 2]), math.sin(pose[0, 2])
-        turn = np.array([[c, s], [-s, c]])
-        there = circles[:0] if kind == "segments" else circles
-        walls = segments[:0] if kind == "circles" else segments
-        found = hits(config, there, walls, pose)[0]
-        if gap(core @ turn + pose[0, :2], there, walls) <= GRID / 2.0:
-            assert found
-            counts[True] += 1
-        elif gap(whole @ turn + pose[0, :2], there, walls) > 2.0 * GRID:
-            assert not found
-            counts[False] += 1
-    assert min(counts.values()) > 5
+        outline = np.array(config.outline) @ [[c, s], [-s, c]] + pose[0, :2]
+        apart = segment_clearance(outline, np.roll(outline, -1, axis=0), world).min()
+        places = [*world.circles[:, :2], *world.segments[:, :2]]
+        expected = apart <= 0.0 or any(is_inside(outline, place) for place in places)
+        assert hits(config, world.circles, world.segments, pose) == [expected]
+        found.append(expected)
+    assert 20 < sum(found) < 180
 
 
 def test_a_rectangle_given_as_a_polygon_is_the_box() -> None:
@@ -303,13 +267,6 @@ def test_of_nothing_and_to_nothing() -> None:
     assert segment_clearance([(0.0, 0.0)], [(2.0, 0.0)], dot).tolist() == [1.0]
 
 
-def test_wrong_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"shape \(N, 2\)"):
-        point_clearance([1.0, 2.0, 3.0], ROOM)
-    with pytest.raises(ValueError, match="2 starts and 1 ends"):
-        segment_clearance([(0.0, 0.0), (1.0, 1.0)], [(1.0, 0.0)], ROOM)
-
-
 @given(world=worlds(), points=rows(2))
 def test_points_are_as_far_as_brute_force_says(world: World, points: Any) -> None:
     for point, distance in zip(points, point_clearance(points, world), strict=True):
@@ -332,24 +289,15 @@ def test_pieces_are_as_far_as_their_nearest_point(world: World, pieces: Any) -> 
         assert nearest - slack - 1e-9 <= distance <= nearest + 1e-9 or distance == nearest
 
 
-def test_chunks_make_no_difference() -> None:
-    rng = np.random.default_rng(0)
-    circles = np.column_stack(
-        [rng.uniform(-5.0, 5.0, (CLEARANCE_CHUNK // 8, 2)), np.full(CLEARANCE_CHUNK // 8, 0.01)]
-    )
-    world, points = World(circles), rng.uniform(-5.0, 5.0, (50, 2))
-    one_by_one = [point_clearance([point], world)[0] for point in points]
-    assert point_clearance(points, world).tolist() == one_by_one
-
-
-def test_memory_stays_small() -> None:
+def test_many_distances_are_those_one_by_one_in_little_memory() -> None:
     rng = np.random.default_rng(0)
     world = World(segments=rng.uniform(-5.0, 5.0, (20_000, 4)))
     points = rng.uniform(-5.0, 5.0, (300, 2))  # 6 million distances, 48 MB of each vector
-    point_clearance(points[:1], world)
+    one_by_one = [point_clearance([point], world)[0] for point in points[::30]]
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    point_clearance(points, world)
+    found = point_clearance(points, world)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20_000  # kB
+    assert found[::30].tolist() == one_by_one
 
 
 REACH = 5.0

@@ -14,10 +14,8 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds.generators import make_smooth_path, make_waypoint_path
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import (
-    DEFAULT_COSTS,
     PATH_SPACING,
     GoalDistances,
-    clearance_costs,
     drop_repeated,
     measure_goal_distances,
     path_length,
@@ -67,19 +65,6 @@ def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
     assert np.diff(found[:, 1]) == pytest.approx(-length / (count - 1))
     assert found[[0, -1], :2].tolist() == [[2.0, 1.0], [2.0, 1.0 - length]]
     assert (found[:, 2] == -math.pi / 2.0).all()
-
-
-@pytest.mark.parametrize(
-    ("path", "kept"),
-    [
-        ([[0, 0], [0, 0], [1, 0], [1, 0], [1, 0]], [[0, 0], [1, 0]]),
-        ([[0, 0], [1, 0], [0, 0]], [[0, 0], [1, 0], [0, 0]]),  # there and back
-        ([[0, 0], [0, 1e-12]], [[0, 0], [0, 1e-12]]),
-        ([[1, -1], [2, -2], [2, -2], [3, -1]], [[1, -1], [2, -2], [3, -1]]),
-    ],
-)
-def test_points_that_repeat_the_one_before_are_left_out(path: Any, kept: Any) -> None:
-    assert drop_repeated(array(*path)).tolist() == kept
 
 
 @pytest.mark.parametrize(
@@ -157,6 +142,11 @@ def test_the_way_goes_round_a_wall() -> None:
     assert length(ways, 1.5, 0.0) < 1.5  # behind it
 
 
+def test_outside_the_grid_the_edge_counts() -> None:
+    ways = measure_goal_distances([World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))], ROBOT)
+    assert length(ways, -1e6, 0.0) == pytest.approx(length(ways, -2.0, 0.0), abs=0.01)
+
+
 def test_worlds_of_different_sizes_keep_apart() -> None:
     small = World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))
     large = World(start=Region(-9.0, 4.0), goal=Region(1.0, 0.0))
@@ -174,15 +164,3 @@ def test_ways_of_generated_worlds_are_near_the_shortest_ones() -> None:
     shortest = np.array([world.length for world in pool])
     assert (found > 0.9 * shortest).all()
     assert (found < 1.5 * shortest).all()
-
-
-def test_outside_the_grid_the_edge_counts() -> None:
-    ways = measure_goal_distances([World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))], ROBOT)
-    assert length(ways, -1e6, 0.0) == pytest.approx(length(ways, -2.0, 0.0), abs=0.01)
-
-
-def test_costs_fall_with_the_distance_to_1() -> None:
-    costs = clearance_costs(np.linspace(0.0, 3.0, 200), (0.17, 0.24))
-    assert costs[0] == DEFAULT_COSTS.lethal
-    assert (np.diff(costs) <= 0.0).all()
-    assert costs[-1] == pytest.approx(1.0, abs=1e-6)

@@ -60,19 +60,30 @@ def test_published_worlds(number: int) -> None:
     assert world.name == f"world_{number}"
 
 
-def test_poses_of_model_link_and_collision_are_composed() -> None:
-    quarter = math.pi / 2.0
-    inside = body(CYLINDER, pose(1, 0, 0, 0, 0, 0))
-    circles, _ = drawn(
-        model(inside, pose(1, 2, 0, 0, 0, quarter), link=pose(3, 0, 0, 0, 0, quarter))
-    )
-    np.testing.assert_allclose(circles, [[0.0, 5.0, 0.1]], atol=1e-12)
+QUARTER = math.pi / 2.0
+AHEAD = body(CYLINDER, pose(1, 0, 0, 0, 0, 0))
+STATE = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model></state>"
 
 
-def test_angles_may_be_in_degrees() -> None:
-    turned = pose(0, 0, 0, 0, 0, 90, attributes="degrees='true'")
-    circles, _ = drawn(model(body(CYLINDER, pose(1, 0, 0, 0, 0, 0)), turned))
-    np.testing.assert_allclose(circles, [[0.0, 1.0, 0.1]], atol=1e-12)
+@pytest.mark.parametrize(
+    ("models", "expected"),
+    [
+        (  # poses of model, link and collision are composed
+            [model(AHEAD, pose(1, 2, 0, 0, 0, QUARTER), link=pose(3, 0, 0, 0, 0, QUARTER))],
+            [0.0, 5.0, 0.1],
+        ),
+        ([model(AHEAD, pose(0, 0, 0, 0, 0, 90, attributes="degrees='true'"))], [0.0, 1.0, 0.1]),
+        ([model(body(SPHERE), pose(1, 2, 0.1, 0, 0, 0))], [1.0, 2.0, 0.2]),  # at its widest
+        (
+            [f"<model name='outer'>{pose(0, 5, 0, 0, 0, 0)}{model(AHEAD)}</model>"],
+            [1.0, 5.0, 0.1],
+        ),
+        ([model(body(CYLINDER), pose(1, 2, 0, 0, 0, 0)), STATE], [7.0, 8.0, 0.1]),
+    ],
+    ids=["composed", "degrees", "sphere", "nested", "state"],
+)
+def test_round_bodies_lie_where_their_poses_say(models: list[str], expected: list[float]) -> None:
+    np.testing.assert_allclose(drawn(*models)[0], [expected], atol=1e-12)
 
 
 def test_boxes_become_four_segments() -> None:
@@ -82,24 +93,9 @@ def test_boxes_become_four_segments() -> None:
     np.testing.assert_allclose(segments, expected, atol=1e-12)
 
 
-def test_spheres_are_as_wide_as_at_their_widest() -> None:
-    assert drawn(model(body(SPHERE), pose(1, 2, 0.1, 0, 0, 0)))[0] == [[1.0, 2.0, 0.2]]
-
-
-def test_models_may_hold_models() -> None:
-    inner = model(body(CYLINDER), pose(1, 0, 0, 0, 0, 0))
-    outer = f"<model name='outer'>{pose(0, 5, 0, 0, 0, 0)}{inner}</model>"
-    assert drawn(outer)[0] == [[1.0, 5.0, 0.1]]
-
-
 def test_a_model_file_has_no_world() -> None:
     circles, _ = sdf.read_obstacles(f"<sdf>{model(body(CYLINDER))}</sdf>".encode())
     assert circles.tolist() == [[0.0, 0.0, 0.1]]
-
-
-def test_poses_of_the_state_go_first() -> None:
-    state = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model></state>"
-    assert drawn(model(body(CYLINDER), pose(1, 2, 0, 0, 0, 0)), state)[0] == [[7.0, 8.0, 0.1]]
 
 
 @pytest.mark.parametrize(
@@ -124,17 +120,11 @@ def test_what_is_no_obstacle_is_left_out(harmless: str) -> None:
     ("broken", "message"),
     [
         (model(body(CYLINDER), pose(0, 0, 0, 0.1, 0, 0)), "tilted"),
-        (model(body(CYLINDER), link=pose(0, 0, 0, 0, -0.1, 0)), "tilted"),
         (model(body(SPHERE), pose("nan", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
-        (model(body(SPHERE), pose(1, 2, 3)), "pose must be 6 finite"),
-        (model(body(SPHERE), pose(1, 2, 3, 4, 5, 6, 7)), "pose must be 6 finite"),
         (model(body(SPHERE), pose(1e9, 2, 3, 4, 5, 6)), "at most 10000"),
         (model(body(SPHERE.replace("0.2", "-1"))), "radius must not be negative"),
-        (model(body(SPHERE.replace("0.2", "NaN"))), "radius must be 1 finite number of"),
         (model(body(SPHERE.replace("0.2", "wide"))), "is 'wide'"),
         (model(body("<sphere/>")), "its sphere has no <radius>"),
-        (model(body("<box><size>1 2</size></box>")), "size must be 3 finite"),
-        (model(body("<box><size>1 -2 1</size></box>")), "size must not be negative"),
         (model(body("<mesh><uri>x.dae</uri></mesh>")), "a mesh can't be read"),
         (model(body("<plane><normal>1 0 0</normal></plane>")), "a plane must be level"),
         (model(body(CYLINDER), pose(0, 0, 0, 0, 0, 0, attributes="relative_to='x'")), "'x'"),
@@ -158,10 +148,8 @@ def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Pat
     ("data", "message"),
     [
         (b"", "not valid XML"),
-        (b"<sdf><world>", "not valid XML"),
         (b"<?xml version='1.0' encoding='klingon'?><sdf/>", "not valid XML"),
         (b"<robot/>", "one <world>"),
-        (b"<sdf><world/><world/></sdf>", "one <world>"),
         (sdf_of("<include><uri>model://house</uri></include>"), "includes 'model://house'"),
         (sdf_of("<population><model/></population>"), "population"),
         (sdf_of("<model>" * 12 + "</model>" * 12), "nested"),
@@ -176,13 +164,6 @@ def test_bad_files_are_refused(data: bytes, message: str, tmp_path: Path) -> Non
         files.load_world(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_names_are_shortened_and_kept_on_one_line() -> None:
-    with pytest.raises(WorldError) as caught:
-        drawn(model(body("<sphere/>"), name="&#10;" + "x" * 10_000))
-    assert "\n" not in str(caught.value)
-    assert len(str(caught.value)) < 200
 
 
 @pytest.mark.parametrize(
@@ -222,34 +203,25 @@ def test_a_world_without_a_path_beside_it(tmp_path: Path) -> None:
     assert files.load_world(path.rename(tmp_path / "other.world")).path is None
 
 
+HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
+
+
 @pytest.mark.parametrize(
     "cells",
     [
         *([1, 2, 3], [[1, 2, 3]], [[math.nan, 1.0]], [["a", "b"]], [[1j, 2]]),
         *([[10**9, 0]], [[-(2**63), 0]], [[0, 0]] * 20_001),
+        *(b"", b"PK\x03\x04", b"\x80\x04K\x01."),
+        HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000, 2), }",
+        HEADER % b"{'descr': '|O', 'fortran_order': False, 'shape': (1, 2), }",
+        HEADER % b"{'",
     ],
     ids=lambda cells: str(cells)[:20],
 )
-def test_wrong_cells_are_refused(cells: object, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"world_3\.world: path"):
-        files.load_world(world_with_path(tmp_path, npy(tmp_path, cells)))
-
-
-HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"PK\x03\x04",
-        b"\x80\x04K\x01.",
-        HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000, 2), }",
-        HEADER % b"{'descr': '|O', 'fortran_order': False, 'shape': (1, 2), }",
-        HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (-1, 2), }",
-        HEADER % b"'''",
-    ],
-)
-def test_broken_or_hostile_cells_are_refused(data: bytes, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"path_3\.npy: isn't a sound \.npy file"):
+def test_wrong_broken_or_hostile_cells_are_refused(cells: object, tmp_path: Path) -> None:
+    if isinstance(cells, bytes):
+        data, problem = cells, r"path_3\.npy: isn't a sound \.npy file"
+    else:
+        data, problem = npy(tmp_path, cells), r"world_3\.world: path"
+    with pytest.raises(WorldError, match=problem):
         files.load_world(world_with_path(tmp_path, data))

@@ -10,37 +10,73 @@ import numpy as np
 import pytest
 from samples import samples
 from scipy.sparse.csgraph import dijkstra
-from search_tools import (
-    CUT,
-    PILLAR,
-    RESOLVED,
-    ROUGHLY,
-    around,
-    array,
-    between,
-    closest,
-    polar,
-    random_world,
-)
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, search
 from acsar_gym.worlds import grid as cells_of
-from acsar_gym.worlds.geometry import point_clearance
-from acsar_gym.worlds.grid import CELL_SIDE, PATH_SLACK, Grid, free_cells
+from acsar_gym.worlds.geometry import point_clearance, segment_clearance
+from acsar_gym.worlds.grid import CELL_SIDE, free_cells
 from acsar_gym.worlds.search import (
-    check_region,
     footprint_radius,
     path_length,
     remaining_distance,
     shortest_path,
 )
-from acsar_gym.worlds.world import Region, World, make_rectangle, make_wall
+from acsar_gym.worlds.world import Floats, Region, World, make_rectangle, make_wall
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
 BARN_ROBOT = 0.375
 REAL_ROBOT = footprint_radius(RobotConfig.preset("acsar"))
+CUT = 2e-3
+"""How much nearer than its radius a path may come to an obstacle [m]."""
+ROUGHLY = 1.04
+"""Times as long as by hand."""
+RESOLVED = 0.04
+"""Room on both sides of a disc in which the search finds a way, a cell's half diagonal [m]."""
+
+
+def array(*rows: Any) -> Any:
+    return np.array(rows, np.float64)
+
+
+PILLAR = array([0.0, 0.0, 0.5])
+
+
+def between(start: Any, goal: Any, circles: Any = (), segments: Any = (), name: str = "") -> World:
+    return World(
+        circles, segments, Region(*map(float, start)), Region(*map(float, goal)), name=name
+    )
+
+
+def closest(path: Floats, world: World) -> float:
+    return float(segment_clearance(path[:-1], path[1:], world).min())
+
+
+def polar(radius: float, angle: float) -> Any:
+    return radius * array(math.cos(angle), math.sin(angle))
+
+
+def around(start: Any, goal: Any, centre: Any, radius: float, *, reflex: bool = False) -> float:
+    """Tangent, arc, tangent: the shortest way round a disc on one of its sides."""
+    a, b = np.subtract(start, centre), np.subtract(goal, centre)
+    far = math.hypot(*a), math.hypot(*b)
+    angle = math.acos(max(-1.0, float(a @ b) / far[0] / far[1]))
+    angle = math.tau - angle if reflex else angle
+    tangents = [math.sqrt(d * d - radius * radius) for d in far]
+    return sum(tangents) + radius * (angle - sum(math.acos(radius / d) for d in far))
+
+
+def random_world(seed: int, radius: float) -> World:
+    """Circles and segments, start and goal with room around them."""
+    rng = np.random.default_rng(seed)
+    circles = np.column_stack([rng.uniform(-2, 2, (8, 2)), rng.uniform(0.0, 0.4, 8)])
+    starts = rng.uniform(-2, 2, (4, 2))
+    segments = np.column_stack([starts, starts + rng.uniform(-1, 1, (4, 2))])
+    everywhere = rng.uniform(-2.6, 2.6, (400, 2))
+    free = point_clearance(everywhere, World(circles, segments)) > radius + RESOLVED
+    ends = everywhere[free][:2]
+    return between(ends[0], ends[1], circles, segments)
 
 
 def room(door: float, turn: float = 0.0, shift: Any = (0.0, 0.0)) -> World:
@@ -80,32 +116,6 @@ def visibility_graph(world: World, radius: float) -> float:
     return float(lengths[0, 1])
 
 
-@pytest.mark.parametrize(
-    ("circles", "segments"),
-    [
-        ((), ()),
-        (array([1.0, 0.5, 0.2]), ()),  # 0.3 m beside the way
-        ((), array([0.0, 0.26, 2.0, 0.26])),
-        (array([-0.5, 0.0, 0.2], [2.5, 0.0, 0.2]), ()),  # behind start and goal
-    ],
-)
-def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any) -> None:
-    path = shortest_path(between((0, 0), (2, 0), circles, segments), 0.25)
-    assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
-
-
-@pytest.mark.parametrize("degrees", [*range(0, 91, 10), 180, 217, 333])
-def test_round_one_circle_it_is_tangent_arc_tangent(degrees: int) -> None:
-    """Pillar of 0.75 m and a disc of 0.25 m: round a circle of 1 m, from 3 m away."""
-    start = polar(3.0, math.radians(degrees))
-    world = between(start, -start, array([0.0, 0.0, 0.75]))
-    path = shortest_path(world, 0.25)
-    by_hand = around(start, -start, (0.0, 0.0), 1.0)
-    assert by_hand == pytest.approx(2.0 * math.sqrt(8.0) + math.pi - 2.0 * math.acos(1.0 / 3.0))
-    assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
-    assert closest(path, world) > 0.25 - CUT
-
-
 @pytest.mark.parametrize("radius", [0.1, 0.25, 0.5])
 @pytest.mark.parametrize("degrees", [0, 30, 77])
 def test_round_a_walls_end_it_is_an_arc_of_the_footprint(radius: float, degrees: int) -> None:
@@ -117,13 +127,6 @@ def test_round_a_walls_end_it_is_an_arc_of_the_footprint(radius: float, degrees:
     by_hand = around(start, goal, near, radius, reflex=True)
     assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
     assert closest(path, world) > radius - CUT
-
-
-def test_the_shorter_side_is_taken() -> None:
-    for low, high, expected in ((-1.0, 3.0, -1.25), (-3.0, 1.0, 1.25)):
-        path = shortest_path(between((-3, 0), (3, 0), (), array([0.0, low, 0.0, high])), 0.25)
-        assert path[:, 1].min() == pytest.approx(min(expected, 0.0), abs=0.05)
-        assert path[:, 1].max() == pytest.approx(max(expected, 0.0), abs=0.05)
 
 
 def test_a_long_way_is_pulled_straight_too() -> None:
@@ -193,52 +196,40 @@ def test_paths_are_about_as_short_as_those_of_a_visibility_graph(radius: float, 
     assert walled < count / 2
 
 
-NEEDS = " from an obstacle, a footprint of radius 0.25 m needs {:.2f} m"
-
-
 @pytest.mark.parametrize(
     ("world", "message"),
     [
-        (
-            between((0.1, 0), (3, 0), PILLAR),
-            "the start (0.1, 0) lies 0.00 m" + NEEDS.format(0.25),
-        ),
-        (
-            between((3, 0), (0.7, 0), PILLAR, name="pillar 7"),
-            "pillar 7: the goal (0.7, 0) lies 0.20 m" + NEEDS.format(0.25),
-        ),
-        (
-            World(PILLAR, start=Region(-1.2, 0.0, 0.5), goal=Region(3.0, 0.0)),
-            "the start (-1.2, 0) lies 0.70 m" + NEEDS.format(0.75),
-        ),
-        (
-            World(PILLAR, start=Region(3.0, 0.0), goal=Region(-1.2, 0.0, 0.5)),
-            "the goal (-1.2, 0) lies 0.70 m" + NEEDS.format(0.75),
-        ),
+        (between((0.1, 0), (3, 0), PILLAR), r"^the start \(0\.1, 0\) .* 0\.00 m .* 0\.25 m"),
+        (between((3, 0), (0.7, 0), PILLAR, name="pillar 7"), r"^pillar 7: the goal .* 0\.20 m"),
+        (World(PILLAR, start=Region(-1.2, 0.0, 0.5), goal=Region(3.0, 0.0)), "start .* 0.75 m"),
+        (World(PILLAR, start=Region(3.0, 0.0), goal=Region(-1.2, 0.0, 0.5)), "goal .* 0.75 m"),
         (
             between((0, 0), (3, 0), (), make_rectangle(-1.0, -1.0, 1.0, 1.0), "cell"),
-            "cell: no way from start to goal for a footprint of radius 0.25 m",
+            "^cell: no way",
         ),
     ],
 )
 def test_what_has_no_way_is_one_clear_error(world: World, message: str) -> None:
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(WorldError, match=message) as caught:
         shortest_path(world, 0.25)
-    assert str(caught.value) == message
+    assert "\n" not in str(caught.value)
 
 
-def test_a_region_counts_with_all_its_places() -> None:
-    world = World(PILLAR)
-    check_region(world, "start", Region(-1.2, 0.0, 0.45), 0.25)
-    check_region(world, "start", Region(-1.2, 0.0, 0.45), 0.25 + PATH_SLACK / 2.0)
-    check_region(World(), "start", Region(0.0, 0.0, 100.0), 50.0)
-    with pytest.raises(WorldError, match="the middle"):
-        check_region(world, "middle", Region(-1.2, 0.0, 0.45), 0.25 + 2.0 * PATH_SLACK)
+@pytest.mark.parametrize(
+    ("circles", "segments"),
+    [
+        ((), ()),
+        (array([1.0, 0.5, 0.2]), array([0.0, 0.26, 2.0, 0.26])),  # beside the way
+        (array([-0.5, 0.0, 0.2], [2.5, 0.0, 0.2]), ()),  # behind start and goal
+    ],
+)
+def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any) -> None:
+    path = shortest_path(between((0, 0), (2, 0), circles, segments), 0.25)
+    assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
 
 
-@pytest.mark.parametrize("x", [-2.0, -3.0, -5.0, -20.0])
+@pytest.mark.parametrize("x", [-2.0, -20.0])
 def test_a_start_may_lie_outside_the_world(x: float) -> None:
-    """So does a robot that has driven away, for way_left."""
     world = between((-1, 0), (1, 0), PILLAR)
     path = shortest_path(world, 0.25, Region(x, 0.0))
     assert path_length(path) == pytest.approx(1.0 - x, abs=0.5)
@@ -313,86 +304,32 @@ def test_in_a_coarse_world_a_wide_footprint_finds_its_way(monkeypatch: pytest.Mo
     assert closest(path, world) > 20.0 - 0.2
 
 
-@samples(3, 10)
-def test_free_cells_are_those_of_exact_distances(count: int) -> None:
-    for seed in range(count):
-        world, radius = random_world(seed, 0.2), 0.1 + 0.05 * seed
-        grid = free_cells(world, radius)
-        numbers = np.arange(grid.free.size)
-        centres = grid.centres(numbers)
-        exact = point_clearance(centres, world)
-        sure = np.abs(exact - radius) > PATH_SLACK
-        assert np.array_equal(grid.free.ravel()[sure], exact[sure] > radius)
-        assert [grid.cell(x, y) for x, y in centres[::97].tolist()] == numbers[::97].tolist()
-        left, low, right, high = world.bounds
-        room_left = 2.0 * radius
-        assert (centres.min(axis=0) <= (left - room_left, low - room_left)).all()
-        assert (centres.max(axis=0) >= (right + room_left, high + room_left)).all()
+FAR = Region(3.0, 0.0)
+MIDDLE = Region(0.0, 0.0)
 
 
-def slowly(free: Any, start: int, goal: int) -> float:
-    """Dijkstra's algorithm without a heap."""
-    count, width = free.size, free.shape[1]
-    lengths = {start: 0.0}
-    done: set[int] = set()
-    while open_cells := set(lengths) - done:
-        here = min(open_cells, key=lambda cell: lengths[cell])
-        done.add(here)
-        i, j = divmod(here, width)
-        for k in range(count):
-            di, dj = k // width - i, k % width - j
-            square = free[min(i, i + di) : max(i, i + di) + 1, min(j, j + dj) : max(j, j + dj) + 1]
-            if max(abs(di), abs(dj)) == 1 and square.all():
-                length = lengths[here] + math.hypot(di, dj)
-                lengths[k] = min(lengths.get(k, math.inf), length)
-    return lengths.get(goal, math.inf)
+@pytest.mark.parametrize(
+    ("world", "start", "goal", "expected"),
+    [
+        (World(), Region(0.0, 4.0), FAR, 5.0),
+        (World(PILLAR), FAR, FAR, 0.0),
+        (World(PILLAR), Region(-9.0, 0.0), FAR, 12.2),
+        # A robot's corners reach farther than its sides: a wall may be nearer than its radius.
+        *((World(segments=array([-1, gap, 1, gap])), MIDDLE, FAR, 3.0) for gap in (0, 0.1, 0.24)),
+        (World(segments=array([3.1, -1.0, 3.1, 1.0])), MIDDLE, FAR, 3.0),
+        (World(PILLAR), MIDDLE, FAR, math.inf),
+        (World(PILLAR), FAR, MIDDLE, math.inf),
+        (World(segments=make_rectangle(-1.0, -1.0, 1.0, 1.0)), MIDDLE, FAR, math.inf),
+    ],
+)
+def test_the_remaining_way_counts_from_anywhere(
+    world: World, start: Region, goal: Region, expected: float
+) -> None:
+    left = remaining_distance(world, 0.25, start, goal)
+    assert left == pytest.approx(expected, rel=0.02, abs=0.0)
 
 
-@samples(15, 60)
-def test_ways_over_cells_are_those_of_a_slow_search(count: int) -> None:
-    rng = np.random.default_rng(2)
-    blocked = 0
-    for _ in range(count):
-        free = rng.random((7, 8)) < 0.75
-        first, last = rng.choice(np.flatnonzero(free), 2, replace=False).tolist()
-        grid = Grid(free, 0.3, -0.7, 0.05)
-        cells = cells_of.search_cells(grid, first, last)
-        length = math.inf if cells is None else path_length(grid.centres(cells)) / grid.side
-        assert length == pytest.approx(slowly(free, first, last))
-        blocked += cells is None
-    assert 0 < blocked < 0.8 * count
-
-
-class TestWayLeft:
-    GOAL = Region(3.0, 0.0)
-    PILLAR = between((-3, 0), (3, 0), PILLAR)
-
-    def test_it_is_the_shortest_way(self) -> None:
-        left = remaining_distance(self.PILLAR, 0.25, Region(-3.0, 0.1), self.GOAL)
-        path = shortest_path(self.PILLAR, 0.25, Region(-3.0, 0.1))
-        assert left == path_length(path) > 6.1
-        assert remaining_distance(World(), 0.25, Region(0.0, 4.0), self.GOAL) == 5.0
-        assert remaining_distance(self.PILLAR, 0.25, self.GOAL, self.GOAL) == 0.0
-
-    @pytest.mark.parametrize("gap", [0.0, 0.01, 0.1, 0.24])
-    def test_a_robot_that_touches_something_still_has_a_way(self, gap: float) -> None:
-        """Its corners reach farther than its sides: the wall is nearer than the disc's radius."""
-        world = World(segments=array([-1.0, gap, 1.0, gap]))
-        left = remaining_distance(world, 0.25, Region(0.0, 0.0), self.GOAL)
-        assert left == pytest.approx(3.0, abs=0.05)
-
-    def test_a_goal_near_a_wall_counts_as_well(self) -> None:
-        world = World(segments=array([3.1, -1.0, 3.1, 1.0]))
-        assert remaining_distance(world, 0.25, Region(0.0, 0.0), self.GOAL) == pytest.approx(
-            3.0, abs=0.05
-        )
-
-    def test_inside_an_obstacle_or_walled_in_there_is_none(self) -> None:
-        assert remaining_distance(self.PILLAR, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
-        assert remaining_distance(self.PILLAR, 0.25, self.GOAL, Region(0.0, 0.0)) == math.inf
-        cell = between((0, 0), (3, 0), (), make_rectangle(-1.0, -1.0, 1.0, 1.0))
-        assert remaining_distance(cell, 0.25, Region(0.0, 0.0), self.GOAL) == math.inf
-
-    def test_outside_the_world_there_is_one_too(self) -> None:
-        left = remaining_distance(self.PILLAR, 0.25, Region(-9.0, 0.0), self.GOAL)
-        assert left == pytest.approx(12.2, abs=0.2)
+def test_the_remaining_way_is_the_shortest() -> None:
+    world, start = between((-3, 0), (3, 0), PILLAR), Region(-3.0, 0.1)
+    left = remaining_distance(world, 0.25, start, FAR)
+    assert left == path_length(shortest_path(world, 0.25, start)) > 6.1

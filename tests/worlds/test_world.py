@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pickle
 from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
@@ -66,12 +65,6 @@ def test_bad_shapes_are_one_clear_error(name: str, bad: Any) -> None:
         World(**{name: bad})
 
 
-@pytest.mark.parametrize("radius", [-1e-300, -1.0])
-def test_a_radius_is_never_negative(radius: float) -> None:
-    with pytest.raises(WorldError, match="circles"):
-        World(circles=array([0.0, 0.0, 1.0], [0.0, 0.0, radius]))
-
-
 def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
     assert World(np.zeros((10_000, 3)), np.zeros((10_000, 4))).obstacles == 20_000
     with pytest.raises(WorldError, match=r"^20,001 obstacles are too many, at most 20,000$"):
@@ -82,6 +75,11 @@ def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
         more: Any = np.zeros((20_001, width))
         with pytest.raises(WorldError, match=f"^{name}: 20,001 are too many"):
             World(**{name: more})
+
+
+def test_a_radius_is_never_negative() -> None:
+    with pytest.raises(WorldError, match="circles"):
+        World(circles=array([0.0, 0.0, 1.0], [0.0, 0.0, -1e-300]))
 
 
 @pytest.mark.parametrize("empty", [[], (), [[]], np.zeros((0, 3)), np.zeros((0, 4))])
@@ -110,13 +108,6 @@ def test_worlds_never_change(name: str) -> None:
     with pytest.raises(FrozenInstanceError):
         setattr(world, name, given_rows)
     assert not getattr(replace(world, name="other"), name).flags.writeable
-
-
-def test_worlds_are_sent_to_other_processes() -> None:
-    world = World(array([1, 2, 3]), array([1, 2, 3, 4]), Region(1.0, 2.0), path=array([0, 0]))
-    sent = pickle.loads(pickle.dumps(world))  # noqa: S301 - our own bytes
-    assert all(np.array_equal(getattr(sent, name), getattr(world, name)) for name in WIDTHS)
-    assert (sent.start, sent.goal, sent.name) == (world.start, world.goal, world.name)
 
 
 @pytest.mark.parametrize(
