@@ -159,6 +159,7 @@ def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
     [
         ({"resolution": None}, "resolution: is missing: add it"),
         ({"resolution": 0.0}, "resolution = 0.0: must be greater than 0"),
+        ({"origin": [0.0, 0.0]}, "'origin.2' is missing"),
         ({"origin": [0.0, 0.0, math.nan]}, "origin.2 = nan: must"),
         ({"image": "nowhere.pgm"}, "image 'nowhere.pgm': there is no such file"),
         ({"image": "."}, "image '.': isn't a regular file"),
