@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import signal
 import subprocess
@@ -23,6 +24,7 @@ from serial_tools import DRIVER, TIMEOUT, Emulated, StartEmulator, no_leak, star
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import (
+    CommandError,
     LinkError,
     LinkLostError,
     PortNotFoundError,
@@ -295,6 +297,15 @@ def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: 
     assert spoken(plugged) <= {ZERO}
     assert env.step(CURVE)[-1]["fault"] == 0.0
     plugged.pull()  # between two episodes
+    plugged.plug()
+    env.reset()
+    assert env.step(CURVE)[-1]["fault"] == 0.0
+
+
+def test_pulled_before_a_bad_action_the_action_is_the_error(env: Any, plugged: Emulated) -> None:
+    plugged.pull()
+    with pytest.raises(CommandError):
+        env.unwrapped.step(np.array([math.nan, 0.0], np.float32))
     plugged.plug()
     env.reset()
     assert env.step(CURVE)[-1]["fault"] == 0.0

@@ -171,9 +171,7 @@ print(errors, too, none, sep="|", flush=True)
     assert_stopped(emulator)
 
 
-def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(emulator: Emulated) -> None:
-    """The main thread doesn't end: it waits for the thread."""
-    code = """
+KNOWN_TO_A_THREAD = """
 import asyncio
 
 def work():
@@ -184,15 +182,40 @@ def work():
     finally:
         print("thread ends", flush=True)
 
-asyncio.run(asyncio.to_thread(work))
+async def main():
+    thread = asyncio.create_task(asyncio.to_thread(work))
+    {wait}
+
+asyncio.run(main())
 """
+FAIL_WHILE_IT_DRIVES = """
+    while "robot" not in globals() or robot.odometry.pose[0] < 0.02:
+        await asyncio.sleep(0.01)
+    raise RuntimeError
+"""
+
+
+@pytest.mark.parametrize(
+    ("wait", "number", "end"),
+    [
+        ("await thread", signal.SIGINT, (-signal.SIGINT, "KeyboardInterrupt")),
+        (FAIL_WHILE_IT_DRIVES, None, (1, "RuntimeError")),
+    ],
+    ids=["Ctrl-C", "exception"],
+)
+def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
+    wait: str, number: signal.Signals | None, end: tuple[int, str], emulator: Emulated
+) -> None:
+    """The main thread doesn't end: it waits for the thread."""
     start, robot = DRIVER.split("config = ", 1)
-    with program(start + code, emulator.device, f"config = {robot}") as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.send_signal(signal.SIGINT)
+    code = start + KNOWN_TO_A_THREAD.format(wait=wait)
+    with program(code, emulator.device, f"config = {robot}") as process:
+        if number is not None:
+            wait_until(emulator.is_driven, "a command that turns the wheels")
+            process.send_signal(number)
         assert first_line(process) == "thread ends"
         status, error = ended(process)
-    assert (status, error.endswith("KeyboardInterrupt\n")) == (-signal.SIGINT, True)
+    assert (status, error.splitlines()[-1]) == end
     assert_stopped(emulator)
 
 
@@ -289,11 +312,14 @@ print("told", flush=True)
     assert_stopped(emulator)
 
 
-def test_a_thread_that_ends_in_time_is_not_refused(emulator: Emulated) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_thread_that_ends_in_time_is_not_refused(
+    number: signal.Signals, emulator: Emulated
+) -> None:
     """A program that ends in good order isn't disturbed."""
-    code = """
+    code = f"""
 done = threading.Event()
-signal.signal(signal.SIGINT, lambda *_: done.set())
+signal.signal({number.value}, lambda *_: done.set())
 
 def drive_until_done():
     while not done.is_set():
@@ -307,7 +333,7 @@ assert not errors, errors
 """
     with program(DRIVER + THREAD + code, emulator.device) as process:
         wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         assert ended(process) == (0, "")
     assert_stopped(emulator)
 
