@@ -318,12 +318,16 @@ def test_a_thread_that_ends_in_time_is_not_refused(
 ) -> None:
     """A program that ends in good order isn't disturbed."""
     code = f"""
+from acsar_gym.links import shutdown
+
+shutdown.HANDLER_TIME = 60.0
 done = threading.Event()
 signal.signal({number.value}, lambda *_: done.set())
 
 def drive_until_done():
     while not done.is_set():
         drive(1)
+    drive(3)
     robot.deactivate()
 
 robot.activate()
