@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
+import json
 import os
 import platform
 import sys
 from collections.abc import Iterator, Mapping
 from contextvars import ContextVar
+from dataclasses import astuple
 from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -25,7 +26,7 @@ from typing import SupportsFloat
 import numpy as np
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.worlds import generators, registry
 from acsar_gym.worlds.world import Region, World
 
@@ -35,7 +36,6 @@ MAX_CACHE_FILE = 32 * 2**20
 """A larger file is neither read nor written [bytes]."""
 MAX_CACHE = 200 * 2**20
 """Limit of all files together; those used least recently are deleted first [bytes]."""
-DIGEST_BYTES = 32
 
 _new: ContextVar[dict[Path, dict[int, World]] | None] = ContextVar("new worlds", default=None)
 
@@ -131,59 +131,43 @@ def hash_generators() -> str:
 @lru_cache(maxsize=16)
 def read_file_worlds(file: Path) -> Mapping[int, World]:
     """The worlds of a file by their numbers; none where it is broken or missing."""
+    kind, found = file.name.partition("-")[0], {}
     try:
-        data = reading.read_content(file, MAX_CACHE_FILE)
-    except ConfigError:
-        return {}
-    if hashlib.sha256(data[DIGEST_BYTES:]).digest() != data[:DIGEST_BYTES]:
-        return {}
-    with contextlib.suppress(OSError):
+        for number, parts in json.loads(reading.read_content(file, MAX_CACHE_FILE)).items():
+            circles, segments, start, goal, path = parts
+            ends = Region(*start), Region(*goal)
+            found[int(number)] = World(circles, segments, *ends, path, f"{kind} {number}")
         os.utime(file)  # notes that it was used
-    with np.load(io.BytesIO(data[DIGEST_BYTES:])) as parts:
-        numbers, counts, ends = parts["numbers"], parts["counts"], parts["ends"]
-        stops = np.maximum(counts, 0).cumsum(axis=0)[:-1]
-        rows = [
-            np.split(parts[name], stops[:, k])
-            for k, name in enumerate(("circles", "segments", "path"))
-        ]
-    kind = file.name.partition("-")[0]
-    found = {}
-    for at, number in enumerate(numbers.tolist()):
-        x, y, radius, theta, *goal = ends[at].tolist()
-        start = Region(x, y, radius, None if theta != theta else theta)  # noqa: PLR0124 - NaN
-        path = None if counts[at, 2] < 0 else rows[2][at]
-        name = f"{kind} {number}"
-        found[number] = World(rows[0][at], rows[1][at], start, Region(*goal), path, name)
+    except (AcsarError, ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+    except OSError:  # it can be read, but isn't ours
+        pass
     return found
 
 
 def _write_worlds(file: Path, worlds: Mapping[int, World]) -> None:
-    """Replace a file by a hash and the worlds' arrays; nothing where that can't be done."""
-    every = list(worlds.values())
-    paths = [np.zeros((0, 2)), *(world.path for world in every if world.path is not None)]
-    ends, counts = [], []
-    for world in every:
-        start, goal = world.start, world.goal
-        theta = np.nan if start.theta is None else start.theta
-        ends.append((start.x, start.y, start.radius, theta, goal.x, goal.y, goal.radius))
-        points = -1 if world.path is None else len(world.path)
-        counts.append((len(world.circles), len(world.segments), points))
-    body = io.BytesIO()
-    np.savez(
-        body,
-        numbers=np.array(list(worlds)),
-        counts=np.array(counts),
-        ends=np.array(ends),
-        circles=np.concatenate([world.circles for world in every]),
-        segments=np.concatenate([world.segments for world in every]),
-        path=np.concatenate(paths),
-    )
-    data = body.getvalue()
-    if len(data) + DIGEST_BYTES > MAX_CACHE_FILE:
+    """Replace a file; nothing where that can't be done."""
+
+    def list_region(region: Region) -> list[float | None]:
+        return [None if value is None else float(value) for value in astuple(region)]
+
+    data = json.dumps(
+        {
+            int(number): [
+                world.circles.tolist(),
+                world.segments.tolist(),
+                list_region(world.start),
+                list_region(world.goal),
+                None if world.path is None else world.path.tolist(),
+            ]
+            for number, world in worlds.items()
+        }
+    ).encode()
+    if len(data) > MAX_CACHE_FILE:
         return
     with contextlib.suppress(OSError, ConfigError):
         file.parent.mkdir(parents=True, exist_ok=True)
-        reading.write_atomically(file, hashlib.sha256(data).digest() + data)
+        reading.write_atomically(file, data)
 
 
 def _prune() -> None:

@@ -161,7 +161,7 @@ def test_the_files_used_least_recently_go_first(
     files = sorted(place.iterdir(), key=lambda file: file.name)
     for age, file in enumerate(reversed(files)):
         os.utime(file, (1e9 - age, 1e9 - age))
-    monkeypatch.setattr(cache, "MAX_CACHE", 3 * files[0].stat().st_size)
+    monkeypatch.setattr(cache, "MAX_CACHE", int(3.5 * files[0].stat().st_size))
     cache.read_file_worlds.cache_clear()
     kept("open:0-0")  # used just now
     kept("open:300-300")
