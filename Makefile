@@ -4,7 +4,8 @@ VENV := .venv
 ECOSYSTEM := .venv-ecosystem
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
-WORKERS ?= 2
+# One more than the cores of a small computer: many tests wait for boards.
+WORKERS ?= 3
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware

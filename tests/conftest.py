@@ -37,8 +37,8 @@ settings.register_profile("ours", max_examples=30, deadline=None, derandomize="C
 settings.register_profile("thorough", settings.get_profile("ours"), max_examples=400)
 settings.load_profile("ours")
 
-DEVICES = {"shared_emulator", "start_emulator"}
-"""A test that asks for one of these talks to another process in real time."""
+IN_REAL_TIME = {"deadline", "nursery", "shared_emulator", "start_emulator"}
+"""A test that asks for one of these talks to other processes, and mostly waits for them."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -48,16 +48,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One worker runs all tests over serial devices, so that they don't disturb each other.
+    """Tests of one file that run in real time go to one worker, which starts its boards once.
 
-    Those that use no such fixture have the mark themselves. What has a deadline is taken to be in
-    real time, too, unless it is marked `anywhere`: it only starts processes.
+    Such groups begin first; so have files that import torch, by a mark of their own.
     """
     for item in items:
-        asked = set(getattr(item, "fixturenames", ()))
-        timed = "deadline" in asked and item.get_closest_marker("anywhere") is None
-        if DEVICES & asked or timed:
-            item.add_marker(pytest.mark.xdist_group("serial"))
+        grouped = item.get_closest_marker("xdist_group") is not None
+        if not grouped and IN_REAL_TIME & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("serial")]
+pytestmark = pytest.mark.slow
 
 TIMEOUT = 900.0
 """Longest duration of a command, whose loops may have to be compiled on a busy machine [s]."""

@@ -42,7 +42,7 @@ def test_heading_for_the_goal_reaches_it_where_nothing_stands_in_the_way(
     assert least <= sum(result.success for result in done.results) < 5 + bool(least)
 
 
-@pytest.mark.xdist_group("torch")
+@pytest.mark.xdist_group(__name__)
 def test_the_export_of_stable_baselines3_drives(tmp_path: Path) -> None:
     out = tmp_path / "policy.onnx"
     main_of("sb3_ppo")(steps=16, robots=4, rollout=4, out=str(out))
@@ -50,7 +50,7 @@ def test_the_export_of_stable_baselines3_drives(tmp_path: Path) -> None:
     assert out.with_suffix(".zip").exists()
 
 
-@pytest.mark.xdist_group("torch")
+@pytest.mark.xdist_group(__name__)
 def test_a_loop_of_ones_own_learns_from_a_rollout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -60,7 +60,7 @@ def test_a_loop_of_ones_own_learns_from_a_rollout(
     assert OnnxPolicy(tmp_path / "own.onnx").env_id == "acsar_gym/PointGoal-v0"
 
 
-@pytest.mark.xdist_group("torch")
+@pytest.mark.xdist_group(__name__)
 def test_a_task_of_ones_own_is_trained_and_driven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,7 +74,7 @@ def test_a_task_of_ones_own_is_trained_and_driven(
     assert OnnxPolicy(tmp_path / "parking.onnx").env_id == "mine/Parking-v0"
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.xdist_group(__name__)
 @pytest.mark.parametrize("action", [5.0, -5.0], ids=["ahead", "back"])
 def test_stable_baselines3_on_a_board_is_slow_and_stops(
     action: float,

@@ -33,7 +33,7 @@ def test_it_is_small_and_shows_no_error_and_no_folder_of_whoever_ran_it() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("torch")
+@pytest.mark.xdist_group(__name__)
 def test_it_trains_a_policy_that_drives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import nbformat
     from nbclient import NotebookClient

@@ -17,7 +17,7 @@ from acsar_gym.recording import read
 from acsar_gym.tools import warm_up
 from acsar_gym.tools.policies import OnnxPolicy
 
-pytestmark = pytest.mark.xdist_group("wheel")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 ROOT = Path(__file__).resolve().parents[1]
 HANGS = 900.0

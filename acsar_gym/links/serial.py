@@ -46,7 +46,7 @@ class SerialLink:
         self.device = device
         self._config = config
         self._port: OpenPort | None = None
-        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
+        self._make_locks()
         self._location = PortLocation(device)
         self._heard = self._deadline = 0.0
         self._moved = False
@@ -57,6 +57,10 @@ class SerialLink:
         self._arrivals: Arrivals = []
         self.lateness = 0.0
         install_handlers()
+
+    def _make_locks(self) -> None:
+        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
+        self._turn = threading.RLock()
 
     def open(self) -> None:
         """Open the device, command zero, and wait for the first valid line. Idempotent.
@@ -122,6 +126,8 @@ class SerialLink:
             LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
                 the program is ending, or was asked to; zeros are sent instead.
         """
+        with self._turn:  # who waits to stop the robot comes before the next command
+            pass
         with self._lock:
             port = self._require_port()
             if not data:
@@ -232,7 +238,8 @@ class SerialLink:
             port = self._port
             if port is not None:
                 port.try_write(self._stop_line)
-            alone = self._lock.acquire(timeout=WRITER_TIMEOUT)
+            with self._turn:
+                alone = self._lock.acquire(timeout=WRITER_TIMEOUT)
         try:
             yield
         finally:
@@ -274,7 +281,7 @@ class SerialLink:
 
     def abandon(self) -> None:
         """Release the port without sending anything, for a forked child."""
-        self._lock = threading.RLock()  # a thread of the parent may have held it
+        self._make_locks()  # a thread of the parent may have held them
         port = self._port
         if port is None:
             return

@@ -20,7 +20,6 @@ from acsar_gym import RobotConfig
 from acsar_gym.tools.view.server import find_recording, serve_page
 
 pytestmark = [
-    pytest.mark.xdist_group("serial"),
     pytest.mark.skipif(CHROMIUM is None, reason="chromium isn't installed: apt install chromium"),
 ]
 DRIVING = """

@@ -219,21 +219,9 @@ def runs(page: Path) -> list[Block]:
     ]
 
 
-def group(page: Path) -> str:
-    """Pages that drive a device don't disturb each other; those with torch import it once."""
-    run = "\n".join(block.code for block in runs(page) if block.reason is None)
-    return "serial" if DEVICE.search(run) or "acsar-gym emulate" in run else "torch"
-
-
 @pytest.mark.parametrize(
     "page",
-    [
-        pytest.param(
-            page, id=str(page.relative_to(ROOT)), marks=pytest.mark.xdist_group(group(page))
-        )
-        for page in PAGES
-        if runs(page)
-    ],
+    [pytest.param(page, id=str(page.relative_to(ROOT))) for page in PAGES if runs(page)],
 )
 @pytest.mark.filterwarnings("default::acsar_gym.errors.PolicyWarning")  # pages drive other robots
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:

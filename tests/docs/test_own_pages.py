@@ -133,7 +133,6 @@ def rollout(link: Any, steps: int) -> list[bytes]:
     return told
 
 
-@pytest.mark.xdist_group("serial")
 def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path) -> None:
     tape, config = tmp_path / "tape.mcap", RobotConfig.of(ROBOT)
     with recorded(open_link("planar", config), tape, config) as link:
@@ -198,7 +197,6 @@ def test_the_simple_task_ends_well_where_the_robot_stands_at_the_goal(mine: Path
     assert total > 1.0
 
 
-@pytest.mark.xdist_group("serial")
 @pytest.mark.usefixtures("deadline")
 def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     """Its link knows no truth; the newest whole line counts, and silence is a fault."""

@@ -19,10 +19,7 @@ from serial_tools import Emulated, cli, start, wait_until
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 TRIALS = 20
 PATIENT = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}

@@ -10,8 +10,6 @@ import tty
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import pytest
-
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import arrivals_of
 from acsar_gym.links.serial import SerialLink
@@ -52,7 +50,6 @@ def test_a_recording_has_the_stamps_of_arrival(tmp_path: Path) -> None:
     assert sent[:3].tolist() == [0.0, 0.01, 0.02]
 
 
-@pytest.mark.xdist_group("serial")
 def test_bytes_are_stamped_when_they_come() -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -88,7 +85,6 @@ def test_bytes_are_stamped_when_they_come() -> None:
     os.close(slave)
 
 
-@pytest.mark.xdist_group("serial")
 def test_a_real_wire_is_recorded_with_its_stamps(shared_device: str, tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     with Robot(open_link(shared_device, CONFIG), CONFIG, recorder=Recorder(path)) as robot:

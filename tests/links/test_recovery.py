@@ -34,10 +34,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 
 CURVE = np.array([0.1, 0.1], np.float32)

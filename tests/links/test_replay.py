@@ -70,7 +70,6 @@ def test_a_recording_of_a_replay_is_the_same(
     np.testing.assert_array_equal(first.truth, second.truth)
 
 
-@pytest.mark.xdist_group("serial")
 def test_over_a_real_tty_the_observations_are_the_same_bits(
     bullet: tuple[Path, list[bytes]],
 ) -> None:

@@ -34,10 +34,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO
 from acsar_gym.worlds import Scene
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 MISSING = "/dev/acsar-missing"
 NOBODY = 65534

@@ -15,10 +15,7 @@ from watchdog_tools import HASTY
 from acsar_gym.protocol import ZERO
 from acsar_gym.recording import read
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 
 IN_BLOCK = """

@@ -10,10 +10,7 @@ from watchdog_tools import HASTY
 
 from acsar_gym import RobotConfig
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline")
 ACSAR = RobotConfig.preset("acsar")
 
 

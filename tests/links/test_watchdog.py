@@ -33,10 +33,7 @@ from acsar_gym.links.watchdog_child import (
 )
 from acsar_gym.protocol import ZERO, Decoder, encode
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 TIMEOUT_OF_DOG = 0.15
 

@@ -27,10 +27,7 @@ from acsar_gym.links.watchdog_child import BEAT, ZERO_INTERVAL
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-pytestmark = [
-    pytest.mark.usefixtures("deadline", "nursery"),
-    pytest.mark.xdist_group("serial"),
-]
+pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 
 @pytest.fixture

@@ -134,7 +134,6 @@ with robot:
 """
 
 
-@pytest.mark.xdist_group("serial")
 def test_a_killed_program_loses_at_most_its_last_second(tmp_path: Path) -> None:
     path, newest = tmp_path / "tape.mcap", 0.0
     command = [sys.executable, "-c", CRASH, str(path)]

@@ -39,7 +39,7 @@ from acsar_gym.safety.rules import Reason
 from acsar_gym.tools.doctor import checks as doctor
 from acsar_gym.worlds import Scene
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline", "place")]
+pytestmark = pytest.mark.usefixtures("deadline", "place")
 
 
 DRIVING = """

@@ -15,8 +15,6 @@ from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.training import run as training
 
-pytestmark = pytest.mark.xdist_group("serial")
-
 HOLDS_AN_EMULATOR = """
 import time
 import psutil

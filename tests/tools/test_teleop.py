@@ -31,7 +31,7 @@ from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.safety.estop import stop_all
 from acsar_gym.tools import teleop
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 ARROW_UP = "\x1b[A"

@@ -197,7 +197,6 @@ def test_several_processes_find_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("serial")
 @pytest.mark.parametrize(("env_id", "name"), [("PointGoal-v0", "turn_drive"), ("Barn-v1", "dwa")])
 def test_over_an_emulated_port(env_id: str, name: str) -> None:
     """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""

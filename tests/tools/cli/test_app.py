@@ -21,7 +21,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import LateTicksError, RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
 
-pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 RUN = ("run", "1", "0", "--link", "planar")
@@ -87,9 +87,7 @@ def figures(path: Path) -> dict[str, Any]:
     return {key: data[key] for key in known}
 
 
-@pytest.mark.parametrize(
-    "kind", ["planar", "bullet", pytest.param("serial", marks=pytest.mark.xdist_group("serial"))]
-)
+@pytest.mark.parametrize("kind", ["planar", "bullet", "serial"])
 def test_a_recorded_run_replays_with_the_same_figures(
     kind: str, call: Call, request: pytest.FixtureRequest, robot_file: RobotFile, tmp_path: Path
 ) -> None:

@@ -15,7 +15,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.tools.doctor import board
 from acsar_gym.worlds import Pose
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 ODD = "at-comma unpadded swapped-motors reversed-encoder=b feedback-rate=50 command-timeout=0.3"

@@ -14,7 +14,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.tools.jobs import cluster
 from acsar_gym.tools.sysid.calibration_runs import write_runs
 
-pytestmark = [pytest.mark.anywhere, pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
 HUGE = str(10**400)

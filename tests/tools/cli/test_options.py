@@ -14,7 +14,7 @@ from serial_tools import TIMEOUT
 from acsar_gym.errors import CancelledError, ConfigError
 from acsar_gym.tools.cli.options import ask_user, countdown
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 COUNTING = """

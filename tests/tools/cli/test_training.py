@@ -14,7 +14,7 @@ from cli_tools import Call, assert_one_line
 
 from acsar_gym import jit
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 ENV = "mine_of_tests.tasks:mine/Ahead-v0"

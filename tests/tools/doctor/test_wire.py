@@ -204,7 +204,6 @@ def test_an_emergency_stop_is_the_last_check(
     assert caught.value.exit_code == 3
 
 
-@pytest.mark.anywhere
 @pytest.mark.parametrize(
     ("device", "status"), [((), 0), ((MISSING,), 1)], ids=["no device", "missing"]
 )
@@ -221,7 +220,6 @@ def test_without_a_device_only_the_computer_is_examined(
         assert MISSING in checks["open"]["found"]
 
 
-@pytest.mark.anywhere
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -51,8 +51,6 @@ def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
 
 CURVE = np.array([0.1, 0.1], np.float32)
 
-serial = pytest.mark.xdist_group("serial")
-
 
 def slow(_: Any) -> Any:
     """A policy that thinks for longer than a tick lasts."""
@@ -80,7 +78,6 @@ def as_json(episode: EpisodeResult) -> dict[str, Any]:
     return read
 
 
-@serial
 def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> None:
     episode = run(shared_device, slow)
     assert not episode.valid
@@ -101,7 +98,6 @@ def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> Non
     assert allowed.late_ticks > 0
 
 
-@serial
 def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
     timing = as_json(run(shared_device, max_episode_steps=10))["timing"]
     assert timing["lateness"]["ticks"] == 99
@@ -131,7 +127,6 @@ def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
     assert run("planar", faults={"unplug_at": 60.0}).valid
 
 
-@serial
 def test_a_fault_on_hardware_keeps_the_timing_up_to_it(shared_device: str) -> None:
     episode = run(shared_device, faults={"unplug_at": 0.5}, late_share=1.0, max_episode_steps=50)
     assert "lost while in use" in episode.fault

@@ -17,7 +17,7 @@ from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World, files
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 SLOW = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
 

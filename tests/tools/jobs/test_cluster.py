@@ -11,7 +11,7 @@ from job_tools import threads
 from acsar_gym.errors import ClusterError, ConfigError, MissingExtraError
 from acsar_gym.tools.jobs import cluster, completed
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.fixture(autouse=True)

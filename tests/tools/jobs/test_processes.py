@@ -14,7 +14,7 @@ from job_tools import Job, broken, compiling, missing, square, threads
 from acsar_gym.errors import ConfigError, JobError, MissingExtraError
 from acsar_gym.tools.jobs import completed
 
-pytestmark = pytest.mark.xdist_group("processes")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.fixture(autouse=True)

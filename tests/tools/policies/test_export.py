@@ -15,7 +15,7 @@ from acsar_gym.tools import policies
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy, save
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 ID = "acsar_gym/PointGoal-v0"
 SEEN = np.random.default_rng(0).uniform(-3.0, 3.0, (20, 7)).astype(np.float32)
 

@@ -16,7 +16,7 @@ from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import summarise_episodes
 from acsar_gym.tools.policies import OnnxPolicy, save
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.mark.parametrize("link", ["bullet", "planar"])

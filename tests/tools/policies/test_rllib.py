@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.policies import rllib
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 ASKED = {"id": "point_goal", "num_envs": 2}
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from acsar_gym.tools.policies.sb3 import BatchVecEnv
 
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 def wrapped(batch: Any) -> BatchVecEnv:

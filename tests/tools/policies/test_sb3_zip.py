@@ -18,7 +18,7 @@ from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy, ZipPolicy
 from acsar_gym.tools.training import seeds
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.fixture(scope="session")

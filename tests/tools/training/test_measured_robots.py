@@ -14,7 +14,7 @@ from acsar_gym.physics import Randomization
 from acsar_gym.tools.policies.onnx import OnnxPolicy
 from acsar_gym.tools.training import held_out, seeds
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("torch")]
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(__name__)]
 
 ROBOTS = 50
 LEAST = 0.97

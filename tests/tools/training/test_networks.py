@@ -18,7 +18,7 @@ from acsar_gym.tools.policies.describe import describe_policy
 from acsar_gym.tools.training import networks
 from acsar_gym.tools.training.networks import ARCS, ArcClearance, MirrorPolicy, RayClearance
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 NUMBERS, RAYS = 7, 64
 ODD = (2, 4, 6)
 

@@ -20,7 +20,7 @@ from acsar_gym.tools.training.recipes import (
     find_algorithm,
 )
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 GOOD = "default: {n_timesteps: 1e3, n_envs: 4, policy: MlpPolicy, n_steps: 8}\n"
 

@@ -22,7 +22,7 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import checkpoints, seeds
 from acsar_gym.tools.training.checkpoints import TrainingState
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 STEPS = 2048
 """Eight rollouts."""

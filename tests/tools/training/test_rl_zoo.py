@@ -13,7 +13,7 @@ import pytest
 
 from acsar_gym.resources import AGENTS
 
-pytestmark = [pytest.mark.xdist_group("torch"), pytest.mark.slow]
+pytestmark = [pytest.mark.xdist_group(__name__), pytest.mark.slow]
 
 PATIENCE = 300.0
 """For a subprocess on a busy machine [s]."""

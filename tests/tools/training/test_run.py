@@ -13,7 +13,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy
 from acsar_gym.tools.training import seeds
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 TINY = ["--robots", "8", "--no-progress", "--threads", "1", "--seed", "3"]
 

@@ -14,7 +14,7 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import seeds
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 SMALL = ("--steps", "1", "--robots", "4")
 

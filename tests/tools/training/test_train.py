@@ -17,7 +17,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import seeds
 
-pytestmark = pytest.mark.xdist_group("torch")
+pytestmark = pytest.mark.xdist_group(__name__)
 
 MAIN = Path(acsar_gym.__file__).with_name("__main__.py")
 WITHOUT = """

@@ -19,7 +19,7 @@ from acsar_gym.tools.view import session
 from acsar_gym.tools.view.server import find_recording, serve_page
 from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopAnswer
 
-pytestmark = [pytest.mark.xdist_group("serial"), pytest.mark.usefixtures("deadline")]
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 @pytest.fixture(autouse=True)
