@@ -1,7 +1,7 @@
 """Footprint polygons: validation, point tests, and decomposition into convex pieces.
 
 An outline is a tuple of corners (x, y) in the base frame [m]. This is plain Python for a few
-corners; the compiled collision test is in `worlds.polygons`.
+corners; the compiled collision test is in `worlds.geometry`.
 """
 
 from __future__ import annotations

@@ -16,12 +16,12 @@ from pathlib import Path
 import psutil
 import pytest
 from nursery import ended, first_line, program
-from serial_tools import BRIDGE, DRIVER, Emulated, no_leak, wait_until
+from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
 from watchdog_tools import HASTY, TURNING, ZEROS, children
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
-from acsar_gym.links import ports, watchdog
+from acsar_gym.links import ports, serial, watchdog
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.watchdog_child import BEAT, ZERO_INTERVAL
 from acsar_gym.protocol import ZERO, Decoder, encode
@@ -230,6 +230,7 @@ def test_what_another_thread_writes_goes_out_before_the_zeros_or_not_at_all(
                 link.write(TURNING)
 
     monkeypatch.setattr(os, "write", slow)
+    monkeypatch.setattr(serial, "WRITER_TIMEOUT", TIMEOUT)
     thread = threading.Thread(target=drive)
     thread.start()
     writes.wait()
