@@ -170,10 +170,7 @@ class Window:
 
         Raises:
             RenderError: there is no display or no tkinter.
-            ValueError: the picture has another shape.
         """
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ValueError(f"pictures are height x width x 3 of uint8, not {image.shape}")
         if not self.closed:
             if self._root is None or self._photo is None:
                 self._root, self._photo = self._open()

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, RenderError
 from acsar_gym.render import renderer
@@ -68,14 +67,6 @@ def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "tkinter", None)
     with pytest.raises(RenderError, match=r"needs tkinter.*python3-tk.*rgb_array"):
         Window("a title").show(HALVES)
-
-
-@pytest.mark.parametrize(
-    "image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8), np.zeros((4, 4, 3))]
-)
-def test_what_is_no_picture(image: NDArray[np.uint8]) -> None:
-    with pytest.raises(ValueError, match="height x width x 3 of uint8"):
-        Window("a title").show(image)
 
 
 @needs_display
