@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import File, check_writable
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ class BenchmarkOutputs:
     """Also write an HTML report."""
 
 
+@command("benchmark", "policies")
 def run_benchmark(
     what: BenchmarkChoice,
     how: BenchmarkOutputs,
