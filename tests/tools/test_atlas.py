@@ -90,26 +90,6 @@ def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
         assert world.length == expected.length
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("check", "maze"), "known: barn, clutter"),
-        (("check", "no/such.world"), "no/such.world"),
-        (("convert", "clutter:2", "two.json"), "holds 2 worlds"),
-        (("convert", "open:1", "world.txt"), "world.txt"),
-        (("show", "open:500"), "500 worlds are too many"),
-        (("show", "open:1", "--out", "picture.gif"), "picture.gif"),
-        (("check", "clutter:1", "--difficulty", "3"), "from 0 to 1"),
-    ],
-)
-def test_mistakes_are_one_line_and_exit_code_two(arguments: tuple[str, ...], message: str) -> None:
-    done = cli("worlds", *arguments)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert done.stderr.startswith("acsar-gym: ")
-    assert done.stderr.count("\n") == 1
-
-
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
     worlds = atlas.collect_worlds(str(BARN), None, None, 1)

@@ -20,7 +20,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, MissingExtraError, shorten_text, show_value, suggest_name
+from acsar_gym.errors import ConfigError, require_extra, shorten_text, show_value, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies.base import format_error
 from acsar_gym.worlds import registry
@@ -94,10 +94,8 @@ class Algorithm:
         Raises:
             MissingExtraError: its library isn't installed.
         """
-        try:
+        with require_extra(f"training with {self.name}", "train"):
             found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
-        except ImportError:
-            raise MissingExtraError(f"training with {self.name}", "train") from None
         return found
 
 

@@ -97,6 +97,7 @@ def calibrate_robot(
         wire: robot and measuring.
         output: results.
     """
+    from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
     check_writable(output.json, output.runs, robot=output.out)
@@ -104,7 +105,12 @@ def calibrate_robot(
     kept_in = Path(device) if of_file else output.runs
     if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
         raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
-    config, given = _find_known_robot(device, wire.robot, kept_in), what.given()
+    known = None
+    if wire.robot is None and of_recording:
+        known = read(Path(device)).config
+    elif wire.robot is None and kept_in is not None and kept_in.exists():
+        known = calibration_runs.read_robot(kept_in)
+    config, given = known or RobotConfig.of(wire.robot), what.given()
     scales = calibrate.ReadingScales(wire.tape, wire.protractor)
     ask = _ask_reading if sys.stdin.isatty() else None
     job = calibrate.CalibrationJob(config, given, scales, kept_in, ask, known=of_file)
@@ -154,19 +160,6 @@ def _finish_calibration(
         calibration_fit.make_calibrated_config(fit, config).save(output.out)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
-
-
-def _find_known_robot(device: str, robot: str | None, kept: Path | None) -> RobotConfig:
-    """The robot that is named; else that of the runs, which a file keeps."""
-    from acsar_gym.recording import read  # noqa: PLC0415
-    from acsar_gym.tools.sysid import calibration_runs  # noqa: PLC0415
-
-    if robot is not None:
-        return RobotConfig.of(robot)
-    if device.endswith(".mcap"):
-        return read(Path(device)).config
-    known = calibration_runs.read_robot(kept) if kept is not None and kept.exists() else None
-    return RobotConfig.of(None) if known is None else known
 
 
 def _announce_run(robot: DrivenRobot, run: RunOptions, plan: RunPlan) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
@@ -16,9 +16,6 @@ from acsar_gym.tools.cli.options import (
     Seconds,
     Worlds,
 )
-
-if TYPE_CHECKING:
-    from acsar_gym.tools.emulation.board import Emulator
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,13 @@ def emulate_board(
         name=name,
         quirks=board.quirk,
     ) as emulator:
-        ended = _handle_signals(emulator)
+        # A list, because an exception that is raised in a signal handler can be lost.
+        ended: list[int] = []
+        signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
+        # Shells let background programs of a script ignore SIGINT; an emulator obeys it there, too.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
+            signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))
         print(f"serving a robot on {emulator.device}", flush=True)
         if emulator.lidar_device:
             print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
@@ -84,17 +87,3 @@ def emulate_board(
         if emulator.lost:
             print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
     return 0
-
-
-def _handle_signals(emulator: Emulator) -> list[int]:
-    """Install the signal handlers of `emulate`; the list receives SIGTERM's number.
-
-    A list, because an exception raised in a signal handler can be lost. Shells let background
-    programs of a script ignore SIGINT; an emulator obeys it there, too.
-    """
-    ended: list[int] = []
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
-    for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
-        signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))
-    return ended

@@ -80,8 +80,13 @@ def identify_robot(
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
         recorder = recording.recorder("identify")
         found = identify.identify_device(link, config, duration, recorder)
-        if late := describe_lateness(found.duration, duration, device):
-            print(f"acsar-gym: {escape_unprintable(late)}", file=sys.stderr)
+        if found.duration > LATE_MANOEUVRE * duration:
+            late = (
+                f"acsar-gym: the manoeuvre took {found.duration:.1f} s instead of {duration:g}: "
+                "this computer was late, and the figures are worse for it; stop other programs, "
+                f"see 'acsar-gym doctor {device} --timing', and drive again"
+            )
+            print(escape_unprintable(late), file=sys.stderr)
     print_results(identify.identification_table(found), json=json, data=found.as_dict())
     found.check()
     if found.dead:
@@ -91,23 +96,3 @@ def identify_robot(
         found.robot().save(out)
         say(f"written: {out}; use it with --robot {out}")
     return 0
-
-
-def describe_lateness(took: float, asked: float, device: str) -> str:
-    """Say that a manoeuvre took longer than it should have, as this computer was too busy.
-
-    Args:
-        took: length of the log [s].
-        asked: length of the manoeuvre [s].
-        device: that was driven.
-
-    Returns:
-        One line; empty where it was in time.
-    """
-    if took <= LATE_MANOEUVRE * asked:
-        return ""
-    return (
-        f"the manoeuvre took {took:.1f} s instead of {asked:g}: this computer was late, and the "
-        f"figures are worse for it; stop other programs, see 'acsar-gym doctor {device} --timing', "
-        "and drive again"
-    )
