@@ -17,6 +17,7 @@ from acsar_gym.render import top_view
 from acsar_gym.render.canvas import View, check_picture_size, shorten_text
 from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
@@ -52,10 +53,8 @@ class WorldFinding:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields for JSON; NaN and infinity become None."""
-        return {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
+        told: dict[str, Any] = replace_nonfinite(asdict(self))
+        return told
 
 
 def collect_worlds(
@@ -91,10 +90,6 @@ def collect_worlds(
 def describe_source(source: str, count: int) -> dict[str, str | None]:
     """Describe where worlds come from, for a title and for JSON.
 
-    Args:
-        source: as for `collect_worlds`.
-        count: as for `collect_worlds`.
-
     Returns:
         `source`, such as "clutter 0 to 199 (test split)", and `split`: "train" or "test", None
         if the worlds aren't all of one split.
@@ -107,11 +102,6 @@ def describe_source(source: str, count: int) -> dict[str, str | None]:
 
 def max_drawn(columns: int, size: int, out: Path) -> int:
     """Return how many worlds fit on a sheet, before any of them is made.
-
-    Args:
-        columns: tiles in a row.
-        size: width and height of a tile [pixels].
-        out: PNG file to write.
 
     Raises:
         ConfigError: no world fits, or `out` can't be written.
@@ -172,10 +162,6 @@ def draw_tile(world: World, size: int) -> RgbImage:
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFinding]:
     """Check whether a robot can cross each world, and measure path lengths and BARN's difficulty.
 
-    Args:
-        worlds: the worlds.
-        robot: preset or file of the robot whose footprint is used; None for the default robot.
-
     Returns:
         One finding per world.
     """
@@ -199,12 +185,6 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
 
 def convert_world(source: str, out: Path, level: float | None, robot: str | None) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
-
-    Args:
-        source: as for `collect_worlds`; must name a single world.
-        out: file to write.
-        level: as for `collect_worlds`.
-        robot: as for `collect_worlds`.
 
     Raises:
         WorldError: the world can't be read or generated.

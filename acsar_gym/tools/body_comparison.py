@@ -46,13 +46,7 @@ class DriveTrace:
 
 
 def record_trace(link_name: str, drive: WheelCommand, config: RobotConfig) -> DriveTrace:
-    """Drive a simulated robot for SECONDS.
-
-    Args:
-        link_name: "planar" or "bullet".
-        drive: commanded wheel speeds [rad/s] as a function of time [s].
-        config: configuration of the robot.
-    """
+    """Drive a simulated robot for SECONDS."""
     link = open_link(link_name, config)
     if not isinstance(link, SimulatedLink):
         raise ConfigError(f"link {link_name!r}: only simulated robots can be compared")
@@ -69,10 +63,6 @@ def record_trace(link_name: str, drive: WheelCommand, config: RobotConfig) -> Dr
 
 def plot_drives(folder: Path, config: RobotConfig) -> list[Path]:
     """Plot paths and headings of both robots, one PNG per drive.
-
-    Args:
-        folder: folder of the files; created if missing.
-        config: configuration of the robot.
 
     Returns:
         The files written.

@@ -197,9 +197,6 @@ class Bundle(Section):
 def parse_bundle(text: str) -> Bundle:
     """Parse a bundle from a file.
 
-    Args:
-        text: the JSON document.
-
     Raises:
         PolicyError: it is too large, not JSON, of another version, or has other fields or values;
             the message doesn't name the file.

@@ -97,9 +97,6 @@ class _RecurrentModule(_PolicyModule):
 def make_normalizer(given: Any) -> torch.nn.Module | None:
     """Convert the `normalizer` argument of `save` to a module.
 
-    Args:
-        given: None, a module, (mean, std) or (mean, std, clip).
-
     Raises:
         PolicyError: for anything else.
     """

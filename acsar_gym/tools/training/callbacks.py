@@ -152,9 +152,6 @@ class WholeCohorts(RolloutCallback):
     same time, so the first episodes to finish are quick successes, and the failures follow all at
     once. So rollout/success_rate isn't logged, and rollout/ep_rew_mean and ep_len_mean only once
     every robot has finished an episode.
-
-    Args:
-        episode_steps: time limit of an episode [steps].
     """
 
     def __init__(self, episode_steps: int) -> None:
@@ -217,11 +214,7 @@ class TrainingProgress(RolloutCallback):
 
 
 class EndOnSignal(BaseCallback):
-    """Ends the training after the step during which a signal arrived.
-
-    Args:
-        stop: the open context that receives the signals.
-    """
+    """Ends the training after the step during which a signal arrived."""
 
     def __init__(self, stop: StopRequest) -> None:
         super().__init__()

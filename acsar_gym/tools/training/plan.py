@@ -147,9 +147,6 @@ class TrainingPlan:
     def of(cls, options: TrainingOptions) -> TrainingPlan:
         """Derive the settings of a training and create its folder.
 
-        Args:
-            options: the user's options.
-
         Raises:
             ConfigError: the env isn't registered, has no time limit or no worlds, the recipe
                 can't be used, or the folder or the number of threads can't be used.
@@ -271,10 +268,6 @@ def compute_free_cores(count: int, share: float) -> int:
     """Compute the number of free cores from a measurement.
 
     With k busy threads of other programs, n threads on n cores get a share n / (n + k) each.
-
-    Args:
-        count: number of cores, and of threads in the measurement.
-        share: share of a core that each thread got, 0 to 1.
 
     Returns:
         Number of free cores, 1 to `count`.

@@ -150,11 +150,6 @@ def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
 def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     """Import a class that `check_class` accepts; a module in the current folder is found, too.
 
-    Args:
-        place: as of `check_class`.
-        name: as of `check_class`.
-        modules: as of `check_class`.
-
     Raises:
         ConfigError: a recipe may not name it, or it can't be imported.
     """

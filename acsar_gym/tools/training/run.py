@@ -32,9 +32,6 @@ CURVE_NAME = "learning_curve"
 def train(options: TrainingOptions) -> int:
     """Train, save, export, and print the success rate.
 
-    Args:
-        options: the user's options.
-
     Returns:
         Exit code: 130 if Ctrl-C ended the training early, 143 if SIGTERM did, else 0.
     """
