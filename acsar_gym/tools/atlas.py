@@ -118,23 +118,20 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
     """Draw worlds side by side as maps, x right and y up, and save them as a PNG file.
 
     Args:
-        worlds: in rows from the left, with their names as titles.
+        worlds: at least one and at most `max_drawn`, in rows from the left; titled by their names.
         columns: tiles in a row.
         size: width and height of a tile [pixels].
         out: PNG file to write.
 
     Raises:
-        ConfigError: there is no world or column, they are too many, or `out` can't be written.
+        ConfigError: the last row of so many columns makes the sheet too large.
     """
-    most = max_drawn(columns, size, out)
-    if not worlds:
-        raise ConfigError("there are no worlds to draw")
     columns = min(columns, len(worlds))
     rows = -(-len(worlds) // columns)
-    if len(worlds) > most or rows * columns * size**2 > MAX_SHEET_PIXELS:
+    if rows * columns * size**2 > MAX_SHEET_PIXELS:
         raise ConfigError(
             f"{len(worlds):,} worlds of {size} pixels are too many for a sheet in {columns} "
-            f"columns: at most {most:,}"
+            f"columns: at most {max_drawn(columns, size, out):,}"
         )
     image = np.full((rows * size, columns * size, 3), top_view.FLOOR_COLOUR, np.uint8)
     for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):

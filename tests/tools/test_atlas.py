@@ -14,7 +14,6 @@ from serial_tools import cli
 from top_view_tools import COURT
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.render.top_view import (
     GOAL_COLOUR,
     OBSTACLE_COLOUR,
@@ -122,15 +121,3 @@ def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:
     start = blue[2].mean(axis=0)
     assert goal[0] < start[0], "the goal is above"
     assert goal[1] > start[1]
-
-
-@pytest.mark.parametrize(
-    ("count", "columns", "size", "field"),
-    [(0, 2, 100, "no worlds"), (2, 0, 100, "columns"), (1, 1, 10, "size"), (101, 9, 64, "at most")],
-)
-def test_sheets_that_cannot_be(
-    count: int, columns: int, size: int, field: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigError, match=field):
-        atlas.draw_worlds([COURT] * count, columns, size, tmp_path / "sheet.png")
-    assert not (tmp_path / "sheet.png").exists()

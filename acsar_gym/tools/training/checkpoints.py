@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.tools.policies.base import format_error
 from acsar_gym.vector import env as vector
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -187,7 +188,7 @@ def read_state(path: Path) -> TrainingState:
                         arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
             return TrainingState(**facts, arrays=arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        said = format_error(error)
         raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from None
 
 

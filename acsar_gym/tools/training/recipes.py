@@ -160,8 +160,7 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     try:
         return getattr(importlib.import_module(module), kind)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
-        said = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
-        raise ConfigError(f"{place}: {name}: can't be imported: {said}") from None
+        raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from None
 
 
 def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()) -> dict[str, Any]:
