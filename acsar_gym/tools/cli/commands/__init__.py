@@ -1,4 +1,4 @@
-"""The commands, a file each: arguments and calls, the work is done elsewhere.
+"""The commands: arguments and calls, the work is done elsewhere.
 
 A command is a function that is marked with `command`. Its arguments are the options, its docstring
 is the help, and it returns the exit code. What it needs beyond options is imported inside of it, so

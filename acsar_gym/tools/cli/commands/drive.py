@@ -1,6 +1,10 @@
-"""The command `drive`: keyboard, or a fixed twist."""
+"""The commands `drive`, and `estop`, which `acsar_gym.__main__` runs without this file."""
 
 from __future__ import annotations
+
+from typing import Annotated
+
+import tyro
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.tools.cli.commands import command
@@ -48,3 +52,24 @@ def drive_robot(
     else:
         teleop.drive_twist(driver, linear or 0.0, angular or 0.0, duration)
     return 0
+
+
+@command("estop", "robots")
+def stop_robots(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = "",
+    list: bool = False,  # noqa: A002 - the option's name
+    release: bool = False,
+) -> int:
+    """Stop the real robots that programs of yours on this computer are driving, or one of them.
+
+    They stay stopped, whatever their programs do, until --release.
+
+    Args:
+        name: device (/dev/ttyUSB0 or ttyUSB0), name in the robot's file, or process id; default:
+            all robots.
+        list: only list who drives which robot, and since when.
+        release: let them drive again, after their programs' next reset.
+    """
+    from acsar_gym.safety import estop  # noqa: PLC0415
+
+    return estop.run_command(name, listing=list, release=release)
