@@ -17,6 +17,7 @@ from acsar_gym.render import top_view
 from acsar_gym.render.canvas import View, check_picture_size, shorten_text
 from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
@@ -52,10 +53,8 @@ class WorldFinding:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields for JSON; NaN and infinity become None."""
-        return {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in asdict(self).items()
-        }
+        told: dict[str, Any] = replace_nonfinite(asdict(self))
+        return told
 
 
 def collect_worlds(
@@ -91,10 +90,6 @@ def collect_worlds(
 def describe_source(source: str, count: int) -> dict[str, str | None]:
     """Describe where worlds come from, for a title and for JSON.
 
-    Args:
-        source: as for `collect_worlds`.
-        count: as for `collect_worlds`.
-
     Returns:
         `source`, such as "clutter 0 to 199 (test split)", and `split`: "train" or "test", None
         if the worlds aren't all of one split.
@@ -107,11 +102,6 @@ def describe_source(source: str, count: int) -> dict[str, str | None]:
 
 def max_drawn(columns: int, size: int, out: Path) -> int:
     """Return how many worlds fit on a sheet, before any of them is made.
-
-    Args:
-        columns: tiles in a row.
-        size: width and height of a tile [pixels].
-        out: PNG file to write.
 
     Raises:
         ConfigError: no world fits, or `out` can't be written.
@@ -128,23 +118,20 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
     """Draw worlds side by side as maps, x right and y up, and save them as a PNG file.
 
     Args:
-        worlds: in rows from the left, with their names as titles.
+        worlds: at least one and at most `max_drawn`, in rows from the left; titled by their names.
         columns: tiles in a row.
         size: width and height of a tile [pixels].
         out: PNG file to write.
 
     Raises:
-        ConfigError: there is no world or column, they are too many, or `out` can't be written.
+        ConfigError: the last row of so many columns makes the sheet too large.
     """
-    most = max_drawn(columns, size, out)
-    if not worlds:
-        raise ConfigError("there are no worlds to draw")
     columns = min(columns, len(worlds))
     rows = -(-len(worlds) // columns)
-    if len(worlds) > most or rows * columns * size**2 > MAX_SHEET_PIXELS:
+    if rows * columns * size**2 > MAX_SHEET_PIXELS:
         raise ConfigError(
             f"{len(worlds):,} worlds of {size} pixels are too many for a sheet in {columns} "
-            f"columns: at most {most:,}"
+            f"columns: at most {max_drawn(columns, size, out):,}"
         )
     image = np.full((rows * size, columns * size, 3), top_view.FLOOR_COLOUR, np.uint8)
     for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):
@@ -172,10 +159,6 @@ def draw_tile(world: World, size: int) -> RgbImage:
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFinding]:
     """Check whether a robot can cross each world, and measure path lengths and BARN's difficulty.
 
-    Args:
-        worlds: the worlds.
-        robot: preset or file of the robot whose footprint is used; None for the default robot.
-
     Returns:
         One finding per world.
     """
@@ -199,12 +182,6 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
 
 def convert_world(source: str, out: Path, level: float | None, robot: str | None) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
-
-    Args:
-        source: as for `collect_worlds`; must name a single world.
-        out: file to write.
-        level: as for `collect_worlds`.
-        robot: as for `collect_worlds`.
 
     Raises:
         WorldError: the world can't be read or generated.

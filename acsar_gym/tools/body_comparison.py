@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, MissingExtraError
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.links import open_link
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.protocol import ZERO, Speeds, encode
@@ -43,65 +43,26 @@ class DriveTrace:
 
     poses: list[Pose]
     wheels: list[Speeds]
-    turned: float
-    """Sum of absolute heading changes [rad]."""
-
-
-@dataclass(frozen=True, slots=True)
-class TraceDifference:
-    """Largest differences between two traces of the same drive."""
-
-    position: float
-    """Largest distance [m]."""
-    heading: float
-    """Largest difference of headings [rad]."""
-    wheels: float
-    """Largest difference of wheel speeds [rad/s]."""
-    turned: float
-    """Sum of absolute heading changes of the first trace [rad]."""
 
 
 def record_trace(link_name: str, drive: WheelCommand, config: RobotConfig) -> DriveTrace:
-    """Drive a simulated robot for SECONDS.
-
-    Args:
-        link_name: "planar" or "bullet".
-        drive: commanded wheel speeds [rad/s] as a function of time [s].
-        config: configuration of the robot.
-    """
+    """Drive a simulated robot for SECONDS."""
     link = open_link(link_name, config)
     if not isinstance(link, SimulatedLink):
         raise ConfigError(f"link {link_name!r}: only simulated robots can be compared")
-    poses, wheels, turned = [], [], 0.0
+    poses, wheels = [], []
     link.reset(Scene())
     for tick in range(round(DRIVE_SECONDS * config.control_rate)):
         link.write(encode(drive(tick * config.period)))
         link.advance(config.period)
         poses.append(link.truth.pose)
         wheels.append(link.body.wheel_speeds if link.body else ZERO)
-        turned += abs(link.truth.twist[1]) * config.period
     link.close()
-    return DriveTrace(poses, wheels, turned)
-
-
-def compare_traces(one: DriveTrace, other: DriveTrace) -> TraceDifference:
-    """Compute the largest differences over all ticks."""
-    pairs = list(zip(one.poses, other.poses, strict=True))
-    speeds = zip(one.wheels, other.wheels, strict=True)
-    return TraceDifference(
-        position=max(math.dist(p[:2], q[:2]) for p, q in pairs),
-        heading=max(abs(math.remainder(p[2] - q[2], 2.0 * math.pi)) for p, q in pairs),
-        wheels=max(abs(a - b) for p, q in speeds for a, b in zip(p, q, strict=True)),
-        turned=one.turned,
-    )
+    return DriveTrace(poses, wheels)
 
 
 def plot_drives(folder: Path, config: RobotConfig) -> list[Path]:
     """Plot paths and headings of both robots, one PNG per drive.
-
-    Args:
-        folder: folder of the files; created if missing.
-        config: configuration of the robot.
 
     Returns:
         The files written.
@@ -109,10 +70,8 @@ def plot_drives(folder: Path, config: RobotConfig) -> list[Path]:
     Raises:
         MissingExtraError: matplotlib isn't installed.
     """
-    try:
+    with require_extra("drawing plots", "plot"):
         import matplotlib.pyplot as plt  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("drawing plots", "plot") from None
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, drive in COMPARED_DRIVES.items():

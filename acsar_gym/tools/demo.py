@@ -20,12 +20,6 @@ def run_demo(
 ) -> list[tuple[str, EvaluationRun]]:
     """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal.
 
-    Args:
-        steps: env steps of the training.
-        episodes: episodes in PyBullet.
-        serial_episodes: episodes over the pseudo-terminal.
-        out: folder for policy and logs.
-
     Returns:
         Name of the link and results of the run on it, one row each.
 
@@ -53,10 +47,6 @@ def run_demo(
 
 def train_demo_policy(steps: int, out: Path) -> Path:
     """Train in this process.
-
-    Args:
-        steps: env steps of the training.
-        out: folder for policy and logs.
 
     Returns:
         Path of the ONNX file.

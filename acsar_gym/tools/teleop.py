@@ -65,11 +65,7 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
 
 
 def drive_keyboard(robot: Robot) -> None:
-    """Drive from the keyboard, until q or Ctrl-C.
-
-    Args:
-        robot: an open robot.
-    """
+    """Drive from the keyboard, until q or Ctrl-C."""
     if not sys.stdin.isatty():
         raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
     terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
@@ -102,12 +98,7 @@ class DriveKeys:
         self._ahead = self._around = (0.0, -math.inf)
 
     def press(self, key: str, now: float) -> None:
-        """Take a key.
-
-        Args:
-            key: its name; unknown ones change nothing.
-            now: time [s].
-        """
+        """Take a key."""
         self._share = SPEED_KEYS.get(key, self._share)
         if key in AHEAD_KEYS:
             self._ahead = AHEAD_KEYS[key], now
@@ -117,11 +108,7 @@ class DriveKeys:
             self._ahead = self._around = (0.0, now)
 
     def twist(self, now: float) -> tuple[float, float]:
-        """Return shares of the full linear and angular speed, -1 to 1.
-
-        Args:
-            now: time, as for `press` [s].
-        """
+        """Return shares of the full linear and angular speed, -1 to 1."""
         asked = (self._ahead, self._around)
         linear, angular = (way if now - since < KEY_TIMEOUT else 0.0 for way, since in asked)
         return linear * self._share, angular * self._share

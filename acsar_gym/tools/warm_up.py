@@ -55,21 +55,16 @@ def warm_env(
     level = compiled.LOG.level
     compiled.LOG.setLevel(logging.ERROR)  # no warning that compiling takes a minute
     try:
-        worlds = _use(name, robot, options)
+        env_id = ids.find_id(name)
+        one = gymnasium.make(env_id, link="planar", robot=robot, **options)
+        one.reset(seed=0)
+        one.step(np.zeros(2, np.float32))
+        one.close()
+        many = ids.make_vec(env_id, 2, robot=robot, **options)
+        many.reset(seed=0)
+        many.step(np.zeros((2, 2)))
+        many.close()
     finally:
         compiled.LOG.setLevel(level)
+    worlds = 0 if many.pool is None else len(many.pool)
     return WarmUp(len(compiled.NEWLY_COMPILED) - before, worlds, time.perf_counter() - begin)
-
-
-def _use(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
-    """Use an env and a batch once; returns the number of the batch's worlds."""
-    env_id = ids.find_id(name)
-    one = gymnasium.make(env_id, link="planar", robot=robot, **options)
-    one.reset(seed=0)
-    one.step(np.zeros(2, np.float32))
-    one.close()
-    many = ids.make_vec(env_id, 2, robot=robot, **options)
-    many.reset(seed=0)
-    many.step(np.zeros((2, 2)))
-    many.close()
-    return 0 if many.pool is None else len(many.pool)

@@ -23,7 +23,7 @@ from page_tools import PAGES, ROOT, Block
 
 from acsar_gym.errors import LateTicksError
 from acsar_gym.tools import cli
-from acsar_gym.tools.cli import app
+from acsar_gym.tools.cli.commands import COMMANDS
 from acsar_gym.tools.training.plan import TrainingOptions
 from acsar_gym.worlds import registry
 
@@ -166,13 +166,10 @@ def quiet(command: Callable[..., Any]) -> Callable[..., int]:
 def parsed(words: list[str]) -> None:
     """Check a command's name and options; it isn't run."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, command in app.COMMANDS.items():
-            patch.setitem(app.COMMANDS, name, quiet(command))
-        for name, (about, commands) in app.GROUPS.items():
-            inner = {each: quiet(command) for each, command in commands.items()}
-            patch.setitem(app.COMMANDS, name, app.make_group(about, inner))
         train = lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1  # noqa: E731
-        patch.setitem(app.COMMANDS, "train", train)
+        for name, command in COMMANDS.items():
+            function = train if name == "train" else quiet(command.function)
+            patch.setitem(COMMANDS, name, command._replace(function=function))
         called(words, patch)
 
 

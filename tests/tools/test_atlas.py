@@ -14,7 +14,6 @@ from serial_tools import cli
 from top_view_tools import COURT
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.render.top_view import (
     GOAL_COLOUR,
     OBSTACLE_COLOUR,
@@ -90,26 +89,6 @@ def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
         assert world.length == expected.length
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("check", "maze"), "known: barn, clutter"),
-        (("check", "no/such.world"), "no/such.world"),
-        (("convert", "clutter:2", "two.json"), "holds 2 worlds"),
-        (("convert", "open:1", "world.txt"), "world.txt"),
-        (("show", "open:500"), "500 worlds are too many"),
-        (("show", "open:1", "--out", "picture.gif"), "picture.gif"),
-        (("check", "clutter:1", "--difficulty", "3"), "from 0 to 1"),
-    ],
-)
-def test_mistakes_are_one_line_and_exit_code_two(arguments: tuple[str, ...], message: str) -> None:
-    done = cli("worlds", *arguments)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert done.stderr.startswith("acsar-gym: ")
-    assert done.stderr.count("\n") == 1
-
-
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
     worlds = atlas.collect_worlds(str(BARN), None, None, 1)
@@ -142,15 +121,3 @@ def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:
     start = blue[2].mean(axis=0)
     assert goal[0] < start[0], "the goal is above"
     assert goal[1] > start[1]
-
-
-@pytest.mark.parametrize(
-    ("count", "columns", "size", "field"),
-    [(0, 2, 100, "no worlds"), (2, 0, 100, "columns"), (1, 1, 10, "size"), (101, 9, 64, "at most")],
-)
-def test_sheets_that_cannot_be(
-    count: int, columns: int, size: int, field: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigError, match=field):
-        atlas.draw_worlds([COURT] * count, columns, size, tmp_path / "sheet.png")
-    assert not (tmp_path / "sheet.png").exists()

@@ -4,6 +4,7 @@ Exit codes: 0 success, 1 a check or run failed, 2 bad argument, config or file, 
 interrupted.
 """
 
-from acsar_gym.tools.cli.app import COMMANDS, main
+from acsar_gym.tools.cli.app import main
+from acsar_gym.tools.cli.commands import COMMANDS
 
 __all__ = ["COMMANDS", "main"]

@@ -1,17 +1,19 @@
-"""The table of commands, the entry point, and completion by a shell."""
+"""The entry point: finds the commands, runs one, and makes its errors one line and an exit code."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import io
 import operator
 import os
+import pkgutil
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
@@ -23,32 +25,26 @@ from acsar_gym.errors import (
     SafetyWarning,
     escape_unprintable,
 )
-from acsar_gym.tools.cli import benchmark, devices, policies, recording, sysid, tools, worlds
+from acsar_gym.tools.cli import commands
+from acsar_gym.tools.cli.commands import COMMANDS, CommandSection, command
 from acsar_gym.tools.cli.options import report_broken
 
 FORMAT_WARNING = warnings.formatwarning
 CLI_ABOUT = """Simulate, train, measure and drive a skid-steer robot; --version prints the version.
 
 Every command has a --help of its own."""
-DRIVING_COMMANDS = ("drive", "run", "evaluate", "doctor", "identify", "calibrate")
 
 
-def make_group(about: str, commands: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a command that has commands of its own."""
-
-    def group(command: Any) -> Any:
-        return command
-
-    kinds: list[Any] = [
-        Annotated[Any, tyro.conf.subcommand(name, constructor=function)]
-        for name, function in commands.items()
-    ]
-    kinds.append(Annotated[None, tyro.conf.Suppress])  # one command alone would be no choice
-    group.__annotations__["command"] = functools.reduce(operator.or_, kinds)
-    group.__doc__ = about
-    return group
+def find_commands() -> None:
+    """Import the files of `commands`, which add theirs to `COMMANDS`."""
+    for module in pkgutil.iter_modules(commands.__path__):
+        importlib.import_module(f"{commands.__name__}.{module.name}")
 
 
+find_commands()
+
+
+@command("completion", "shell")
 def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional]) -> int:
     """Print a script with which a shell completes commands and options at TAB.
 
@@ -60,61 +56,49 @@ def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.
     from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
 
     with contextlib.suppress(SystemExit):  # with which tyro ends after printing
-        parse_command({**COMMANDS, "train": TrainingOptions}, ["--tyro-print-completion", shell])
+        parse_command(["--tyro-print-completion", shell], train=TrainingOptions)
     return 0
 
 
-GROUPS: dict[str, tuple[str, dict[str, Callable[..., Any]]]] = {
-    "policy": (
-        "Show what a policy file says about itself: acsar-gym policy show FILE.",
-        {"show": policies.show_policy},
-    ),
-    "record": (
-        "Look into recordings, or convert them: acsar-gym record info|export FILE.",
-        {"info": recording.describe_recording, "export": recording.export_recording},
-    ),
-    "worlds": (
-        "Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE.",
-        {
-            "show": worlds.show_worlds,
-            "check": worlds.check_worlds,
-            "convert": worlds.convert_world,
-        },
-    ),
-}
-"""Commands that have commands of their own: what they are for, and these."""
-COMMANDS: dict[str, Callable[..., Any]] = {
-    "demo": tools.show_demo,
-    "bench": tools.measure_speed,
-    "emulate": devices.emulate_board,
-    "doctor": devices.examine_robot,
-    "identify": sysid.identify_robot,
-    "calibrate": sysid.calibrate_robot,
-    "drive": devices.drive_robot,
-    "estop": devices.stop_robots,
-    "train": policies.train_policy,
-    "evaluate": policies.evaluate_policy,
-    "run": policies.run_policy,
-    "export": policies.convert_policy,
-    "view": recording.view_run,
-    "gap": sysid.measure_gap,
-    "compare": sysid.compare_runs,
-    "benchmark": benchmark.run_benchmark,
-    **{name: make_group(*group) for name, group in GROUPS.items()},
-    "warm-up": tools.warm_up_caches,
-    "completion": print_completion,
-}
+def parse_command(words: list[str], **others: Any) -> Any:
+    """Run the command of a command line.
 
-
-def parse_command(commands: Mapping[str, Callable[..., Any]], words: list[str]) -> Any:
-    """Run the command of a command line."""
+    Args:
+        words: the command line.
+        **others: functions instead of those of `COMMANDS`, by the command's name.
+    """
+    sections = get_args(CommandSection)
+    found: dict[str, Any] = {}
+    groups: dict[str, dict[str, Any]] = {}
+    for name, one in sorted(COMMANDS.items(), key=lambda item: sections.index(item[1].section)):
+        first, _, inner = name.partition(" ")
+        found[first] = one.function
+        if inner:
+            groups.setdefault(first, {})[inner] = one.function
+    found |= {name: make_group(functions) for name, functions in groups.items()} | others
     return tyro.extras.subcommand_cli_from_dict(
-        dict(commands),
+        found,
         prog="acsar-gym",
         description=CLI_ABOUT,
         args=words,
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes),
     )
+
+
+def make_group(functions: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a command that has these commands of its own, of one module, by their names."""
+
+    def group(command: Any) -> Any:
+        return command
+
+    kinds: list[Any] = [
+        Annotated[Any, tyro.conf.subcommand(name, constructor=function)]
+        for name, function in functions.items()
+    ]
+    kinds.append(Annotated[None, tyro.conf.Suppress])  # one command alone would be no choice
+    group.__annotations__["command"] = functools.reduce(operator.or_, kinds)
+    group.__doc__ = sys.modules[next(iter(functions.values())).__module__].__doc__
+    return group
 
 
 def _format_one_line(
@@ -141,15 +125,16 @@ def main() -> None:
         if words == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
         elif words[:1] == ["train"]:  # has options of a script
-            code = COMMANDS["train"]()
+            code = COMMANDS["train"].function()
         else:
-            code = parse_command(COMMANDS, words)
+            code = parse_command(words)
         sys.stdout.flush()
     except AcsarError as error:
         print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
         code = error.exit_code
     except KeyboardInterrupt:
-        drives = words[:1] and words[0] in DRIVING_COMMANDS
+        named = COMMANDS.get(" ".join(words[:2])) or COMMANDS.get(" ".join(words[:1]))
+        drives = named is not None and named.drives
         stopped = ", the wheels were commanded to stop" if drives else ""
         print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
         code = 130

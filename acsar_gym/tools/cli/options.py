@@ -6,7 +6,7 @@ import contextlib
 import select
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from acsar_gym.recording import Recorder
-    from acsar_gym.tools.evaluation.episodes import EpisodeResult
 
 COUNTDOWN = 3.0
 """Usual length of a countdown [s]."""
@@ -201,129 +200,3 @@ class HostOptions:
         from acsar_gym.tools.doctor import host  # noqa: PLC0415
 
         host.prepare_realtime(self.realtime, self.cores)
-
-
-@dataclass(frozen=True)
-class PolicyOptions:
-    """The policy."""
-
-    policy: str = "point_goal"
-    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act."""
-    trust: bool = False
-    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
-    env: EnvArg = ""
-    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
-
-
-@dataclass(frozen=True)
-class RobotOptions(RecordOptions):
-    """The robot and its devices, and recording."""
-
-    link: str = "bullet"
-    """bullet, planar, or a serial device."""
-    robot: RobotArg = None
-    """Preset or config file."""
-    lidar: LidarArg = None
-    """On hardware, if the policy needs a LiDAR: such as rplidar:///dev/ttyUSB1."""
-
-
-@dataclass(frozen=True)
-class WorldOptions:
-    """The worlds of an evaluation."""
-
-    worlds: Worlds = None
-    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
-    in_order: bool = False
-    """Use every world once, in order, instead of random ones."""
-    difficulty: float | None = None
-    """Difficulty of generated worlds, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class EpisodeOptions:
-    """The episodes of an evaluation."""
-
-    episodes: int = 100
-    """Number of episodes."""
-    seed: int = 0
-    """Seed of the first episode; the next ones count up."""
-    late_share: float = 0.01
-    """Largest share of late ticks in a valid episode."""
-
-
-@dataclass(frozen=True)
-class VideoOptions:
-    """Videos of episodes."""
-
-    video: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|FILE.mp4")] = None
-    """Write a video and a picture of each of the worst episodes into this folder; or all of them
-    as one video, and the pictures beside it."""
-    video_episodes: int = 10
-    """Most episodes of --video, the worst first; 0: all."""
-
-    def prepare(self) -> None:
-        """Check before the episodes that --video can be written; see `pictures.prepare`."""
-        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
-
-        if self.video is not None:
-            pictures.check_video_output(self.video)
-
-    def write(self, results: Sequence[EpisodeResult]) -> None:
-        """Write the worst of these episodes, and say where."""
-        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
-
-        if self.video is not None:
-            chosen = pictures.worst_episodes(results, self.video_episodes or None)
-            for path in pictures.write_videos(chosen, self.video):
-                say(f"written: {path}")
-
-
-@dataclass(frozen=True)
-class ScaleOptions:
-    """Parallel processes, and other machines."""
-
-    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Processes to use; default: one, or with --address one for each CPU of the cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
-    """Ray cluster to run on: host:port, ray://host:port, auto, or local to start one here."""
-
-
-@dataclass(frozen=True)
-class BoardOptions:
-    """How an emulated board behaves."""
-
-    silent: bool = False
-    """Never answer, as a board without power."""
-    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
-    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
-    runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
-    feedback-rate=HZ."""
-
-
-@dataclass(frozen=True)
-class SpinOptions(RecordOptions):
-    """Turning of the wheels, and recording."""
-
-    spin: bool = False
-    """Turn the wheels, one after the other and together, to find how they are wired: lift the
-    robot!"""
-    yes: bool = False
-    """Turn them without a countdown, and don't ask which one turned."""
-    saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
-    """The wheel that was seen to turn (a front right, b front left, c rear left, d rear right) when
-    the board's wheel letters a, b, c, d were commanded forward, such as b a d c; with an n behind
-    one that turned backward, none if none did. It counts where the robot's file says otherwise:
-    --out writes it."""
-    out: File = None
-    """Write a robot file with what was found to differ."""
-
-
-@dataclass(frozen=True)
-class TimingOptions:
-    """Timing of the control loop."""
-
-    timing: bool = False
-    """Measure how late the control loop's ticks are, compared with a bare loop."""
-    duration: float = 10.0
-    """Duration of --timing [s]."""

@@ -27,10 +27,6 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
 
     Open links afterwards: their watchdogs run with one priority more, which must be allowed, too.
 
-    Args:
-        priority: SCHED_FIFO priority, 1 to 98; None to leave it.
-        cores: numbers of the cores to run on; None to leave them.
-
     Raises:
         ConfigError: it isn't allowed or possible.
     """

@@ -13,8 +13,8 @@ from acsar_gym.errors import (
     ClusterError,
     ConfigError,
     JobError,
-    MissingExtraError,
     escape_unprintable,
+    require_extra,
     show_value,
 )
 from acsar_gym.tools.jobs.processes import MAX_RETRIES, attempt_job, name_job
@@ -97,11 +97,9 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
         MissingExtraError: Ray isn't installed.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
+    with require_extra("--address", "scale"):
         import grpc  # noqa: PLC0415 - optional
         import ray  # noqa: PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("--address", "scale") from None
     if ray.is_initialized():
         yield ray
         return

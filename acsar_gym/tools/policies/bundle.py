@@ -42,20 +42,13 @@ class EnvSummary(Section):
     """The environment that the policy was trained in."""
 
     section = "env"
-    id: Label
-    """Id, without a module: a file can't have one imported."""
+    id: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern="^[^:]*$")]
+    """Id without a module, as in "module:id": Gymnasium would import one that the file chooses."""
     options: dict[Label, Any] = Field(default_factory=dict, max_length=100)
     """Options of the task, as JSON has them."""
     worlds: Text = ""
     """The worlds of the training, such as "clutter 1000 to 1399 (train split)"; empty: none."""
     max_episode_steps: Count | None = None
-
-    @model_validator(mode="after")
-    def _names_no_module(self) -> Self:
-        """Refuse "module:id", for which Gymnasium would import a module that the file chooses."""
-        if ":" in self.id:
-            raise ConfigError(f"env.id = {show_value(self.id)}: must be an id without a module")
-        return self
 
 
 class SensorLayout(Section):
@@ -203,9 +196,6 @@ class Bundle(Section):
 
 def parse_bundle(text: str) -> Bundle:
     """Parse a bundle from a file.
-
-    Args:
-        text: the JSON document.
 
     Raises:
         PolicyError: it is too large, not JSON, of another version, or has other fields or values;

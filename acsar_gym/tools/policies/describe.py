@@ -259,54 +259,41 @@ def check_bundle(
     Raises:
         PolicyError: names the first field that doesn't match; the message doesn't name the file.
     """
-    for equal, name, texts, where in _compare(bundle, task, sensors, config, rate):
+
+    def require(equal: bool, name: str, said: str, wanted: str, where: str) -> None:
         if not equal:
-            said, wanted = texts
             raise PolicyError(f"{name} is {_quote(said)} in the file and {wanted} {where}")
 
-
-def _compare(
-    bundle: Bundle,
-    task: Task,
-    sensors: Sequence[Sensor],
-    config: RobotConfig | None,
-    rate: float | None,
-) -> Iterator[tuple[bool, str, Iterable[str], str]]:
-    """Yield what must match: whether it does, its name, what file and env say, and where."""
     task_text, file, own = task_name(task), bundle.observation, describe_observation(task, sensors)
     here, in_this = f"in {task_text}: {RETRAIN_HINT}", f"in this {task_text}: {ARGUMENTS_HINT}"
     robot = {} if config is None else robot_values(config, sensors)
     for name in LAYOUT_FIELDS:
         if name in bundle.robot.values and name in robot:
-            values = bundle.robot.values[name], robot[name]
-            yield (
-                equal_values(*values),
-                name,
-                map(format_value, values),
-                f"on this robot: {RETRAIN_HINT}",
-            )
+            was, now = bundle.robot.values[name], robot[name]
+            on_robot = f"on this robot: {RETRAIN_HINT}"
+            require(equal_values(was, now), name, format_value(was), format_value(now), on_robot)
     parts = [[*seen.names, *(one.layout for one in seen.sensors)] for seen in (file, own)]
     for number, (said, wanted) in enumerate(itertools.zip_longest(*parts, fillvalue="nothing")):
-        yield said == wanted, f"observation[{number}]", (said, wanted), here
+        require(said == wanted, f"observation[{number}]", said, wanted, here)
     ends = [list(zip(seen.low, seen.high, strict=True)) for seen in (file, own)]
     for name, *spans in zip(file.names, *ends, strict=False):
-        texts = [" to ".join(map(format_value, span)) for span in spans]
-        yield spans[0] == spans[1], f"observation.{_quote(name)}", texts, here
-    sizes = [tuple(sensor.size for sensor in seen.sensors) for seen in (file, own)]
-    texts = [f"{sizes[0]} numbers", str(sizes[1])]
-    yield sizes[0] == sizes[1], "observation.sensors", texts, here
-    texts = [format_value(one) for one in (file.scale, own.scale)]
-    yield equal_values(file.scale, own.scale), "observation.scale", texts, in_this
-    texts = []
-    for action in (bundle.action, ActionLayout()):
-        of_one = zip(action.names, action.low, action.high, action.units, strict=False)
-        texts.append(
-            ", ".join(f"{name} {low:g} to {high:g} {of}" for name, low, high, of in of_one)
+        said, wanted = (" to ".join(map(format_value, span)) for span in spans)
+        require(spans[0] == spans[1], f"observation.{_quote(name)}", said, wanted, here)
+    was_sizes, sizes = (tuple(sensor.size for sensor in seen.sensors) for seen in (file, own))
+    require(was_sizes == sizes, "observation.sensors", f"{was_sizes} numbers", str(sizes), here)
+    said, wanted = format_value(file.scale), format_value(own.scale)
+    require(equal_values(file.scale, own.scale), "observation.scale", said, wanted, in_this)
+    said, wanted = (
+        ", ".join(
+            f"{name} {low:g} to {high:g} {of}"
+            for name, low, high, of in zip(one.names, one.low, one.high, one.units, strict=False)
         )
-    yield texts[0] == texts[1], "action", texts, here
+        for one in (bundle.action, ActionLayout())
+    )
+    require(said == wanted, "action", said, wanted, here)
     if rate is not None:
-        texts = [f"{one:g}" for one in (bundle.rates.policy, rate)]
-        yield equal_values(bundle.rates.policy, rate), "rates.policy", texts, in_this
+        was = bundle.rates.policy
+        require(equal_values(was, rate), "rates.policy", f"{was:g}", f"{rate:g}", in_this)
 
 
 def _quote(text: str) -> str:

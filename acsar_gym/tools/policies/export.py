@@ -12,16 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acsar_gym import reading
-from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.errors import PolicyError, require_extra
 from acsar_gym.tools.policies.base import MAX_POLICY_BYTES, format_error
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, NormalizerSummary
 
-try:
+with require_extra("writing an ONNX policy (torch, onnx, onnxscript)", "train"):
     import onnx
     import onnxscript  # noqa: F401 - torch.onnx needs it
     import torch
-except ImportError:
-    raise MissingExtraError("writing an ONNX policy (torch, onnx, onnxscript)", "train") from None
 
 
 class Normalizer(torch.nn.Module):
@@ -98,9 +96,6 @@ class _RecurrentModule(_PolicyModule):
 
 def make_normalizer(given: Any) -> torch.nn.Module | None:
     """Convert the `normalizer` argument of `save` to a module.
-
-    Args:
-        given: None, a module, (mean, std) or (mean, std, clip).
 
     Raises:
         PolicyError: for anything else.

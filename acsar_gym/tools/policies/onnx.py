@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 def read_network(data: bytes) -> tuple[trial.Network, Bundle]:
     """Load a network that is trusted, or was tried, and its bundle.
 
-    Args:
-        data: content of the ONNX file.
-
     Raises:
         PolicyError: it isn't a policy that this package runs; the message doesn't name the file.
         MissingExtraError: onnxruntime isn't installed.
@@ -71,9 +68,6 @@ def read_network(data: bytes) -> tuple[trial.Network, Bundle]:
 
 def open_policy_file(path: Path) -> tuple[str, trial.Network, Bundle]:
     """Read a policy file; one that doesn't come with the package is tried first, see `trial`.
-
-    Args:
-        path: the ONNX file.
 
     Returns:
         SHA-256 of the file, its network, and its bundle.

@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.errors import ConfigError, PolicyError, require_extra
 from acsar_gym.tools.policies.base import format_error
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, StateLayout
 from acsar_gym.vector.env import RobotVectorEnv
 
-try:
+with require_extra("stable-baselines3", "train"):
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
     from stable_baselines3.common.vec_env import VecEnv, VecNormalize
-except ImportError:
-    raise MissingExtraError("stable-baselines3", "train") from None
 
 MAX_STATISTICS_BYTES = 100_000_000
 """Largest accepted VecNormalize file [bytes]; it can contain old observations."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import MissingExtraError, PolicyError
+from acsar_gym.errors import MissingExtraError, PolicyError, require_extra
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name, task_spaces
@@ -136,11 +136,9 @@ def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > max(MAX_UNPACKED_BYTES, len(content)):  # stable-baselines3 doesn't pack anything
         raise PolicyError(f"unpacks to {size / 1e6:,.0f} MB, too much for what it is")
-    try:
+    with require_extra("loading a stable-baselines3 zip", "train"):
         from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
         from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("loading a stable-baselines3 zip", "train") from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
         file = io.BytesIO(content)

@@ -60,9 +60,6 @@ class Network(NamedTuple):
 def find_refusal(data: bytes) -> str:
     """Try a network in a subprocess, which can open no files.
 
-    Args:
-        data: content of the ONNX file.
-
     Returns:
         Why the network is refused; empty if it is accepted.
     """

@@ -20,7 +20,14 @@ class TargetReached(Exception):  # noqa: N818 - ends a training, and isn't an er
     """The held-out success rate has reached the target."""
 
 
-class HeldOutEvaluation(BaseCallback):
+class RolloutCallback(BaseCallback):
+    """A callback that does nothing within a rollout."""
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class HeldOutEvaluation(RolloutCallback):
     """Evaluates the deterministic policy on a batch of robots that isn't used for training.
 
     It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
@@ -38,6 +45,7 @@ class HeldOutEvaluation(BaseCallback):
 
     Attributes:
         score: the newest score; None before the first one.
+        reached: whether it has reached the target.
         name: label of the success rate, for output.
         rows: the learning curve; `held_out.CURVE_COLUMNS` are its columns.
     """
@@ -58,24 +66,21 @@ class HeldOutEvaluation(BaseCallback):
         self._interval = max(1, steps // evaluations)
         self.rows: held_out.Rows = list(rows or [])
         self.score: HeldOutScore | None = None
-        self._reached: HeldOutScore | None = None
+        self.reached = False
         self.name = held_out.success_label(batch)
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_end(self) -> None:
         last = self.rows[-1]["steps"] if self.rows else -self._interval
         if self.num_timesteps // self._interval > last // self._interval:
             score = self._evaluate()
-            if self._target is not None and score.success_rate >= self._target:
-                self._reached = score
+            self.reached = self._target is not None and score.success_rate >= self._target
+            if self.reached:
                 raise TargetReached
 
     def finish(self) -> HeldOutScore:
         """Return the score of the policy after its last update."""
-        if self._reached is not None:
-            return self._reached
+        if self.reached and self.score is not None:
+            return self.score
         score = self._evaluate()
         self.logger.dump(self.num_timesteps)
         return score
@@ -95,7 +100,7 @@ class HeldOutEvaluation(BaseCallback):
         return score
 
 
-class CheckpointWriter(BaseCallback):
+class CheckpointWriter(RolloutCallback):
     """Writes a checkpoint between two rollouts, whenever some time has passed.
 
     Args:
@@ -126,9 +131,6 @@ class CheckpointWriter(BaseCallback):
         self._due = time.monotonic() + self._seconds
         self._written = self.model.num_timesteps
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_start(self) -> None:
         if time.monotonic() >= self._due:
             self.write_checkpoint()
@@ -143,24 +145,18 @@ class CheckpointWriter(BaseCallback):
             self._written = self.model.num_timesteps
 
 
-class WholeCohorts(BaseCallback):
+class WholeCohorts(RolloutCallback):
     """Keeps the biased statistics of the first episodes out of the log.
 
     stable-baselines3 logs means over the last finished episodes. All robots of a batch start at the
     same time, so the first episodes to finish are quick successes, and the failures follow all at
     once. So rollout/success_rate isn't logged, and rollout/ep_rew_mean and ep_len_mean only once
     every robot has finished an episode.
-
-    Args:
-        episode_steps: time limit of an episode [steps].
     """
 
     def __init__(self, episode_steps: int) -> None:
         super().__init__()
         self._episode_steps = episode_steps
-
-    def _on_step(self) -> bool:
-        return True
 
     def _on_rollout_end(self) -> None:
         buffers: Any = self.model
@@ -169,7 +165,7 @@ class WholeCohorts(BaseCallback):
             buffers.ep_info_buffer.clear()
 
 
-class TrainingProgress(BaseCallback):
+class TrainingProgress(RolloutCallback):
     """Shows a progress bar with env steps per second and the newest held-out success rate.
 
     If the output isn't a terminal, it prints one line per evaluation instead.
@@ -201,9 +197,6 @@ class TrainingProgress(BaseCallback):
         self._before = self._begun_at if self._not_counted is None else self._not_counted
         self._progress.start()
 
-    def _on_step(self) -> bool:
-        return True
-
     def _on_rollout_end(self) -> None:
         done, score = self.num_timesteps - self._before, self._scores.score
         speed = (self.num_timesteps - self._begun_at) / (time.monotonic() - self._begin)
@@ -221,11 +214,7 @@ class TrainingProgress(BaseCallback):
 
 
 class EndOnSignal(BaseCallback):
-    """Ends the training after the step during which a signal arrived.
-
-    Args:
-        stop: the open context that receives the signals.
-    """
+    """Ends the training after the step during which a signal arrived."""
 
     def __init__(self, stop: StopRequest) -> None:
         super().__init__()

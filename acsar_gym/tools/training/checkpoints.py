@@ -23,7 +23,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.tools.policies.base import format_error
 from acsar_gym.vector import env as vector
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -78,14 +79,7 @@ class TrainingState:
 def take_state(
     model: BaseAlgorithm, batch: RobotVectorEnv, seconds: float, history: list[dict[str, float]]
 ) -> TrainingState:
-    """Copy the state of a training; its model isn't part of it. Imports torch.
-
-    Args:
-        model: the model, between two rollouts.
-        batch: the robots that it trains on.
-        seconds: time so far [s].
-        history: the learning curve so far.
-    """
+    """Copy the state of a training; its model isn't part of it. Imports torch."""
     import torch  # noqa: PLC0415 - takes seconds
 
     arrays: Arrays = {"torch": torch.get_rng_state().numpy()}
@@ -114,11 +108,6 @@ def take_state(
 
 def restore_state(state: TrainingState, model: BaseAlgorithm, batch: RobotVectorEnv) -> None:
     """Restore all but the model itself, right before the next rollout. Imports torch.
-
-    Args:
-        state: what `take_state` has returned.
-        model: the model of the same checkpoint.
-        batch: like the one that it was trained on.
 
     Raises:
         ConfigError: the state is of another training.
@@ -156,12 +145,7 @@ def restore_state(state: TrainingState, model: BaseAlgorithm, batch: RobotVector
 
 
 def write_checkpoint(folder: Path, save: Callable[[Path], object], state: TrainingState) -> Path:
-    """Write a checkpoint whole or not at all, then remove older ones.
-
-    Args:
-        folder: made if it is missing.
-        save: writes the model's zip to the path that it is given.
-        state: the rest.
+    """Write a checkpoint whole or not at all (`save` writes the model), then remove older ones.
 
     Returns:
         Path of the checkpoint.
@@ -204,7 +188,7 @@ def read_state(path: Path) -> TrainingState:
                         arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
             return TrainingState(**facts, arrays=arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        said = format_error(error)
         raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from None
 
 
@@ -256,12 +240,7 @@ class StopRequest:
                     self._before[each] = signal.signal(each, self._handle_signal)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for each, handler in self._before.items():
             signal.signal(each, handler)
 

@@ -47,12 +47,8 @@ class HeldOutScore:
 def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> HeldOutScore:
     """Run the first episode of every robot to its end, always from the same seeds.
 
-    One episode per robot avoids a bias: the first n finished episodes of a batch would contain too
-    many quick ones.
-
-    Args:
-        batch: the robots; needs a time limit.
-        decide: the policy.
+    The batch needs a time limit. One episode per robot avoids a bias: the first n finished
+    episodes of a batch would contain too many quick ones.
 
     Returns:
         Rates and means over the episodes.
@@ -88,12 +84,7 @@ def success_label(batch: RobotVectorEnv) -> str:
 
 
 def describe_worlds(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
-    """Describe the worlds of training and evaluation in one line.
-
-    Args:
-        learning: robots of the training.
-        batch: robots of the evaluation.
-    """
+    """Describe the worlds of training and evaluation in one line."""
     pool = batch.pool
     if pool is None:
         return "training on an open floor, held out: other seeds"
@@ -103,10 +94,6 @@ def describe_worlds(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
 
 def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> str | None:
     """Choose held-out worlds.
-
-    Args:
-        pool: worlds of the training; None for an open floor.
-        robots: how many worlds.
 
     Returns:
         Generated worlds of the same kind, none of which is in `pool`: those of the validation
@@ -130,13 +117,7 @@ def write_curve(path: Path, rows: Rows) -> None:
 
 
 def draw_curve(path: Path, rows: Rows, title: str) -> None:
-    """Draw success, return and collisions over steps and over time as PNG.
-
-    Args:
-        path: file to write.
-        rows: the curve; at least one row.
-        title: what was trained.
-    """
+    """Draw success, return and collisions over steps and over time as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - optional, slow
     from matplotlib.figure import Figure  # noqa: PLC0415
 

@@ -39,10 +39,6 @@ def prepare_torch(plan: TrainingPlan) -> None:
 def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
     """Make a new model by the recipe.
 
-    Args:
-        plan: the training.
-        env: the robots to train on.
-
     Raises:
         ConfigError: a hyperparameter can't be used; the message names the file.
     """
@@ -74,11 +70,7 @@ def load_model(
 ) -> BaseAlgorithm:
     """Load a model, with the hyperparameters that it was saved with.
 
-    Args:
-        plan: the training.
-        env: the robots to train on.
-        saved: the zip.
-        go_on: whether the state of the robots will be restored, too; otherwise they are reset.
+    Robots are reset, unless their state will be restored (`go_on`), too.
 
     Raises:
         PolicyError: it was made for another observation, or by another algorithm.
@@ -112,9 +104,6 @@ def make_decider(model: BaseAlgorithm) -> Decide:
     """Return a function from observations (n, m) to deterministic actions (n, 2).
 
     A recurrent policy's state begins at the first call, and is kept for all robots from then on.
-
-    Args:
-        model: of any algorithm that `train` knows.
     """
     policy: Any = model.policy
     device, state = policy.device, None

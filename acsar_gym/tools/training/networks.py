@@ -64,9 +64,6 @@ def cell_length(config: RobotConfig) -> float:
 def free_ways(config: RobotConfig) -> Floats:
     """Make the table of free ways of a robot.
 
-    Args:
-        config: has footprint and LiDAR.
-
     Returns:
         Shape (rays, CELLS, arcs): the share of each arc that is free where a ray ends in a cell,
         0 to 1. The last cell stands for all that is farther.
@@ -155,7 +152,7 @@ class MirrorPolicy(ActorCriticPolicy):
     def _build_mlp_extractor(self) -> None:
         """Make the hidden layers of actor and critic."""
         images = getattr(self.features_extractor, "images", ())
-        split = make_split(self.features_dim, self._odd, RobotConfig.of(self._robot), images)
+        split = _Split(self.features_dim, self._odd, RobotConfig.of(self._robot), images)
         given: Any = self.net_arch
         widths = given if isinstance(given, dict) else {"pi": given, "vf": given}
         built = _Hidden(split, list(widths["pi"]), list(widths["vf"]), self.activation_fn)
@@ -194,10 +191,8 @@ class MirrorPolicy(ActorCriticPolicy):
         return torch.nn.Sequential(*layers, _dense(torch.cat(rows), biases))
 
 
-def make_split(
-    width: int, odd: Sequence[int], config: RobotConfig, images: Sequence[int] = ()
-) -> _Split:
-    """Make the module that splits features into their even and odd parts.
+class _Split(torch.nn.Module):
+    """Features as coordinates of their even and odd parts, by one matrix.
 
     Args:
         width: of the features; the last ones are the rays.
@@ -208,29 +203,26 @@ def make_split(
     Raises:
         ConfigError: the features are fewer than the rays, or `odd` names none of them.
     """
-    angles = ray_spec(config).angles()
-    first = width - len(angles)
-    numbers = first - len(images)
-    if numbers < 0 or not all(0 <= number < numbers for number in odd):
-        raise ConfigError(
-            f"MirrorPolicy: odd = {tuple(odd)}: must be indices of the numbers before "
-            f"{len(angles)} rays, of {width} features"
-        )
-    image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
-    image[numbers:, numbers:] = 0.0
-    for feature, other in enumerate(images):
-        image[numbers + other, numbers + feature] = 1.0
-    for ray, angle in enumerate(angles.tolist()):
-        apart = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
-        image[first + int(torch.cos(apart).argmax()), first + ray] = 1.0
-    return _Split(image)
 
-
-class _Split(torch.nn.Module):
-    """Features as coordinates of their even and odd parts, by one matrix."""
-
-    def __init__(self, image: torch.Tensor) -> None:
+    def __init__(
+        self, width: int, odd: Sequence[int], config: RobotConfig, images: Sequence[int] = ()
+    ) -> None:
         super().__init__()
+        angles = ray_spec(config).angles()
+        first = width - len(angles)
+        numbers = first - len(images)
+        if numbers < 0 or not all(0 <= number < numbers for number in odd):
+            raise ConfigError(
+                f"MirrorPolicy: odd = {tuple(odd)}: must be indices of the numbers before "
+                f"{len(angles)} rays, of {width} features"
+            )
+        image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
+        image[numbers:, numbers:] = 0.0
+        for feature, other in enumerate(images):
+            image[numbers + other, numbers + feature] = 1.0
+        for ray, angle in enumerate(angles.tolist()):
+            apart = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
+            image[first + int(torch.cos(apart).argmax()), first + ray] = 1.0
         kept: dict[float, list[torch.Tensor]] = {1.0: [], -1.0: []}
         for parity, rows in kept.items():
             for row in torch.eye(len(image)) + parity * image:

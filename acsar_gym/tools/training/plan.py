@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, MissingExtraError, suggest_name
+from acsar_gym.errors import ConfigError, require_extra, suggest_name
 from acsar_gym.physics import Randomization, randomization
 from acsar_gym.tools.training import held_out, recipes
 from acsar_gym.tools.training.recipes import Algorithm, Recipe, find_algorithm
@@ -123,13 +123,10 @@ def require_training() -> None:
     Raises:
         MissingExtraError: a library is missing.
     """
-    for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
-        try:
-            missing = find_spec(module) is None
-        except ImportError:
-            missing = True
-        if missing:
-            raise MissingExtraError("training", "train")
+    with require_extra("training", "train"):
+        for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
+            if find_spec(module) is None:
+                raise ModuleNotFoundError(module)
 
 
 @dataclass(frozen=True)
@@ -150,9 +147,6 @@ class TrainingPlan:
     def of(cls, options: TrainingOptions) -> TrainingPlan:
         """Derive the settings of a training and create its folder.
 
-        Args:
-            options: the user's options.
-
         Raises:
             ConfigError: the env isn't registered, has no time limit or no worlds, the recipe
                 can't be used, or the folder or the number of threads can't be used.
@@ -164,7 +158,10 @@ class TrainingPlan:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
         if options.worlds is not None and own == "acsar_gym/PointGoal-v0":
             raise ConfigError("--worlds: point_goal has none")
-        count = choose_threads(options.threads)
+        if options.threads is None:
+            threads = measure_free_cores()
+        else:
+            threads = check_threads("--threads", options.threads)
         robot, kind = RobotConfig.of(options.robot), find_algorithm(options.algo)
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
@@ -180,7 +177,7 @@ class TrainingPlan:
             learning_rate=options.learning_rate,
             net=options.net,
         )
-        return cls(options, env_id, kind, recipe, limit, count, out, robot)
+        return cls(options, env_id, kind, recipe, limit, threads, out, robot)
 
     @property
     def randomization(self) -> Randomization:
@@ -246,18 +243,6 @@ def wait_passively() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
-def choose_threads(asked: int | None) -> int:
-    """Return the number of threads to use.
-
-    Args:
-        asked: number that the user asked for; None for the number of free cores.
-
-    Raises:
-        ConfigError: `asked` is below 1 or above the number of cores.
-    """
-    return measure_free_cores() if asked is None else check_threads("--threads", asked)
-
-
 def measure_free_cores() -> int:
     """Measure how many cores other programs leave free, at least 1; takes PROBE_TIME seconds."""
     count = usable_cores()
@@ -283,10 +268,6 @@ def compute_free_cores(count: int, share: float) -> int:
     """Compute the number of free cores from a measurement.
 
     With k busy threads of other programs, n threads on n cores get a share n / (n + k) each.
-
-    Args:
-        count: number of cores, and of threads in the measurement.
-        share: share of a core that each thread got, 0 to 1.
 
     Returns:
         Number of free cores, 1 to `count`.

@@ -20,7 +20,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, MissingExtraError, shorten_text, show_value, suggest_name
+from acsar_gym.errors import ConfigError, require_extra, shorten_text, show_value, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies.base import format_error
 from acsar_gym.worlds import registry
@@ -94,10 +94,8 @@ class Algorithm:
         Raises:
             MissingExtraError: its library isn't installed.
         """
-        try:
+        with require_extra(f"training with {self.name}", "train"):
             found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
-        except ImportError:
-            raise MissingExtraError(f"training with {self.name}", "train") from None
         return found
 
 
@@ -152,11 +150,6 @@ def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
 def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     """Import a class that `check_class` accepts; a module in the current folder is found, too.
 
-    Args:
-        place: as of `check_class`.
-        name: as of `check_class`.
-        modules: as of `check_class`.
-
     Raises:
         ConfigError: a recipe may not name it, or it can't be imported.
     """
@@ -167,8 +160,7 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     try:
         return getattr(importlib.import_module(module), kind)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
-        said = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
-        raise ConfigError(f"{place}: {name}: can't be imported: {said}") from None
+        raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from None
 
 
 def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()) -> dict[str, Any]:

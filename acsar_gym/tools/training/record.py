@@ -87,9 +87,6 @@ def git_revision() -> str | None:
 def begin_record(plan: TrainingPlan) -> dict[str, Any]:
     """Write config.yml, which has all that is needed to repeat a training, at its beginning.
 
-    Args:
-        plan: the training.
-
     Returns:
         Its content, for `finish_record`.
     """
@@ -165,11 +162,6 @@ def read_record(folder: Path) -> dict[str, Any]:
 def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path, Path]:
     """Write policy.onnx and model.zip into a folder.
 
-    Args:
-        model: the trained model.
-        bundle: what it was trained for and how.
-        out: an existing folder.
-
     Returns:
         Paths of policy.onnx and model.zip.
 
@@ -192,14 +184,7 @@ def describe_training(
     hyperparameters: Mapping[str, Any],
     seconds: float,
 ) -> TrainingSummary:
-    """Describe a training that has just ended, for the bundle of its policy.
-
-    Args:
-        model: the trained model.
-        commands: that began the training and went on with it.
-        hyperparameters: of the algorithm, by name.
-        seconds: how long it took [s].
-    """
+    """Describe a training that has just ended, for the bundle of its policy."""
     return TrainingSummary(
         algorithm=type(model).__name__,
         hyperparameters=to_plain_json(dict(hyperparameters)),
@@ -218,9 +203,6 @@ def find_start(options: TrainingOptions) -> TrainingStart:
 
     One whose steps are done, but whose policy couldn't be written, as on a full disk, goes on with
     no more steps.
-
-    Args:
-        options: the user's options.
 
     Raises:
         ConfigError: the folder has no checkpoint, all its steps are done, or the options are of

@@ -99,9 +99,6 @@ def parse_seeds(text: str) -> list[int]:
 def train_seeds(options: TrainingOptions) -> int:
     """Train every seed of `options.seeds`, and print a table of their held-out success rates.
 
-    Args:
-        options: the user's options.
-
     Returns:
         Exit code: 0.
 
@@ -135,11 +132,6 @@ def train_seeds(options: TrainingOptions) -> int:
 
 def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
     """Make the job of a seed.
-
-    Args:
-        options: the user's options.
-        seed: the seed.
-        out: folder of all seeds.
 
     Raises:
         ConfigError: an option names what can't be sent to another machine.
@@ -279,10 +271,6 @@ def run_trial(env: str, level: int, seed: int, steps: int | None = None, count: 
 def randomized_recipe(env: str, level: int) -> dict[str, Any]:
     """Return the env's recipe for PPO with the randomization of a level, as a recipe file has it.
 
-    Args:
-        env: short name or id of the env.
-        level: 0 to 3.
-
     Raises:
         ConfigError: there is no such env or level.
     """
@@ -299,9 +287,6 @@ def main(arguments: Sequence[str]) -> int:
     """Train with the options of a command line: one training, or with --seeds several.
 
     Ctrl-C and SIGTERM end it early, and save the model.
-
-    Args:
-        arguments: those after `acsar-gym train`.
 
     Returns:
         The exit code.

@@ -8,7 +8,7 @@ import sys
 import pytest
 from job_tools import threads
 
-from acsar_gym.errors import ClusterError, ConfigError, MissingExtraError
+from acsar_gym.errors import ClusterError, MissingExtraError
 from acsar_gym.tools.jobs import cluster, completed
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -34,12 +34,6 @@ def test_an_address_that_doesnt_answer_is_one_error(
     monkeypatch.setenv("RAY_ADDRESS", f"{kind}{host}")
     with pytest.raises(ClusterError, match="--address 'auto': doesn't answer"):
         list(completed(threads, [""], address="auto"))
-
-
-@pytest.mark.parametrize("address", ["", "host:", ":6379", "host:port", "ray://host"])
-def test_an_address_without_host_or_port_is_refused(address: str) -> None:
-    with pytest.raises(ConfigError, match=r"must be local, auto, host:port or ray://host:port"):
-        list(completed(threads, [""], address=address))
 
 
 def test_without_ray_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

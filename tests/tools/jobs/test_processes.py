@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from job_tools import Job, broken, compiling, missing, square, threads
 
-from acsar_gym.errors import ConfigError, JobError, MissingExtraError
+from acsar_gym.errors import JobError, MissingExtraError
 from acsar_gym.tools.jobs import completed
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -83,9 +83,3 @@ def test_processes_leave_each_other_the_cores(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.delenv("OMP_NUM_THREADS")
     assert dict(completed(threads, ["OMP_NUM_THREADS"] * 2, workers=2)) == {0: "1", 1: "1"}
     assert "OMP_NUM_THREADS" not in os.environ
-
-
-@pytest.mark.parametrize("workers", [0, -1, 10**9])
-def test_a_wrong_number_of_workers_is_refused(workers: int) -> None:
-    with pytest.raises(ConfigError, match=r"--workers .*: must be 1 to 1,024"):
-        completed(square, [], workers=workers)

@@ -15,6 +15,7 @@ STEPS, ROBOTS, LIMIT = 8, 32, 20
 def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Robots all start at once: the first episodes that end are the successful ones."""
     from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
 
     from acsar_gym.tools.policies.sb3 import BatchVecEnv
@@ -28,7 +29,8 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     ]
     total = STEPS * ROBOTS * 4
     scores = callbacks.HeldOutEvaluation(batches[1], total, 16)
-    watching = [callbacks.WholeCohorts(LIMIT), scores, callbacks.TrainingProgress(total, scores)]
+    watching: list[BaseCallback] = [callbacks.WholeCohorts(LIMIT), scores]
+    watching.append(callbacks.TrainingProgress(total, scores))
     model = PPO("MlpPolicy", BatchVecEnv(batches[0]), n_steps=STEPS, batch_size=256, n_epochs=1)
     model.set_logger(configure(str(tmp_path), ["csv"]))
     model.learn(total, callback=watching)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from acsar_gym.errors import ConfigError
 from acsar_gym.tools.training import plan
 from acsar_gym.vector.env import usable_cores
 
@@ -26,11 +25,4 @@ def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, 
 
 
 def test_the_measurement_is_within_what_there_is() -> None:
-    assert plan.choose_threads(1) == 1
     assert 1 <= plan.measure_free_cores() <= usable_cores()
-
-
-@pytest.mark.parametrize("asked", [0, -1, 4096])
-def test_impossible_numbers_are_refused(asked: int) -> None:
-    with pytest.raises(ConfigError, match=f"--threads {asked}: must be 1"):
-        plan.choose_threads(asked)

@@ -27,27 +27,6 @@ def test_seeds_are_ranges_and_lists(text: str, wanted: list[int]) -> None:
     assert seeds.parse_seeds(text) == wanted
 
 
-@pytest.mark.parametrize("text", ["", "a", "1-", "-1", "4-0", "0-1000", "1,,2", "4294967296"])
-def test_what_isnt_seeds_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"--seeds .*: must be like 0-4 or 1,5,9"):
-        seeds.parse_seeds(text)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("--workers 2", "give --seeds, too"),
-        ("--address auto", "give --seeds, too"),
-        ("--seeds 0-1 --workers 0", "--workers 0: must be 1 to"),
-        ("--seeds 0-1 --resume runs/x", "leave out --seeds"),
-    ],
-)
-def test_options_that_dont_fit_are_refused(arguments: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=said):
-        seeds.main([*arguments.split(), *SMALL, "--out", str(tmp_path)])
-    assert not list(tmp_path.glob("seed-*"))
-
-
 def test_every_seed_has_a_folder_and_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

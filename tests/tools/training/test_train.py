@@ -13,7 +13,6 @@ from serial_tools import CLI, TIMEOUT
 
 import acsar_gym
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import seeds
 
@@ -33,34 +32,6 @@ sys.meta_path.insert(0, Hidden())
 runpy.run_path(sys.argv.pop(1), run_name="__main__")
 """
 """Runs the program in argv[2] where the module in argv[1] isn't installed."""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("--seed -1", "train.seed = -1"),
-        ("--seed 4294967296", "train.seed = 4294967296"),
-        ("--robots 0", "train.robots = 0"),
-        ("--robots 2000000", "train.robots = 2000000.*16384"),
-        ("--steps 0", "train.steps = 0"),
-        (f"--steps {10**18}", "train.steps"),
-        ("--net 0", "train.net"),
-        ("--target 1.5", "train.target = 1.5"),
-        ("--algo dqn", "--algo dqn"),
-        ("--device tpu", "--device tpu"),
-        ("--conf-file /no/such.yml --out OUT --threads 1", "/no/such.yml"),
-        ("--threads 0", "--threads 0: must be 1"),
-        ("--worlds clutter", "point_goal has none"),
-        ("--env barn --worlds brn", "brn"),
-        ("--env barn --worlds clutter:1000000 --threads 1 --out OUT", "1,000,000 of clutter"),
-        ("--out /dev/null/here", "--out /dev/null/here: can't be written"),
-    ],
-)
-def test_bad_options_are_refused_before_anything_starts(
-    arguments: str, said: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ConfigError, match=said):
-        seeds.main(arguments.replace("OUT", str(tmp_path)).split())
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Commands for worlds: worlds show, worlds check, worlds convert."""
+"""Draw, check or convert worlds: acsar-gym worlds show|check|convert SOURCE."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
     OutFile,
@@ -19,6 +20,7 @@ from acsar_gym.tools.cli.options import (
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")]
 
 
+@command("worlds show", "worlds")
 def show_worlds(
     source: Source,
     out: Path = Path("worlds.png"),
@@ -45,6 +47,7 @@ def show_worlds(
     return 0
 
 
+@command("worlds check", "worlds")
 def check_worlds(
     source: Source, difficulty: float | None = None, robot: RobotArg = None, json: File = None
 ) -> int:
@@ -67,6 +70,7 @@ def check_worlds(
     return int(any(finding.fault for finding in findings))
 
 
+@command("worlds convert", "worlds")
 def convert_world(
     source: Source, out: OutFile, difficulty: float | None = None, robot: RobotArg = None
 ) -> int:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from acsar_gym.errors import ConfigError
+from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import File, check_writable
-
-if TYPE_CHECKING:
-    from acsar_gym.tools.benchmark.plan import BenchmarkPlan
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
@@ -65,6 +63,7 @@ class BenchmarkOutputs:
     """Also write an HTML report."""
 
 
+@command("benchmark", "policies")
 def run_benchmark(
     what: BenchmarkChoice,
     how: BenchmarkOutputs,
@@ -83,7 +82,8 @@ def run_benchmark(
         combine: write tables from these folders; runs nothing.
         check: check such a row of --policy, and run nothing.
     """
-    from acsar_gym.tools.benchmark import result  # noqa: PLC0415
+    from acsar_gym.registration import IDS  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import plan, result  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     if check is not None:
@@ -98,30 +98,21 @@ def run_benchmark(
     if combine:
         told = result.make_result(*result.combine_folders(combine))
     else:
-        plan, submit = _make_plan(what, policy), bool(policy)
+        named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
+        if policy:
+            found = [plan.submitted_agent(policy)]
+            ids: tuple[str, ...] = (found[0].id,)
+        else:
+            ids = tuple(dict.fromkeys(plan.short_id(name) for name in what.ids)) or tuple(IDS)
+            found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
+        scenes = what.scenes, what.port_scenes
         told = result.run_benchmark(
-            plan,
+            plan.BenchmarkPlan(tuple(found), ids, what.links, named, *scenes, what.barn),
             how.out,
             workers=how.workers,
             address=how.address,
             resume=how.resume,
-            submit=submit,
+            submit=bool(policy),
         )
     result.write_outputs(told, how.out, how.table, how.json, how.html)
     return 0
-
-
-def _make_plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
-    """Make the plan of these options."""
-    from acsar_gym.registration import IDS  # noqa: PLC0415
-    from acsar_gym.tools.benchmark import plan  # noqa: PLC0415
-
-    named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
-    if policy:
-        found = [plan.submitted_agent(policy)]
-        ids: tuple[str, ...] = (found[0].id,)
-    else:
-        ids = tuple(dict.fromkeys(plan.short_id(name) for name in what.ids)) or tuple(IDS)
-        found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
-    scenes = what.scenes, what.port_scenes
-    return plan.BenchmarkPlan(tuple(found), ids, what.links, named, *scenes, what.barn)

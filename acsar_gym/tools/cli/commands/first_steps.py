@@ -1,11 +1,15 @@
-"""Commands demo, bench and warm-up."""
+"""The commands of the first steps: `demo`, `bench` and `warm-up`."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.config.section import Section
+from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
     File,
@@ -15,43 +19,45 @@ from acsar_gym.tools.cli.options import (
     say,
 )
 
-MAX_COUNT = 10**9
-"""Largest number of steps or episodes."""
+Count = Annotated[int, Field(ge=1, le=10**9)]
 
 
-def show_demo(
-    steps: int = 150_000,
-    episodes: int = 100,
-    serial_episodes: int = 16,
-    out: Path = Path("runs/demo"),
-    json: File = None,
-) -> int:
+class DemoOptions(Section):
+    """Length of the demo, and its folder."""
+
+    section = "demo"
+    steps: Count = 150_000
+    """Env steps of the training."""
+    episodes: Count = 100
+    """Episodes in PyBullet."""
+    serial_episodes: Count = 16
+    """Episodes over the emulator's pseudo-terminal, in real time."""
+    out: Path = Path("runs/demo")
+    """Folder for the policy and the logs."""
+
+
+@command("demo", "first steps")
+def show_demo(demo: DemoOptions, json: File = None) -> int:
     """Train a policy, run it in PyBullet, then over a serial device; print one table.
 
     Args:
-        steps: env steps of the training.
-        episodes: episodes in PyBullet.
-        serial_episodes: episodes over the emulator's pseudo-terminal, in real time.
-        out: folder for the policy and the logs.
+        demo: length and folder.
         json: also write the metrics to this file.
     """
     from acsar_gym.tools import demo as demos  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     check_writable(json)
-    counts = {"--steps": steps, "--episodes": episodes, "--serial-episodes": serial_episodes}
-    for name, count in counts.items():
-        if not 1 <= count <= MAX_COUNT:
-            raise ConfigError(f"{name} = {show_value(count)}: must be 1 to {MAX_COUNT:,}")
-    report.make_folder(out)
-    runs = demos.run_demo(steps, episodes, serial_episodes, out)
+    report.make_folder(demo.out)
+    runs = demos.run_demo(demo.steps, demo.episodes, demo.serial_episodes, demo.out)
     rows = [(name, run.summary) for name, run in runs]
-    title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
+    title = f"One policy file, {demo.out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
     data = {name: run.as_dict() for name, run in runs}
     print_results(report.summary_table(title, rows), json=json, data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
+@command("bench", "first steps")
 def measure_speed(json: File = None, plots: File = None) -> int:
     """Measure the speed of envs, serial protocol and physics.
 
@@ -70,6 +76,7 @@ def measure_speed(json: File = None, plots: File = None) -> int:
     return 0
 
 
+@command("warm-up", "first steps")
 def warm_up_caches(env: EnvArg = "", robot: RobotArg = None) -> int:
     """Compile all loops and generate the default worlds now, instead of at first use.
 

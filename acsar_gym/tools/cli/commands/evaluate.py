@@ -1,26 +1,24 @@
-"""Commands for policies: train, evaluate, run, export, policy show."""
+"""The commands `evaluate` and `run`: a policy over episodes, or to one goal."""
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from acsar_gym.errors import LateTicksError, LinkError
+from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
-    EpisodeOptions,
     File,
     HostOptions,
-    OutFile,
-    PolicyOptions,
+    LidarArg,
+    RecordOptions,
     RobotArg,
-    RobotOptions,
-    ScaleOptions,
-    VideoOptions,
-    WorldOptions,
+    Worlds,
     check_writable,
     countdown,
     print_results,
@@ -28,36 +26,96 @@ from acsar_gym.tools.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from acsar_gym.tools.evaluation.episodes import EpisodeResult
     from acsar_gym.tools.evaluation.runs import EvaluationRun
 
 
-def show_policy(
-    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|NAME")],
-    json: File = None,
-) -> int:
-    """Print what a policy file says about itself: its task, robot, training and figures.
+@dataclass(frozen=True)
+class PolicyOptions:
+    """The policy."""
 
-    Args:
-        file: ONNX file, or the name of a packaged policy.
-        json: also write all of it to this file.
-    """
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.policies import describe, onnx  # noqa: PLC0415
-
-    check_writable(json)
-    path, bundle = onnx.read_bundle(file)
-    table = report.fact_table(str(path), describe.bundle_rows(bundle))
-    print_results(table, json=json, data=bundle.model_dump(mode="json"))
-    return 0
+    policy: str = "point_goal"
+    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act."""
+    trust: bool = False
+    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
+    env: EnvArg = ""
+    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
 
 
-def train_policy() -> int:
-    """Train a policy and export it, with options of its own."""
-    from acsar_gym.tools.training.seeds import main  # noqa: PLC0415
+@dataclass(frozen=True)
+class RobotOptions(RecordOptions):
+    """The robot and its devices, and recording."""
 
-    return main(sys.argv[2:])
+    link: str = "bullet"
+    """bullet, planar, or a serial device."""
+    robot: RobotArg = None
+    """Preset or config file."""
+    lidar: LidarArg = None
+    """On hardware, if the policy needs a LiDAR: such as rplidar:///dev/ttyUSB1."""
 
 
+@dataclass(frozen=True)
+class WorldOptions:
+    """The worlds of an evaluation."""
+
+    worlds: Worlds = None
+    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
+    in_order: bool = False
+    """Use every world once, in order, instead of random ones."""
+    difficulty: float | None = None
+    """Difficulty of generated worlds, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    """The episodes of an evaluation."""
+
+    episodes: int = 100
+    """Number of episodes."""
+    seed: int = 0
+    """Seed of the first episode; the next ones count up."""
+    late_share: float = 0.01
+    """Largest share of late ticks in a valid episode."""
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """Videos of episodes."""
+
+    video: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|FILE.mp4")] = None
+    """Write a video and a picture of each of the worst episodes into this folder; or all of them
+    as one video, and the pictures beside it."""
+    video_episodes: int = 10
+    """Most episodes of --video, the worst first; 0: all."""
+
+    def prepare(self) -> None:
+        """Check before the episodes that --video can be written; see `pictures.prepare`."""
+        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            pictures.check_video_output(self.video)
+
+    def write(self, results: Sequence[EpisodeResult]) -> None:
+        """Write the worst of these episodes, and say where."""
+        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
+
+        if self.video is not None:
+            chosen = pictures.worst_episodes(results, self.video_episodes or None)
+            for path in pictures.write_videos(chosen, self.video):
+                say(f"written: {path}")
+
+
+@dataclass(frozen=True)
+class ScaleOptions:
+    """Parallel processes, and other machines."""
+
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Processes to use; default: one, or with --address one for each CPU of the cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
+    """Ray cluster to run on: host:port, ray://host:port, auto, or local to start one here."""
+
+
+@command("evaluate", "policies", drives=True)
 def evaluate_policy(
     policy: PolicyOptions,
     robot: RobotOptions,
@@ -108,6 +166,7 @@ def evaluate_policy(
         video.write(done.results)
 
 
+@command("run", "policies", drives=True)
 def run_policy(
     goal: Annotated[tuple[float, float], tyro.conf.Positional, tyro.conf.arg(metavar="X Y")],
     policy: PolicyOptions,
@@ -176,31 +235,4 @@ def _report_run(
         return 1
     if done.late:
         raise LateTicksError(done.late, len(done.results))
-    return 0
-
-
-def convert_policy(
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
-    out: OutFile,
-    trust: bool = False,
-    env: EnvArg = "",
-    robot: RobotArg = None,
-    vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
-) -> int:
-    """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
-
-    Args:
-        model: zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
-        out: the ONNX file.
-        trust: allow the zip to run code: only zips from people you trust.
-        env: env that it was trained for, such as point_goal; models of 'acsar-gym train' know
-            it.
-        robot: preset or config file of the robot that it was trained on.
-        vecnormalize: file of the VecNormalize that it was trained with; can run code, too.
-    """
-    from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
-
-    check_writable(out)
-    runs.export_policy(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
-    say(f"written: {out}")
     return 0

@@ -1,36 +1,24 @@
-"""Commands for recordings: view, record info, record export."""
+"""Look into recordings, or convert them: acsar-gym record info|export FILE."""
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from acsar_gym.tools.cli.options import File, check_writable, print_results, say
+from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.options import (
+    File,
+    check_writable,
+    print_results,
+    say,
+)
 
-Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|LINK")]
 Recorded = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
-def view_run(source: Source, port: int = 8050) -> int:
-    """Show a run as a page in a browser, recorded or while it is driven; with a stop button.
-
-    Args:
-        source: a recording, also while it is being written; or the device of a robot that a
-            program on this computer drives with --record FILE.
-        port: port of the page, on this computer only; 0 takes any free one.
-    """
-    from acsar_gym.tools.view.server import find_recording, serve_page  # noqa: PLC0415
-
-    path = find_recording(source)
-    with serve_page(path, port) as server, contextlib.suppress(KeyboardInterrupt):
-        say(f"{path}: open http://127.0.0.1:{server.port} in a browser; Ctrl-C ends it")
-        server.serve_forever()
-    return 0
-
-
+@command("record info", "recordings")
 def describe_recording(file: Recorded, json: File = None) -> int:
     """Tell what a recording holds.
 
@@ -48,6 +36,7 @@ def describe_recording(file: Recorded, json: File = None) -> int:
     return 0
 
 
+@command("record export", "recordings")
 def export_recording(
     file: Recorded,
     to: Literal["parquet", "csv", "minari"],

@@ -1,0 +1,129 @@
+"""The command `doctor`: examines ports, board and computer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, EmergencyStopError
+from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.options import (
+    File,
+    HostOptions,
+    RecordOptions,
+    RobotArg,
+    ask_user,
+    check_writable,
+    countdown,
+    print_results,
+)
+
+Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
+
+
+@dataclass(frozen=True)
+class SpinOptions(RecordOptions):
+    """Turning of the wheels, and recording."""
+
+    spin: bool = False
+    """Turn the wheels, one after the other and together, to find how they are wired: lift the
+    robot!"""
+    yes: bool = False
+    """Turn them without a countdown, and don't ask which one turned."""
+    saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
+    """The wheel that was seen to turn (a front right, b front left, c rear left, d rear right) when
+    the board's wheel letters a, b, c, d were commanded forward, such as b a d c; with an n behind
+    one that turned backward, none if none did. It counts where the robot's file says otherwise:
+    --out writes it."""
+    out: File = None
+    """Write a robot file with what was found to differ."""
+
+
+@dataclass(frozen=True)
+class TimingOptions:
+    """Timing of the control loop."""
+
+    timing: bool = False
+    """Measure how late the control loop's ticks are, compared with a bare loop."""
+    duration: float = 10.0
+    """Duration of --timing [s]."""
+
+
+@command("doctor", "robots", drives=True)
+def examine_robot(
+    timing: TimingOptions,
+    spinning: SpinOptions,
+    host: HostOptions,
+    device: Device = None,
+    robot: RobotArg = None,
+    baud_rate: int | None = None,
+    json: File = None,
+) -> int:
+    """List the serial ports, examine one, and say what to fix.
+
+    Args:
+        timing: timing of the control loop.
+        spinning: turning of the wheels, and recording.
+        host: process priority and cores.
+        device: serial device to examine; without it, ports are only listed.
+        robot: preset or config file.
+        baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
+        json: also write the findings to this file.
+    """
+    from acsar_gym.tools.doctor import wire  # noqa: PLC0415
+
+    config = RobotConfig.of(robot)
+    if baud_rate is not None:
+        config = wire.at_baud_rate(config, baud_rate)
+    device = device or config.serial_port
+    check_writable(json)
+    host.prepare()
+    if timing.timing:
+        from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
+
+        timed = timings.examine_timing(device, config, timing.duration)
+        print_results(*timed.tables(), json=json, data=timed.as_dict())
+        return 0
+    return _run_checks(device, config, json, spinning)
+
+
+def _run_checks(
+    device: str | None, config: RobotConfig, json: Path | None, spinning: SpinOptions
+) -> int:
+    """Run the checks of the serial port; returns the exit code."""
+    from acsar_gym.tools.doctor import checks, commission, wire  # noqa: PLC0415
+
+    turning, stop = None, None
+    if spinning.spin:
+        if device is None:
+            raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
+        check_writable(robot=spinning.out)
+        eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
+        what = f"the wheels of the robot on {device} will turn: lift it"
+        countdown(what, yes=spinning.yes)
+        asks = eyes is None and not spinning.yes
+        turning = commission.Commission(eyes=eyes, ask=ask_user if asks else None)
+    elif spinning.out is not None or spinning.saw is not None:
+        raise ConfigError("--out and --saw need --spin, which turns the wheels")
+    found = [checks.check_ports(device), checks.check_estop()]
+    if device is not None:
+        recorder = spinning.recorder("doctor", link=device)
+        try:
+            found.extend(wire.examine_device(device, config, turning, recorder))
+        except EmergencyStopError as error:
+            stop = error
+    if turning is not None and spinning.out is not None:
+        if turning.finished:
+            found.append(turning.save(config, spinning.out))
+        else:
+            said = f"{spinning.out} isn't written: not all was found"
+            fix = "mend what failed, and start again"
+            found.append(checks.Check("robot file", "skip", said, fix))
+    print_results(checks.draw_checks(found), json=json, data=checks.checks_as_json(found))
+    if stop is not None:
+        raise stop
+    return 1 if any(check.status == "fail" for check in found) else 0

@@ -1,0 +1,89 @@
+"""The command `emulate`: a board on a pseudo-terminal."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.options import (
+    File,
+    RobotArg,
+    Seconds,
+    Worlds,
+)
+
+
+@dataclass(frozen=True)
+class BoardOptions:
+    """How an emulated board behaves."""
+
+    silent: bool = False
+    """Never answer, as a board without power."""
+    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
+    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
+    runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
+    feedback-rate=HZ."""
+
+
+@command("emulate", "robots")
+def emulate_board(
+    board: BoardOptions,
+    robot: RobotArg = None,
+    body: str = "planar",
+    log: File = None,
+    duration: Seconds = None,
+    world: Worlds = None,
+    lidar: bool = False,
+    name: File = None,
+) -> int:
+    """Run an emulated board on a pseudo-terminal and print its device path.
+
+    SIGUSR1 unplugs the cable, SIGUSR2 plugs it in again as another device.
+
+    Args:
+        board: how the board behaves.
+        robot: preset or config file of the emulated robot.
+        body: physics, planar or bullet.
+        log: write commands and true poses to this file, one JSON line each.
+        duration: seconds to run; default: until Ctrl-C.
+        world: world with the robot at its start: a file, or a generated world like clutter:7-7.
+        lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
+        name: symbolic link that always points to the current device.
+    """
+    from acsar_gym.tools.emulation.board import Emulator  # noqa: PLC0415
+    from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
+
+    config, place = RobotConfig.of(robot), None
+    if world is not None:
+        place = next(iter(Pool.of(world, None, footprint_radius(config), 1) or ()), None)
+    with Emulator(
+        config,
+        body=body,
+        log=log,
+        silent=board.silent,
+        world=place,
+        sees=lidar,
+        name=name,
+        quirks=board.quirk,
+    ) as emulator:
+        # A list, because an exception that is raised in a signal handler can be lost.
+        ended: list[int] = []
+        signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
+        # Shells let background programs of a script ignore SIGINT; an emulator obeys it there, too.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, plugged in ((signal.SIGUSR1, False), (signal.SIGUSR2, True)):
+            signal.signal(number, lambda *_, to=plugged: setattr(emulator, "plugged", to))
+        print(f"serving a robot on {emulator.device}", flush=True)
+        if emulator.lidar_device:
+            print(f"serving a LiDAR on {emulator.lidar_device}", flush=True)
+        emulator.run(duration, until=lambda: bool(ended))
+        if emulator.lost:
+            print(f"stood still for {emulator.lost:.1f} s in all: this computer was too busy")
+    return 0
