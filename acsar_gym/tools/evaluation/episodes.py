@@ -138,6 +138,32 @@ class EpisodeResult:
     track: DrawnTrack | None = None
     """Poses and scans of every step, where the env is a `TrackedEnv`."""
 
+    @property
+    def time(self) -> float:
+        """Duration of the episode [s]."""
+        return self.ended - self.started
+
+    @property
+    def spl(self) -> float:
+        """Success weighted by path length, 0 to 1: success * shortest / max(driven, shortest)."""
+        return float(self.success) * self._path_share
+
+    @property
+    def soft_spl(self) -> float:
+        """SPL with the progress max(0, 1 - left / shortest) in place of success, 0 to 1."""
+        return max(0.0, 1.0 - _divide(self.left, self.shortest)) * self._path_share
+
+    @property
+    def _path_share(self) -> float:
+        """The shortest path as a share of the one driven, at most 1."""
+        driven = self.path if math.isnan(self.driven) else self.driven
+        return _divide(self.shortest, max(driven, self.shortest))
+
+
+def _divide(part: float, whole: float) -> float:
+    """Divide; 1 if `whole` isn't positive."""
+    return part / whole if whole > 0.0 else 1.0
+
 
 def run_episodes(
     env: gymnasium.Env[Any, Any],

@@ -59,7 +59,7 @@ def test_a_row_holds_all_training_seeds(told: dict[str, Any]) -> None:
     scores = np.array([GOOD, (0.9, 0.85, 0.0, 0.9)])
     assert ours["score_iqm"] == pytest.approx(figures.interquartile_mean(scores.ravel()))
     assert ours["intervals"]["score_iqm"] == pytest.approx(
-        metrics.stratified_interval([scores], figures.interquartile_mean)
+        metrics.stratified_interval(scores, figures.interquartile_mean)
     )
 
 
