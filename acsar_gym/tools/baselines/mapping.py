@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig, footprint
+from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.lidar import ray_spec
@@ -18,25 +18,6 @@ from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside
 from acsar_gym.worlds.search import Costs, clearance_costs, sweep_distances
-
-
-def scan_points(ranges: Floats | None, angles: Floats, config: RobotConfig) -> Floats:
-    """Convert a scan to points.
-
-    Args:
-        ranges: (rays,) [m]; None is no scan.
-        angles: (rays,), directions of the rays in the base frame [rad].
-        config: of the robot.
-
-    Returns:
-        (n, 2): what the rays met, in the base frame [m]; rays that met nothing give none.
-    """
-    if ranges is None:
-        return np.zeros((0, 2))
-    met = ranges < config.lidar.max_range - 1e-3
-    far, angle = ranges[met], angles[met]
-    x = config.lidar_x_offset + far * np.cos(angle)
-    return np.column_stack([x, config.lidar_y_offset + far * np.sin(angle)])
 
 
 @loop

@@ -116,7 +116,7 @@ def _make_plan(what: BenchmarkChoice, policy: str) -> BenchmarkPlan:
     from acsar_gym.registration import IDS  # noqa: PLC0415
     from acsar_gym.tools.benchmark import plan  # noqa: PLC0415
 
-    named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
+    named = tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions))
     if policy:
         found = [plan.submitted_agent(policy)]
         ids: tuple[str, ...] = (found[0].id,)
