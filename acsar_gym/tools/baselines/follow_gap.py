@@ -90,7 +90,9 @@ def choose_course(
     free: NDArray[np.bool_] = np.all(apart > wide, axis=1)
     if not free.any():
         return float(to[near.argmax()]), float(near.min())
-    centre = min(find_gaps(free, middles), key=lambda gap: angle_off_gap(gap, bearing))[0]
+    centre, _ = min(  # the gap that the bearing lies least outside of
+        find_gaps(free, middles), key=lambda gap: abs(wrap_angle(bearing - gap[0])) - gap[1]
+    )
     weight = CENTRE_WEIGHT / float(near.min())
     course = centre + wrap_angle(bearing - centre) / (weight + 1.0)
     return wrap_angle(course), float(near.min())
@@ -118,11 +120,6 @@ def find_gaps(free: NDArray[np.bool_], middles: Floats) -> list[tuple[float, flo
         (wrap_angle(begin + step * (start + end) / 2.0), step * (end - start) / 2.0)
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
     ]
-
-
-def angle_off_gap(gap: tuple[float, float], bearing: float) -> float:
-    """How far a bearing lies outside a gap; negative within it [rad]."""
-    return abs(wrap_angle(bearing - gap[0])) - gap[1]
 
 
 def wrap_angle(angle: float) -> float:

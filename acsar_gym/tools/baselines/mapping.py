@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -237,8 +236,7 @@ FIELD_COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
 """Costs of cells near obstacles."""
 
 
-@dataclass(frozen=True, slots=True)
-class Potential:
+class Potential(NamedTuple):
     """Cost of the cheapest way to the goal, as equivalent metres, on a grid.
 
     Each cell costs 1 a metre, and more near obstacles. The cost of the cheapest way to the goal, T,
@@ -247,15 +245,9 @@ class Potential:
 
     values: Floats
     """(nx, ny), at the cells' centres."""
-    distances: Floats
-    """(nx, ny): from the nearest occupied cell [m]."""
     x: float
-    """x of cell (0, 0) [m]."""
+    """x of cell (0, 0) [m], with y the next one."""
     y: float
-
-    def at(self, x: float, y: float) -> float:
-        """The potential at a point, interpolated."""
-        return float(interpolate_field(self.values, self.x, self.y, x, y))
 
     def way(self, x: float, y: float, length: float) -> Floats:
         """(n, 2): the way down the potential from a point, so long at most, every half cell [m]."""
@@ -299,7 +291,7 @@ def compute_potential(
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL_SIZE), round((goal[1] - y) / CELL_SIZE)
     sweep_distances(values, clearance_costs(distances, radii, FIELD_COSTS) * CELL_SIZE, i, j)
-    return Potential(values, distances, x, y)
+    return Potential(values, x, y)
 
 
 @loop

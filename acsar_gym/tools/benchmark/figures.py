@@ -271,35 +271,20 @@ def compare_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
     found = []
     for place, group in _group_by_place(some).items():
         for name, (figure, statistic) in COMPARED_FIGURES.items():
-            best = [
-                max(
-                    (row for row in group if row.kind == kind),
-                    key=lambda row: row.overall_figure(name),
-                    default=None,
-                )
-                for kind in (LEARNED, BASELINE)
-            ]
-            if best[0] is None or best[1] is None:
-                continue
-            ours, other = best[0], best[1]
-            values = [row.overall_figure(name) for row in (ours, other)]
-            ends = [stratified_interval(row.matrix(figure), statistic) for row in (ours, other)]
-            found.append(
-                {
-                    "id": place[0],
-                    "scenes": place[1],
-                    "link": place[2],
-                    "figure": name,
-                    "learned": ours.agent,
-                    "baseline": other.agent,
-                    "learned_value": values[0],
-                    "baseline_value": values[1],
-                    "better": values[0] > values[1],
-                    "learned_interval": ends[0],
-                    "baseline_interval": ends[1],
-                    "apart": ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0],
-                }
-            )
+            told: dict[str, Any] = _describe_place(place) | {"figure": name}
+            for kind in (LEARNED, BASELINE):
+                own = [row for row in group if row.kind == kind]
+                if own:
+                    best = max(own, key=lambda row: row.overall_figure(name))
+                    told[kind] = best.agent
+                    told[f"{kind}_value"] = best.overall_figure(name)
+                    ends = stratified_interval(best.matrix(figure), statistic)
+                    told[f"{kind}_interval"] = ends
+            if LEARNED in told and BASELINE in told:
+                ours, other = told[f"{LEARNED}_interval"], told[f"{BASELINE}_interval"]
+                better = told[f"{LEARNED}_value"] > told[f"{BASELINE}_value"]
+                apart = ours[1] < other[0] or other[1] < ours[0]
+                found.append(told | {"better": better, "apart": apart})
     return found
 
 
@@ -314,9 +299,7 @@ def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
                 x, y = x[:, :common], y[:, :common]
                 found.append(
                     {
-                        "id": place[0],
-                        "scenes": place[1],
-                        "link": place[2],
+                        **_describe_place(place),
                         "agent": ours.agent,
                         "over": other.agent,
                         "probability": probability_of_improvement(x, y),
@@ -324,6 +307,10 @@ def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
                     }
                 )
     return found
+
+
+def _describe_place(place: Place) -> dict[str, Any]:
+    return dict(zip(("id", "scenes", "link"), place, strict=False))
 
 
 def _group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:

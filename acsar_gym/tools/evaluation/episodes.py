@@ -33,7 +33,7 @@ from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
-from acsar_gym.worlds.world import point_in_world, to_world
+from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
 Steps = Sequence[dict[str, Any]]
 Floats = NDArray[np.float64]
@@ -409,9 +409,7 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
     for result in results:
         newest = np.searchsorted(stamps, (result.started, result.ended), side="right") - 1
         start, end = (poses[max(0, int(number))] for number in newest)
-        dx, dy = end[0] - start[0], end[1] - start[1]
-        c, s = math.cos(start[2]), math.sin(start[2])
-        x, y = c * dx + s * dy, c * dy - s * dx
+        x, y, _ = to_odometry(start, end)
         errors.append(math.hypot(x - result.pose[0], y - result.pose[1]))
     return errors
 

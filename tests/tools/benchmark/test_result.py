@@ -164,11 +164,11 @@ def test_the_largest_number_of_scenes_counts(tmp_path: Path) -> None:
     [
         (
             lambda told: told["scenes"][ENV_ID]["test"].update(sha256="0" * 64),
-            "scene set of another version",
+            f"{ENV_ID} test",
         ),
         (
             lambda told: told["agents"]["packaged"][0].update(sha256="0" * 64),
-            "packaged on PointGoal-v0 was another policy file",
+            f"packaged on {ENV_ID}",
         ),
     ],
 )
