@@ -55,7 +55,7 @@ def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> Episo
         scoring: how it is scored.
     """
     scores = dict(zip(BARN_SCORES, result.scores, strict=False))
-    own = {
+    own: dict[str, Any] = {
         "scene": scene,
         "seed": result.seed or 0,
         "score": score_episode(result, scoring),
@@ -93,7 +93,8 @@ RECORD_FIGURES: dict[str, Callable[[Any], float]] = {
     "barn_score_own": lambda e: e.barn_score_own,
     "late_ticks": lambda e: e.late_ticks,
 }
-"""Values of an `EpisodeRecord` whose means over episodes are given; NaN where it has none."""
+"""Values of an `EpisodeRecord` whose means over episodes are given, units as in `metrics.Summary`;
+NaN where it has none."""
 
 
 def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
