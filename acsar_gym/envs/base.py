@@ -7,7 +7,7 @@ import copy
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Self
 
 import gymnasium
@@ -187,12 +187,15 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
-        with self._stopping():
+        try:
             state = self._state(episode, (0.0, 0.0))
             episode.begin(state)
             observation, info = self._describe_step(episode, state)
             self._record_step(0, observation)
-            return observation, info
+        except BaseException as error:
+            self.robot.deactivate(error)
+            raise
+        return observation, info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one env step; the class of the id describes spaces, reward and end.
@@ -228,10 +231,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._record_step(episode.steps + 1, observation, action, 0.0, ends)
             return observation, 0.0, False, True, info | self._randomizer.info() | why
         episode.steps += 1
-        with self._stopping():
+        try:
             state = self._state(episode, (linear, angular))
             reward, outcome = episode.step(state)
             observation, info = self._describe_step(episode, state)
+        except BaseException as error:
+            self.robot.deactivate(error)
+            raise
         over = outcome is not Outcome.GOING
         if over:
             self._halt()
@@ -253,15 +259,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
                 "in [-1, 1]"
             )
         return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
-
-    @contextlib.contextmanager
-    def _stopping(self) -> Iterator[None]:
-        """Stop the robot and close the link where anything inside the block raises."""
-        try:
-            yield
-        except BaseException as error:
-            self.robot.deactivate(error)
-            raise
 
     def _halt(self) -> None:
         """Stop the wheels between episodes.

@@ -55,6 +55,9 @@ except ImportError:
     raise MissingExtraError("the PyBullet robot", "bullet") from None
 
 Floats = NDArray[np.float64]
+Point3 = tuple[float, float, float]
+Motion = tuple[Point3, tuple[float, float, float, float], Point3, Point3]
+"""Position, orientation (x, y, z, w), velocity and angular velocity, in the frame of the world."""
 # Functions that every firmware loop calls; local names avoid a look-up in the module each time.
 _pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
 _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
@@ -104,6 +107,7 @@ class BulletBody:
                 pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client
             )
         self._seen = window
+        self._motion: Motion | None = None
         self._build(None)
         self.reset(Scene())
 
@@ -143,7 +147,7 @@ class BulletBody:
         pybullet.resetBaseVelocity(
             self._robot, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), physicsClientId=client
         )
-        self._touched = False
+        self._touched, self._motion = False, None
         if scene.goal is not None:
             if self._goal < 0:
                 disc = pybullet.createVisualShape(
@@ -163,8 +167,7 @@ class BulletBody:
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
-        position, (qx, qy, qz, qw) = _pose_of(robot, client)
-        (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
+        position, (qx, qy, qz, qw), (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
         (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = model.robot_step(
             1.0 - 2.0 * (qy * qy + qz * qz),
             2.0 * (qw * qz + qx * qy),
@@ -180,18 +183,25 @@ class BulletBody:
         _apply_force(robot, -1, force, position, _WORLD, client)
         _apply_torque(robot, -1, torque, _WORLD, client)
         _simulate(client)
+        self._motion = None
+
+    def _read_motion(self) -> Motion:
+        """Read from PyBullet how the robot moves, and keep it until the next step."""
+        robot, client = self._robot, self._client
+        self._motion = motion = (*_pose_of(robot, client), *_velocity_of(robot, client))
+        return motion
 
     def feel(self) -> None:
         """Check whether the robot touches an obstacle now: overlaps it, or is pushed by it."""
-        if self._statics and not self._touched:
+        obstacles = self._statics.bodies
+        if obstacles and not self._touched:
             points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
-            self._touched = any(
-                p[2] in self._statics and (p[8] <= 0.0 or p[9] > 0.0) for p in points
-            )
+            self._touched = any(p[2] in obstacles and (p[8] <= 0.0 or p[9] > 0.0) for p in points)
 
     def engine_step(self) -> None:
         """Call PyBullet's stepSimulation alone, for benchmarks."""
         pybullet.stepSimulation(self._client)
+        self._motion = None
 
     def rays(self, place: tuple[float, float], bearings: Floats, reach: float) -> Floats:
         """Measure ranges with PyBullet's own rays, for tests and benchmarks.
@@ -217,9 +227,7 @@ class BulletBody:
     @property
     def truth(self) -> GroundTruth:
         """Ground truth of the robot, in the frame of the world."""
-        robot, client = self._robot, self._client
-        (x, y, _), orientation = _pose_of(robot, client)
-        (vx, vy, _), (_, _, rate) = _velocity_of(robot, client)
+        (x, y, _), orientation, (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
         theta = pybullet.getEulerFromQuaternion(orientation)[2]
         forward = vx * math.cos(theta) + vy * math.sin(theta)
         return GroundTruth((x, y, theta), (forward, rate), self._touched)
@@ -227,8 +235,7 @@ class BulletBody:
     @property
     def power(self) -> float:
         """Mechanical power of the motors now [W]; see `dynamics.power`."""
-        _, (qx, qy, qz, qw) = _pose_of(self._robot, self._client)
-        (vx, vy, _), (_, _, rate) = _velocity_of(self._robot, self._client)
+        _, (qx, qy, qz, qw), (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
         cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
         return model.motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
 
@@ -346,9 +353,9 @@ class _Shape(NamedTuple):
     """A visual shape: a box of half sizes, a cylinder along z, or a file."""
 
     kind: int
-    at: tuple[float, float, float]
+    at: Point3
     colour: tuple[float, float, float, float]
-    box: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    box: Point3 = (0.0, 0.0, 0.0)
     radius: float = 0.0
     length: float = 0.0
     turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
@@ -429,6 +436,8 @@ class StaticObstacles:
     leaks the shapes of bodies that are removed, but not those of a simulation that is reset, so
     another world needs another simulation. Visual shapes take ten times as long to make as
     collision shapes, so `paint` makes them when they are needed.
+
+    Attributes: `world`; `bodies`, PyBullet's numbers of the compounds.
     """
 
     def __init__(self, client: int, world: World | None) -> None:
@@ -436,7 +445,7 @@ class StaticObstacles:
         self.world = world
         self._compounds = [] if world is None else _compounds(world)
         self._painted = False
-        self._bodies: set[int] = set()
+        self.bodies: set[int] = set()
         # A tiny shape below the floor: without a visual one PyBullet would make a slow one itself.
         hidden = -1
         if self._compounds:
@@ -453,7 +462,7 @@ class StaticObstacles:
             body = pybullet.createMultiBody(
                 0.0, shape, hidden, useMaximalCoordinates=1, physicsClientId=client
             )
-            self._bodies.add(int(body))
+            self.bodies.add(int(body))
 
     def paint(self) -> None:
         """Make the obstacles visible to PyBullet's camera and window; idempotent."""
@@ -465,12 +474,6 @@ class StaticObstacles:
             )
             pybullet.createMultiBody(0.0, -1, shape, physicsClientId=self._client)
         self._painted = True
-
-    def __contains__(self, body: int) -> bool:
-        return body in self._bodies
-
-    def __len__(self) -> int:
-        return len(self._bodies)
 
 
 def _compounds(world: World) -> list[dict[str, Any]]:

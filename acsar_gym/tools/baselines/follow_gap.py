@@ -24,7 +24,6 @@ from acsar_gym.config import footprint
 from acsar_gym.sensors.lidar import ray_spec
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
-from acsar_gym.tools.baselines.mapping import scan_points
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 
 CENTRE_WEIGHT = 0.35
@@ -54,9 +53,13 @@ class FollowGap(BaselinePolicy):
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        points = scan_points(seen.ranges, self._angles, self.setting.config)
+        config, points = self.setting.config, np.zeros((0, 2))
+        if seen.ranges is not None:
+            met = seen.ranges < config.lidar.max_range - 1e-3
+            far, angles = seen.ranges[met], self._angles[met]
+            x = config.lidar_x_offset + far * np.cos(angles)
+            points = np.column_stack([x, config.lidar_y_offset + far * np.sin(angles)])
         course, nearest = choose_course(points, self._radius, seen.bearing, seen.distance)
-        config = self.setting.config
         free = max(nearest - self._radius, 0.0)
         speed = config.max_linear * min(1.0, 0.3 + free / 0.3) * max(math.cos(course), 0.0)
         return (0.0 if abs(course) > MAX_COURSE else speed), 2.5 * course
@@ -87,7 +90,9 @@ def choose_course(
     free: NDArray[np.bool_] = np.all(apart > wide, axis=1)
     if not free.any():
         return float(to[near.argmax()]), float(near.min())
-    centre = min(find_gaps(free, middles), key=lambda gap: angle_off_gap(gap, bearing))[0]
+    centre, _ = min(  # the gap that the bearing lies least outside of
+        find_gaps(free, middles), key=lambda gap: abs(wrap_angle(bearing - gap[0])) - gap[1]
+    )
     weight = CENTRE_WEIGHT / float(near.min())
     course = centre + wrap_angle(bearing - centre) / (weight + 1.0)
     return wrap_angle(course), float(near.min())
@@ -115,11 +120,6 @@ def find_gaps(free: NDArray[np.bool_], middles: Floats) -> list[tuple[float, flo
         (wrap_angle(begin + step * (start + end) / 2.0), step * (end - start) / 2.0)
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
     ]
-
-
-def angle_off_gap(gap: tuple[float, float], bearing: float) -> float:
-    """How far a bearing lies outside a gap; negative within it [rad]."""
-    return abs(wrap_angle(bearing - gap[0])) - gap[1]
 
 
 def wrap_angle(angle: float) -> float:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from acsar_gym.config import RobotConfig, footprint
+from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.lidar import ray_spec
@@ -18,25 +17,6 @@ from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside
 from acsar_gym.worlds.search import Costs, clearance_costs, sweep_distances
-
-
-def scan_points(ranges: Floats | None, angles: Floats, config: RobotConfig) -> Floats:
-    """Convert a scan to points.
-
-    Args:
-        ranges: (rays,) [m]; None is no scan.
-        angles: (rays,), directions of the rays in the base frame [rad].
-        config: of the robot.
-
-    Returns:
-        (n, 2): what the rays met, in the base frame [m]; rays that met nothing give none.
-    """
-    if ranges is None:
-        return np.zeros((0, 2))
-    met = ranges < config.lidar.max_range - 1e-3
-    far, angle = ranges[met], angles[met]
-    x = config.lidar_x_offset + far * np.cos(angle)
-    return np.column_stack([x, config.lidar_y_offset + far * np.sin(angle)])
 
 
 @loop
@@ -256,8 +236,7 @@ FIELD_COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
 """Costs of cells near obstacles."""
 
 
-@dataclass(frozen=True, slots=True)
-class Potential:
+class Potential(NamedTuple):
     """Cost of the cheapest way to the goal, as equivalent metres, on a grid.
 
     Each cell costs 1 a metre, and more near obstacles. The cost of the cheapest way to the goal, T,
@@ -266,15 +245,9 @@ class Potential:
 
     values: Floats
     """(nx, ny), at the cells' centres."""
-    distances: Floats
-    """(nx, ny): from the nearest occupied cell [m]."""
     x: float
-    """x of cell (0, 0) [m]."""
+    """x of cell (0, 0) [m], with y the next one."""
     y: float
-
-    def at(self, x: float, y: float) -> float:
-        """The potential at a point, interpolated."""
-        return float(interpolate_field(self.values, self.x, self.y, x, y))
 
     def way(self, x: float, y: float, length: float) -> Floats:
         """(n, 2): the way down the potential from a point, so long at most, every half cell [m]."""
@@ -318,7 +291,7 @@ def compute_potential(
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL_SIZE), round((goal[1] - y) / CELL_SIZE)
     sweep_distances(values, clearance_costs(distances, radii, FIELD_COSTS) * CELL_SIZE, i, j)
-    return Potential(values, distances, x, y)
+    return Potential(values, x, y)
 
 
 @loop

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -55,31 +55,16 @@ def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> Episo
         scoring: how it is scored.
     """
     scores = dict(zip(BARN_SCORES, result.scores, strict=False))
-    return EpisodeRecord(
-        scene=scene,
-        seed=result.seed or 0,
-        success=bool(result.success),
-        collision=bool(result.collision),
-        score=score_episode(result, scoring),
-        spl=metrics.episode_spl(result),
-        soft_spl=metrics.episode_soft_spl(result),
-        time=result.ended - result.started,
-        steps=result.length,
-        path=result.path,
-        driven=result.driven,
-        shortest=result.shortest,
-        turning=result.turning,
-        jerk=result.jerk,
-        clearance=result.clearance,
-        energy=result.energy,
-        odometry_error=result.odometry_error,
-        cross_track=result.cross_track,
-        barn_score=scores.get("barn_score", math.nan),
-        barn_score_own=scores.get("barn_score_own", math.nan),
-        episode_return=result.episode_return,
-        late_ticks=result.late_ticks,
-        fault=result.fault,
-    )
+    own: dict[str, Any] = {
+        "scene": scene,
+        "seed": result.seed or 0,
+        "score": score_episode(result, scoring),
+        "steps": result.length,
+        "barn_score": scores.get("barn_score", math.nan),
+        "barn_score_own": scores.get("barn_score_own", math.nan),
+    }
+    same = (each.name for each in fields(EpisodeRecord) if each.name not in own)
+    return EpisodeRecord(**own, **{name: getattr(result, name) for name in same})
 
 
 def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
@@ -94,35 +79,22 @@ def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
     if scoring.id.startswith("PathFollow-"):
         return max(0.0, 1.0 - result.cross_track / WORST_CROSS_TRACK)
     fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
-    return fastest / max(result.ended - result.started, fastest, 1e-9)
+    return fastest / max(result.time, fastest, 1e-9)
 
 
-EPISODE_FIGURES: dict[str, Callable[[EpisodeRecord], float]] = {
-    "success_rate": lambda e: float(e.success),
-    "collision_rate": lambda e: float(e.collision),
-    "fault_rate": lambda e: float(bool(e.fault)),
+RECORD_FIGURES: dict[str, Callable[[Any], float]] = {
+    **{
+        name: metrics.EPISODE_RATES[name]
+        for name in ("success_rate", "collision_rate", "fault_rate")
+    },
+    **{name: each for name, each in metrics.EPISODE_FIGURES.items() if name != "length"},
     "score": lambda e: e.score,
-    "spl": lambda e: e.spl,
-    "soft_spl": lambda e: e.soft_spl,
     "barn_score": lambda e: e.barn_score,
     "barn_score_own": lambda e: e.barn_score_own,
-    "time_to_goal": lambda e: e.time if e.success else math.nan,
-    "path": lambda e: e.path if e.success else math.nan,
-    "clearance": lambda e: e.clearance,
-    "smoothness": lambda e: e.turning / max(e.path, 1e-9),
-    "jerk": lambda e: e.jerk,
-    "energy": lambda e: e.energy if e.success else math.nan,
-    "odometry_error": lambda e: e.odometry_error,
-    "odometry_drift": lambda e: (
-        e.odometry_error / max(e.path if math.isnan(e.driven) else e.driven, 1e-9)
-    ),
-    "cross_track": lambda e: e.cross_track,
-    "episode_return": lambda e: e.episode_return,
-    "late_ticks": lambda e: float(e.late_ticks),
+    "late_ticks": lambda e: e.late_ticks,
 }
-"""Values whose means over episodes are given; NaN where an episode has none. Units as in
-`EpisodeRecord`; smoothness is the heading change per metre [rad/m], odometry_drift the error per
-metre driven."""
+"""Values of an `EpisodeRecord` whose means over episodes are given, units as in `metrics.Summary`;
+NaN where it has none."""
 
 
 def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
@@ -131,7 +103,8 @@ def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
     `success_interval` is Wilson's.
     """
     means = {
-        name: metrics.finite_mean(map(value, episodes)) for name, value in EPISODE_FIGURES.items()
+        name: metrics.finite_mean(float(value(each)) for each in episodes)
+        for name, value in RECORD_FIGURES.items()
     }
     wins = sum(each.success for each in episodes)
     interval = metrics.wilson_interval(wins, len(episodes))
@@ -193,12 +166,12 @@ class AgentRow:
         if not self.driven:
             return told
         score, rates = self.matrix("score"), self.matrix("success").mean(axis=1)
-        intervals = {"score_iqm": stratified_interval([score], interquartile_mean)}
+        intervals = {"score_iqm": stratified_interval(score, interquartile_mean)}
         fields = {"success_rate": "success", "spl": "spl", "barn_score_own": "barn_score_own"}
         for name, figure in fields.items():
             values = self.matrix(figure)
             if condition == NOMINAL and np.isfinite(values).all():
-                intervals[name] = stratified_interval([values], row_means)
+                intervals[name] = stratified_interval(values, row_means)
         return told | {
             "training_seeds": [each.cell.training_seed for each in self.driven],
             "scene_count": score.shape[1],
@@ -299,35 +272,20 @@ def compare_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
     found = []
     for place, group in _group_by_place(some).items():
         for name, (figure, statistic) in COMPARED_FIGURES.items():
-            best = [
-                max(
-                    (row for row in group if row.kind == kind),
-                    key=lambda row: row.overall_figure(name),
-                    default=None,
-                )
-                for kind in (LEARNED, BASELINE)
-            ]
-            if best[0] is None or best[1] is None:
-                continue
-            ours, other = best[0], best[1]
-            values = [row.overall_figure(name) for row in (ours, other)]
-            ends = [stratified_interval([row.matrix(figure)], statistic) for row in (ours, other)]
-            found.append(
-                {
-                    "id": place[0],
-                    "scenes": place[1],
-                    "link": place[2],
-                    "figure": name,
-                    "learned": ours.agent,
-                    "baseline": other.agent,
-                    "learned_value": values[0],
-                    "baseline_value": values[1],
-                    "better": values[0] > values[1],
-                    "learned_interval": ends[0],
-                    "baseline_interval": ends[1],
-                    "apart": ends[0][1] < ends[1][0] or ends[1][1] < ends[0][0],
-                }
-            )
+            told: dict[str, Any] = _describe_place(place) | {"figure": name}
+            for kind in (LEARNED, BASELINE):
+                own = [row for row in group if row.kind == kind]
+                if own:
+                    best = max(own, key=lambda row: row.overall_figure(name))
+                    told[kind] = best.agent
+                    told[f"{kind}_value"] = best.overall_figure(name)
+                    ends = stratified_interval(best.matrix(figure), statistic)
+                    told[f"{kind}_interval"] = ends
+            if LEARNED in told and BASELINE in told:
+                ours, other = told[f"{LEARNED}_interval"], told[f"{BASELINE}_interval"]
+                better = told[f"{LEARNED}_value"] > told[f"{BASELINE}_value"]
+                apart = ours[1] < other[0] or other[1] < ours[0]
+                found.append(told | {"better": better, "apart": apart})
     return found
 
 
@@ -342,9 +300,7 @@ def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
                 x, y = x[:, :common], y[:, :common]
                 found.append(
                     {
-                        "id": place[0],
-                        "scenes": place[1],
-                        "link": place[2],
+                        **_describe_place(place),
                         "agent": ours.agent,
                         "over": other.agent,
                         "probability": probability_of_improvement(x, y),
@@ -352,6 +308,10 @@ def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
                     }
                 )
     return found
+
+
+def _describe_place(place: Place) -> dict[str, Any]:
+    return dict(zip(("id", "scenes", "link"), place, strict=False))
 
 
 def _group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -88,9 +87,8 @@ def _places(
         own = [row for row in nominal if (row["id"], row["scenes"]) == (env_id, scenes)]
         own.sort(key=lambda row: (list(LINK_NAMES).index(row["link"]), -row["score_iqm"]))
         columns = {}
-        for name, cells in agent_columns(own).items():  # without Markdown's marks
-            plain = [re.sub(r"^\*\*(.*)\*\*$", r"\1", cell).replace("\\|", "|") for cell in cells]
-            cut = [cell.partition(", worst seed ") for cell in plain]
+        for name, cells in agent_columns(own).items():
+            cut = [cell.partition(", worst seed ") for cell in cells]
             columns[name] = [cell for cell, _, _ in cut]
             if any(seed for _, _, seed in cut):
                 columns["worst seed"] = [seed or "-" for _, _, seed in cut]

@@ -6,7 +6,7 @@ Agents, conditions, its cells, and the jobs that they are cut into.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
@@ -60,6 +60,13 @@ class Agent:
         }
 
 
+def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raise ConfigError for the first name that isn't known, with the one that may be meant."""
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
+
+
 def short_id(env_id: str) -> str:
     """Remove the namespace from an id of this package: "barn" is "Barn-v1".
 
@@ -95,9 +102,7 @@ def choose_agents(
     learned += [] if trained is None else trained_agents(trained, seeds)
     found = [each for each in (*learned, *baseline_agents(ids)) if each.id in ids]
     known = list(dict.fromkeys([*(each.name for each in learned), *BASELINES]))
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"--agents {show_value(name)}{suggest_name(name[:40], known)}")
+    check_names("--agents", names, known)
     return [each for each in found if not names or each.name in names]
 
 
@@ -253,16 +258,6 @@ footprint. A Husky is wider than the gaps of most BARN worlds: only those of the
 (difficulty below 0.25) can be made for it."""
 
 
-def choose_conditions(names: Sequence[str]) -> tuple[str, ...]:
-    """Check names of conditions; ConfigError suggests the right one for an unknown one."""
-    for name in names:
-        if name not in CONDITIONS:
-            raise ConfigError(
-                f"--conditions {show_value(name)}{suggest_name(name[:40], CONDITIONS)}"
-            )
-    return tuple(dict.fromkeys(names))
-
-
 PLANAR, BULLET, PORT = "planar", "bullet", "port"
 LINK_KINDS = (PLANAR, BULLET, PORT)
 CHUNK_SIZES = {PLANAR: 50, BULLET: 50, PORT: 5}
@@ -301,11 +296,8 @@ class BenchmarkPlan:
     """Folder with the published worlds of BARN; None for none."""
 
     def __post_init__(self) -> None:
-        for link in self.links:
-            if link not in LINK_KINDS:
-                raise ConfigError(
-                    f"--links {show_value(link)}{suggest_name(link[:40], LINK_KINDS)}"
-                )
+        check_names("--links", self.links, LINK_KINDS)
+        check_names("--conditions", self.conditions, CONDITIONS)
         if PORT in self.links and self.port_count < 1:
             raise ConfigError(f"--port-scenes {self.port_count}: must be at least 1")
         if not self.agents:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from acsar_gym.errors import escape_unprintable
@@ -41,12 +41,14 @@ def format_tables(told: Told) -> str:
         parts.append(f"## {env_id}, {scenes} scenes\n\n{about}")
         if own:
             columns = agent_columns(own)
+            learned = {row["agent"] for row in own if row["kind"] == "learned"}
+            columns["agent"] = [f"**{n}**" if n in learned else n for n in columns["agent"]]
             parts.append(_format_table(list(columns), zip(*columns.values(), strict=True)))
         why = dict.fromkeys(_escape(row["refused"]) for row in own if row["refused"])
         if why:
             parts.append("\n".join(["Without a row:", "", *(f"- {said}" for said in why)]))
-    parts += [_best(told["best"]), _improvements(told), _links(told["cells"])]
-    parts += _profiles(rows, header["conditions"])
+    parts += [_format_best(told["best"]), _format_improvements(told), _format_links(told["cells"])]
+    parts += _format_profiles(rows, header["conditions"])
     return "\n".join(part.strip() + "\n" for part in parts if part)
 
 
@@ -71,7 +73,15 @@ def agent_columns(rows: Sequence[Told]) -> dict[str, list[str]]:
 def _format_table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table; numbers are aligned to the right."""
     aligned = ["---" if number == 0 else "---:" for number in range(len(names))]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [names, aligned, *rows])
+    lines = [map(_escape, line) for line in (names, aligned, *rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _format_section(
+    title: str, text: str, names: Sequence[str], rows: Sequence[Sequence[str]]
+) -> str:
+    """A heading, a paragraph and a table; empty where there are no rows."""
+    return f"## {title}\n\n{text}\n\n{_format_table(names, rows)}" if rows else ""
 
 
 def _escape(text: str) -> str:
@@ -100,9 +110,7 @@ def _format_score(row: Told) -> str:
 
 
 TABLE_COLUMNS: dict[str, Callable[[Told], str]] = {
-    "agent": lambda row: (
-        f"**{_escape(row['agent'])}**" if row["kind"] == "learned" else _escape(row["agent"])
-    ),
+    "agent": lambda row: escape_unprintable(row["agent"]),
     "link": lambda row: LINK_NAMES[row["link"]],
     "seeds": lambda row: str(len(row["training_seeds"])) if row["kind"] == "learned" else "",
     "episodes": lambda row: str(row["episodes"]),
@@ -126,26 +134,26 @@ FIGURE_FORMATS = {"success_rate": ("success", ".1%"), "score_iqm": ("score IQM",
 """Title and format of the figures that the best are compared by."""
 
 
-def _best(best: Sequence[Told]) -> str:
+def _format_best(best: Sequence[Told]) -> str:
     """The best learned agent against the best baseline."""
     rows = []
     for each in best:
         title, form = FIGURE_FORMATS[each["figure"]]
-        cells = [
-            *(each["id"], each["scenes"], LINK_NAMES[each["link"]], title),
-            *(each["learned"], each["baseline"]),
-            f"{each['learned_value']:{form}} : {each['baseline_value']:{form}}",
-            *("yes" if each[name] else "no" for name in ("better", "apart")),
-        ]
-        rows.append(list(map(_escape, cells)))
-    if not rows:
-        return ""
+        rows.append(
+            [
+                *(each["id"], each["scenes"], LINK_NAMES[each["link"]], title),
+                *(each["learned"], each["baseline"]),
+                f"{each['learned_value']:{form}} : {each['baseline_value']:{form}}",
+                *("yes" if each[name] else "no" for name in ("better", "apart")),
+            ]
+        )
     names = ["id", "scenes", "link", "figure", "learned", "baseline", "values", "better"]
     text = (
-        "## Best learned agent against best baseline\n\nEach figure has its own best agents. Their "
-        "intervals are the stratified bootstrap's, over scenes and training seeds."
+        "Each figure has its own best agents. Their intervals are the stratified bootstrap's, over "
+        "scenes and training seeds."
     )
-    return f"{text}\n\n{_format_table([*names, 'intervals apart'], rows)}"
+    title = "Best learned agent against best baseline"
+    return _format_section(title, text, [*names, "intervals apart"], rows)
 
 
 def improvements_of_best(told: Told) -> list[Told]:
@@ -162,26 +170,23 @@ def improvements_of_best(told: Told) -> list[Told]:
     ]
 
 
-def _improvements(told: Told) -> str:
+def _format_improvements(told: Told) -> str:
     rows = [
         [
-            *(each["id"], each["scenes"], LINK_NAMES[each["link"]]),
-            *(_escape(each["agent"]), _escape(each["over"])),
+            *(each["id"], each["scenes"], LINK_NAMES[each["link"]], each["agent"], each["over"]),
             f"{each['probability']:.3f} ({each['interval'][0]:.3f} to {each['interval'][1]:.3f})",
         ]
         for each in improvements_of_best(told)
     ]
-    if not rows:
-        return ""
-    names = ["id", "scenes", "link", "agent", "over", "probability"]
     text = (
-        "## Probability of improvement\n\nThat a run of the first agent scores more than one of "
-        "the second in the same scene; equal scores count half."
+        "That a run of the first agent scores more than one of the second in the same scene; equal "
+        "scores count half."
     )
-    return f"{text}\n\n{_format_table(names, rows)}"
+    names = ["id", "scenes", "link", "agent", "over", "probability"]
+    return _format_section("Probability of improvement", text, names, rows)
 
 
-def _links(cells: Sequence[Told]) -> str:
+def _format_links(cells: Sequence[Told]) -> str:
     """Success of the same agents behind different links, in the scenes that all these drove."""
     drives: dict[tuple[str, str, str], dict[str, dict[Any, bool]]] = {}
     for cell in cells:
@@ -202,21 +207,18 @@ def _links(cells: Sequence[Told]) -> str:
                 if shared
             }
             shares = [rates.get(name, "-") for name in names]
-            rows.append([*map(_escape, place), str(len(shared)), *shares])
-    if not rows:
-        return ""
+            rows.append([*place, str(len(shared)), *shares])
     head = ["id", "scenes", "agent", "episodes", *(LINK_NAMES[name] for name in names)]
-    text = "## The same agents behind other links\n\nSuccess in the scenes that all of them drove."
-    return f"{text}\n\n{_format_table(head, rows)}"
+    text = "Success in the scenes that all of them drove."
+    return _format_section("The same agents behind other links", text, head, rows)
 
 
-def _profiles(rows: Sequence[Told], conditions: Told) -> list[str]:
+def _format_profiles(rows: Sequence[Told], conditions: Told) -> Iterator[str]:
     """Success under every condition, and relative to nominal."""
-    found = []
+    driven = [row for row in rows if row["scenes"] == "test" and not row["refused"]]
     places = dict.fromkeys((row["id"], row["link"]) for row in rows if row["condition"] != NOMINAL)
     for place in places:
-        own = [row for row in rows if (row["id"], row["link"]) == place and not row["refused"]]
-        own = [row for row in own if row["scenes"] == "test"]
+        own = [row for row in driven if (row["id"], row["link"]) == place]
         rates = {(row["agent"], row["condition"]): row["success_rate"] for row in own}
         agents = list(dict.fromkeys(row["agent"] for row in own))
         lines = []
@@ -229,9 +231,6 @@ def _profiles(rows: Sequence[Told], conditions: Told) -> list[str]:
                     cell += f" ({rate / nominal:.3f})"
                 cells.append(cell)
             lines.append([conditions[name]["words"], *cells])
-        head = (
-            f"## Robustness: {place[0]}, {LINK_NAMES[place[1]]}\n\nSuccess (and its share of "
-            "nominal)."
-        )
-        found.append(f"{head}\n\n{_format_table(['condition', *map(_escape, agents)], lines)}")
-    return found
+        title = f"Robustness: {place[0]}, {LINK_NAMES[place[1]]}"
+        text = "Success (and its share of nominal)."
+        yield _format_section(title, text, ["condition", *agents], lines)

@@ -33,7 +33,7 @@ from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
-from acsar_gym.worlds.world import point_in_world, to_world
+from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
 Steps = Sequence[dict[str, Any]]
 Floats = NDArray[np.float64]
@@ -137,6 +137,32 @@ class EpisodeResult:
     """What the task told in info at the end, by name: its `told`."""
     track: DrawnTrack | None = None
     """Poses and scans of every step, where the env is a `TrackedEnv`."""
+
+    @property
+    def time(self) -> float:
+        """Duration of the episode [s]."""
+        return self.ended - self.started
+
+    @property
+    def spl(self) -> float:
+        """Success weighted by path length, 0 to 1: success * shortest / max(driven, shortest)."""
+        return float(self.success) * self._path_share
+
+    @property
+    def soft_spl(self) -> float:
+        """SPL with the progress max(0, 1 - left / shortest) in place of success, 0 to 1."""
+        return max(0.0, 1.0 - _divide(self.left, self.shortest)) * self._path_share
+
+    @property
+    def _path_share(self) -> float:
+        """The shortest path as a share of the one driven, at most 1."""
+        driven = self.path if math.isnan(self.driven) else self.driven
+        return _divide(self.shortest, max(driven, self.shortest))
+
+
+def _divide(part: float, whole: float) -> float:
+    """Divide; 1 if `whole` isn't positive."""
+    return part / whole if whole > 0.0 else 1.0
 
 
 def run_episodes(
@@ -383,9 +409,7 @@ def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
     for result in results:
         newest = np.searchsorted(stamps, (result.started, result.ended), side="right") - 1
         start, end = (poses[max(0, int(number))] for number in newest)
-        dx, dy = end[0] - start[0], end[1] - start[1]
-        c, s = math.cos(start[2]), math.sin(start[2])
-        x, y = c * dx + s * dy, c * dy - s * dx
+        x, y, _ = to_odometry(start, end)
         errors.append(math.hypot(x - result.pose[0], y - result.pose[1]))
     return errors
 

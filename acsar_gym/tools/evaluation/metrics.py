@@ -114,33 +114,38 @@ def replace_nonfinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+EPISODE_RATES: dict[str, Callable[[Any], bool]] = {
+    "success_rate": lambda e: e.success,
+    "collision_rate": lambda e: e.collision,
+    "timeout_rate": lambda e: not (e.success or e.collision or e.fault),
+    "fault_rate": lambda e: bool(e.fault),
+}
+"""How an `EpisodeResult`, or a benchmark's record of it, ended."""
+EPISODE_FIGURES: dict[str, Callable[[Any], float]] = {
+    "episode_return": lambda e: e.episode_return,
+    "length": lambda e: e.length,
+    "time_to_goal": lambda e: e.time if e.success else math.nan,
+    "path": lambda e: e.path if e.success else math.nan,
+    "spl": lambda e: e.spl,
+    "soft_spl": lambda e: e.soft_spl,
+    "smoothness": lambda e: e.turning / max(e.path, 1e-9),
+    "jerk": lambda e: e.jerk,
+    "clearance": lambda e: e.clearance,
+    "energy": lambda e: e.energy if e.success else math.nan,
+    "odometry_error": lambda e: e.odometry_error,
+    "odometry_drift": lambda e: (
+        e.odometry_error / max(e.path if math.isnan(e.driven) else e.driven, 1e-9)
+    ),
+    "cross_track": lambda e: e.cross_track,
+}
+"""Figures of an episode whose means are given, see `Summary`; NaN where an episode has none."""
+
+
 def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
-    wins = [result for result in results if result.success]
-    rates = {
-        "success_rate": [result.success for result in results],
-        "collision_rate": [result.collision for result in results],
-        "timeout_rate": [
-            not (result.success or result.collision or result.fault) for result in results
-        ],
-        "fault_rate": [bool(result.fault) for result in results],
-    }
+    rates = {name: [each(result) for result in results] for name, each in EPISODE_RATES.items()}
     samples = {
-        "episode_return": [result.episode_return for result in results],
-        "length": [float(result.length) for result in results],
-        "time_to_goal": [result.ended - result.started for result in wins],
-        "path": [result.path for result in wins],
-        "spl": [episode_spl(result) for result in results],
-        "soft_spl": [episode_soft_spl(result) for result in results],
-        "smoothness": [result.turning / max(result.path, 1e-9) for result in results],
-        "jerk": [result.jerk for result in results],
-        "clearance": [result.clearance for result in results],
-        "energy": [result.energy for result in wins],
-        "odometry_error": [result.odometry_error for result in results],
-        "odometry_drift": [
-            result.odometry_error / max(_length_driven(result), 1e-9) for result in results
-        ],
-        "cross_track": [result.cross_track for result in results],
+        name: [float(each(result)) for result in results] for name, each in EPISODE_FIGURES.items()
     }
     scores: dict[str, list[float]] = {}
     if results and all(result.scores for result in results):
@@ -184,31 +189,6 @@ def _largest(values: Iterable[float]) -> float:
     return max(filter(math.isfinite, values), default=math.nan)
 
 
-def _length_driven(result: EpisodeResult) -> float:
-    """Return the length of the path driven [m], by ground truth if known."""
-    return result.path if math.isnan(result.driven) else result.driven
-
-
-def episode_spl(result: EpisodeResult) -> float:
-    """Return SPL of one episode, 0 to 1: success * shortest / max(driven, shortest)."""
-    longest = max(_length_driven(result), result.shortest)
-    return float(result.success) * _share(result.shortest, longest)
-
-
-def episode_soft_spl(result: EpisodeResult) -> float:
-    """Return SoftSPL of one episode, 0 to 1.
-
-    SPL with the progress max(0, 1 - left / shortest) in place of success.
-    """
-    progress = max(0.0, 1.0 - _share(result.left, result.shortest))
-    return progress * _share(result.shortest, max(_length_driven(result), result.shortest))
-
-
-def _share(part: float, whole: float) -> float:
-    """Divide; 1 if `whole` isn't positive."""
-    return part / whole if whole > 0.0 else 1.0
-
-
 def wilson_interval(hits: int, count: int) -> Interval:
     """Return Wilson's 95 % interval of the rate hits / count; (0, 1) if `count` is 0."""
     with require_extra("an evaluation", "scipy"):
@@ -232,7 +212,7 @@ def bootstrap_interval(values: Sequence[float]) -> Interval:
     known = [value for value in values if math.isfinite(value)]
     if len(known) < 2:
         return (math.nan, math.nan)
-    return stratified_interval([np.array([known])], row_means)
+    return stratified_interval(np.array([known]), row_means)
 
 
 def row_means(rows: Floats) -> Floats:
@@ -242,15 +222,15 @@ def row_means(rows: Floats) -> Floats:
 
 
 def stratified_interval(
-    strata: Sequence[Floats], statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES
+    values: Floats, statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES
 ) -> Interval:
     """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
 
-    Every matrix is resampled on its own: its rows and its columns, with replacement. A drawn row
-    keeps its values in all drawn columns.
+    Rows and columns are resampled with replacement. A drawn row keeps its values in all drawn
+    columns.
 
     Args:
-        strata: matrices (rows, columns).
+        values: (rows, columns).
         statistic: of all resampled values together.
         resamples: bootstrap samples.
 
@@ -258,14 +238,12 @@ def stratified_interval(
         Low and high end.
     """
     rng, found = np.random.default_rng(0), []
-    chunk = max(1, MAX_RESAMPLED // sum(each.size for each in strata))
+    chunk = max(1, MAX_RESAMPLED // values.size)
     for first in range(0, resamples, chunk):
         count = min(chunk, resamples - first)
-        drawn = []
-        for each in strata:
-            rows, columns = (rng.integers(size, size=(count, size)) for size in each.shape)
-            drawn.append(each[rows[:, :, None], columns[:, None, :]].reshape(count, -1))
-        found.append(statistic(np.concatenate(drawn, axis=1)))
+        rows, columns = (rng.integers(size, size=(count, size)) for size in values.shape)
+        drawn = values[rows[:, :, None], columns[:, None, :]]
+        found.append(statistic(drawn.reshape(count, -1)))
     return percentile_interval(np.concatenate(found))
 
 

@@ -13,7 +13,7 @@ from acsar_gym.render import renderer
 from acsar_gym.render.canvas import encode_png
 from acsar_gym.render.top_view import RgbImage, TopView, TopViewFrame
 from acsar_gym.sensors.lidar import ray_spec
-from acsar_gym.tools.evaluation import metrics, report
+from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.evaluation.episodes import DrawnTrack, EpisodeResult
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.geometry import point_clearance
@@ -38,7 +38,7 @@ def worst_episodes(results: Sequence[EpisodeResult], count: int | None) -> list[
     """
 
     def merit(result: EpisodeResult) -> tuple[bool, float]:
-        progress = metrics.episode_soft_spl(result)
+        progress = result.soft_spl
         error = 0.0 if math.isnan(result.cross_track) else result.cross_track
         return result.success, -error if math.isnan(progress) else progress
 
@@ -60,7 +60,7 @@ def draw_episode(result: EpisodeResult, view: TopView | None = None) -> RgbImage
     outcome = "collision" if result.collision else "time-out"
     if result.fault or result.success:
         outcome = "fault" if result.fault else "goal reached"
-    caption = f"seed {result.seed}{world}: {outcome} after {result.ended - result.started:.1f} s"
+    caption = f"seed {result.seed}{world}: {outcome} after {result.time:.1f} s"
     touched = collision_point(track) if result.collision else None
     frame = _make_frame(track, len(track.odometry) - 1, caption, touched)
     return (view or TopView(track.robot, PICTURE_SIZE)).draw(frame)

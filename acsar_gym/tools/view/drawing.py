@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,67 +176,53 @@ def _draw_marker(
     }
 
 
-class ViewContents(NamedTuple):
-    """What is drawn around a robot, in the odometry frame; nothing of it has to be there."""
-
-    goal: tuple[float, float] | None = None
-    """x and y of the goal [m]."""
-    world: World | None = None
-    """Obstacles, in their own frame."""
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """The pose in that frame at which the odometry frame begins."""
-    truth: Floats | None = None
-    """(m, 2): the true path [m]."""
-    scan: Floats = NO_POINTS
-    """(k, 2): what the LiDAR sees [m]."""
-    seen: Floats = NO_POINTS
-    """(l, 2): what it has seen before [m]."""
-
-
-def draw_top_view(
-    config: RobotConfig,
-    poses: Floats,
-    place: int = -1,
-    around: ViewContents | None = None,
-    revision: str = "",
+def draw_episode_from_above(
+    episode: GrowingEpisode, config: RobotConfig, world: World | None, at: float, revision: str
 ) -> Figure:
-    """Draw a robot, its path and its surroundings from above, in the odometry frame.
+    """Draw the robot, its path and its surroundings from above, in the odometry frame.
 
     Args:
+        episode: what is shown.
         config: of the robot.
-        poses: (n, 3): x [m], y [m], theta [rad] by odometry.
-        place: number of the pose at which the robot is; -1 at the start.
-        around: what else is drawn.
+        world: obstacles, in their own frame; None where they aren't known.
+        at: time since the reset [s].
         revision: what zoom and pan belong to; they are kept for as long as it is the same.
 
     Returns:
         `data` and `layout` of plotly.
     """
-    around = around or ViewContents()
-    traces = [_draw_specks(around.seen, COLOURS["seen"], 3, "seen before")]
-    if around.world is not None:
-        circles, segments = world_lines(around.world, around.start)
+    poses = np.stack([episode.column(name) for name in ("x", "y", "theta")], axis=1)
+    place, goal = episode.place(at), episode.goal
+    scan, seen = find_hits(episode, config, at)
+    traces = [_draw_specks(seen, COLOURS["seen"], 3, "seen before")]
+    if world is not None:
+        circles, segments = world_lines(world, episode.start)
         wall = COLOURS["wall"]
         filled = {"fill": "toself", "fillcolor": wall + "30"}
         traces += [
             _draw_path(circles, wall, "obstacles", line={"width": 1}, **filled),
             _draw_path(segments, wall, "walls", line={"width": 2}, connectgaps=False),
         ]
-    if around.truth is not None:
-        traces.append(_draw_path(around.truth, COLOURS["truth"], "true path", line={"dash": "dot"}))
+    if episode.is_simulated:
+        rows = episode.truth.rows
+        rows = rows[: int(np.searchsorted(rows[:, 0], at + 1e-9, "right"))]
+        rows = rows[thin_evenly(len(rows), PATH_POINTS // 3)]
+        true = [to_odometry(episode.start, (x, y, yaw)) for x, y, yaw in rows[:, 1:].tolist()]
+        truth = np.array(true, np.float64).reshape(-1, 3)
+        traces.append(_draw_path(truth, COLOURS["truth"], "true path", line={"dash": "dot"}))
     chosen = thin_evenly(len(poses), PATH_POINTS)
     done, wide = np.r_[chosen[chosen <= place], [place] * (place >= 0)], {"width": 2.5}
     sent = COLOURS["sent"]
     traces += [
         _draw_path(poses[chosen], sent + "40", "path to come", line=wide),
         _draw_path(poses[done.astype(np.intp)], sent, "path", line=wide),
-        _draw_specks(around.scan, COLOURS["scan"], 4, "LiDAR now"),
+        _draw_specks(scan, COLOURS["scan"], 4, "LiDAR now"),
     ]
     cross = {"symbol": "cross-thin", "line": {"width": 2, "color": COLOURS["muted"]}}
     traces.append(_draw_marker((0.0, 0.0), "start", COLOURS["muted"], 9, **cross))
-    if around.goal is not None:
+    if goal is not None:
         ring = {"line": {"width": 2.5, "color": COLOURS["goal"]}}
-        traces.append(_draw_marker(around.goal, "goal", COLOURS["goal"] + "33", 22, **ring))
+        traces.append(_draw_marker(goal, "goal", COLOURS["goal"] + "33", 22, **ring))
     x, y, theta = poses[place] if place >= 0 else (0.0, 0.0, 0.0)
     turn = np.array([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
     corners = np.array([*config.outline, config.outline[0]])
@@ -247,7 +233,7 @@ def draw_top_view(
         _draw_path(corners @ turn + (x, y), ink, "robot", **body),
         _draw_path(front @ turn + (x, y), "#ffffff", "front", line=wide),
     ]
-    goals = NO_POINTS if around.goal is None else np.array([around.goal])
+    goals = NO_POINTS if goal is None else np.array([goal])
     points = np.concatenate([np.zeros((1, 2)), poses[:, :2], goals])
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0) - VIEW_MARGIN, points.max(axis=0) + VIEW_MARGIN
@@ -341,27 +327,6 @@ def find_hits(episode: GrowingEpisode, config: RobotConfig, at: float) -> tuple[
     before = np.concatenate([NO_POINTS, *hits[:-1]])
     cells: Floats = np.unique(np.round(before / SEEN_CELL), axis=0)
     return hits[-1], cells * SEEN_CELL
-
-
-def draw_episode_from_above(
-    episode: GrowingEpisode, config: RobotConfig, world: World | None, at: float, revision: str
-) -> Figure:
-    """Draw an episode from above at a time since its reset [s]; see `draw_top_view`."""
-    scan, seen = find_hits(episode, config, at)
-    truth = None
-    if episode.is_simulated:
-        rows = episode.truth.rows
-        rows = rows[: int(np.searchsorted(rows[:, 0], at + 1e-9, "right"))]
-        rows = rows[thin_evenly(len(rows), PATH_POINTS // 3)]
-        poses = [to_odometry(episode.start, (x, y, yaw)) for x, y, yaw in rows[:, 1:].tolist()]
-        truth = np.array(poses, np.float64).reshape(-1, 3)[:, :2]
-    return draw_top_view(
-        config,
-        np.stack([episode.column(name) for name in ("x", "y", "theta")], axis=1),
-        episode.place(at),
-        ViewContents(episode.goal, world, episode.start, truth, scan, seen),
-        revision,
-    )
 
 
 def draw_wheels(episode: GrowingEpisode, at: float, revision: str) -> Figure:

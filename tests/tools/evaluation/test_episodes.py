@@ -33,7 +33,7 @@ def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
     ended = EpisodeResult(True, False, 10.0, 14.0, 1.5, (1.0, 0.0, 0.0), 0.02, 400, 0)
     assert odometry_errors([ended], log) == pytest.approx([0.03])
     log.write_text('{"t": 1.0, "rx": ""}\n')
-    with pytest.raises(ConfigError, match="no true poses"):
+    with pytest.raises(ConfigError, match="log"):
         odometry_errors([ended], log)
 
 

@@ -22,8 +22,6 @@ from acsar_gym.tools.evaluation.episodes import (
 )
 from acsar_gym.tools.evaluation.metrics import (
     bootstrap_interval,
-    episode_soft_spl,
-    episode_spl,
     summarise_episodes,
     wilson_interval,
 )
@@ -57,18 +55,18 @@ def test_the_four_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> N
 
 
 def test_spl_of_hand_made_episodes() -> None:
-    assert episode_spl(result()) == pytest.approx(0.8)
-    assert episode_spl(result(driven=3.9)) == 1.0  # the tolerance makes ways a little shorter
-    assert episode_spl(result(**CRASH)) == 0.0
-    assert episode_spl(result(driven=math.nan)) == pytest.approx(0.8)  # hardware: by odometry
-    assert math.isnan(episode_spl(result(shortest=math.nan)))
+    assert result().spl == pytest.approx(0.8)
+    assert result(driven=3.9).spl == 1.0  # the tolerance makes ways a little shorter
+    assert result(**CRASH).spl == 0.0
+    assert result(driven=math.nan).spl == pytest.approx(0.8)  # hardware: by odometry
+    assert math.isnan(result(shortest=math.nan).spl)
 
 
 def test_soft_spl_weighs_progress() -> None:
-    assert episode_soft_spl(result(**CRASH)) == pytest.approx(0.25)
-    assert episode_soft_spl(result(left=2.0, driven=8.0)) == pytest.approx(0.25)
-    assert episode_soft_spl(result(left=6.0)) == 0.0
-    assert episode_soft_spl(result(left=math.inf)) == 0.0
+    assert result(**CRASH).soft_spl == pytest.approx(0.25)
+    assert result(left=2.0, driven=8.0).soft_spl == pytest.approx(0.25)
+    assert result(left=6.0).soft_spl == 0.0
+    assert result(left=math.inf).soft_spl == 0.0
 
 
 def test_energy_is_that_of_successes_and_clearance_that_of_all() -> None:
@@ -139,7 +137,7 @@ def test_a_straight_drive_is_perfect() -> None:
     assert episode.success
     assert episode.shortest == pytest.approx(2.0)
     assert episode.left == pytest.approx(0.3, abs=0.06)
-    assert episode_spl(episode) == 1.0
+    assert episode.spl == 1.0
     assert episode.turning == pytest.approx(0.0, abs=1e-6)
 
 
@@ -149,7 +147,7 @@ def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     assert (episode.success, episode.collision) == (False, True)
     assert episode.shortest > 2.05  # round the pillar
     assert 1.4 < episode.left < 1.9
-    assert 0.15 < episode_soft_spl(episode) < 0.4
+    assert 0.15 < episode.soft_spl < 0.4
     assert episode.clearance == 0.0
 
 

@@ -101,7 +101,7 @@ def test_a_report_loads_nothing(tmp_path: Path) -> None:
 
 def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    with pytest.raises(MissingExtraError, match=r"an HTML report needs an extra.*\[report\]"):
+    with pytest.raises(MissingExtraError, match=r"\[report\]"):
         evil_page().html()
 
 

@@ -77,9 +77,9 @@ def test_worlds_of_a_file_are_sent_and_keep_their_order(
 
 
 def test_one_robot_has_one_process(policy: FilePolicy) -> None:
-    with pytest.raises(ConfigError, match="one process drives one robot"):
+    with pytest.raises(ConfigError, match="--link"):
         shards.evaluate_in_parallel(policy, "socket://robot:9000", None, range(4), workers=2)
-    with pytest.raises(ConfigError, match="one process records"):
+    with pytest.raises(ConfigError, match="--record"):
         shards.evaluate_in_parallel(policy, "planar", None, range(4), workers=2, record=object())
 
 
@@ -96,7 +96,7 @@ def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(tmp_pat
 
 def test_a_policy_that_changed_after_loading_isnt_sent(policy: FilePolicy) -> None:
     policy.path.write_text("# another one", encoding="utf-8")
-    with pytest.raises(PolicyError, match="changed since it was loaded"):
+    with pytest.raises(PolicyError, match=str(policy.path)):
         PortablePolicy.of(policy)
 
 

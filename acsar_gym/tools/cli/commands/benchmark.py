@@ -98,7 +98,7 @@ def run_benchmark(
     if combine:
         told = result.make_result(*result.combine_folders(combine))
     else:
-        named = tuple(plan.CONDITIONS) if what.profile else plan.choose_conditions(what.conditions)
+        named = tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions))
         if policy:
             found = [plan.submitted_agent(policy)]
             ids: tuple[str, ...] = (found[0].id,)
