@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
-from acsar_gym.physics.trigonometry import cos_sin
+from acsar_gym.physics.trigonometry import angle_of, cos_sin
 from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
@@ -135,30 +135,67 @@ def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt
         trail[slot, 1], trail[slot, 2], trail[slot, 3] = pose
 
 
-@loop
-def pose_at(trail: Floats, newest: int, time: float, period: float) -> tuple[float, float, float]:
-    """Pose at a time [s]: x [m], y [m] and theta [rad], interpolated; the nearest end outside.
+@jit
+def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays) -> Floats:
+    """Where a LiDAR was during a time, as seen from where it is now.
 
     Args:
-        trail: of the robot.
-        newest: place of its newest row.
-        time: on the trail's clock [s].
-        period: between two rows, roughly [s].
+        trail: (slots, 4), as `Trail.rows`.
+        newest: place of its newest row: now.
+        since: when that time began [s].
+        until: when it ended [s].
+        rays: of the LiDAR.
+
+    Returns:
+        (slots, 4), the newest first: time [s], x and y of the LiDAR's place from its present one in
+        the robot's present frame [m], and the heading from the present one [rad]. Rows that
+        `place_at` doesn't need for that time have no more than a time.
     """
     slots = len(trail)
-    back = int(min(max((trail[newest, 0] - time) / period, 0.0), slots - 2.0))
-    while back < slots - 2 and trail[(newest - back - 1) % slots, 0] > time:
+    seen = np.empty((slots, 4))
+    cos, sin = cos_sin(trail[newest, 3])
+    row, over = newest, False
+    for back in range(slots):
+        seen[back, 0] = trail[row, 0]
+        before = row - 1 if row > 0 else slots - 1
+        if not over and (back == slots - 1 or trail[before, 0] <= until):
+            over = trail[row, 0] < since
+            dx, dy = trail[row, 1] - trail[newest, 1], trail[row, 2] - trail[newest, 2]
+            turned = trail[row, 3] - trail[newest, 3]
+            turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
+            c, s = cos_sin(turned)
+            seen[back, 1] = cos * dx + sin * dy + c * rays.mount_x - s * rays.mount_y - rays.mount_x
+            seen[back, 2] = cos * dy - sin * dx + s * rays.mount_x + c * rays.mount_y - rays.mount_y
+            seen[back, 3] = turned
+        row = before
+    return seen
+
+
+@jit
+def place_at(seen: Floats, time: float, period: float) -> tuple[float, float, float]:
+    """A LiDAR's place and heading at a time [s], interpolated; the nearest end outside.
+
+    Args:
+        seen: from `look_back`.
+        time: on its clock [s].
+        period: between two rows, roughly [s].
+
+    Returns:
+        x, y [m] and heading [rad], from those now.
+    """
+    last = len(seen) - 2
+    back = int(min(max((seen[0, 0] - time) / period, 0.0), float(last)))
+    while back < last and seen[back + 1, 0] > time:
         back += 1
-    while back > 0 and trail[(newest - back) % slots, 0] < time:
+    while back > 0 and seen[back, 0] < time:
         back -= 1
-    after, before = trail[(newest - back) % slots], trail[(newest - back - 1) % slots]
-    share = min(max((time - before[0]) / (after[0] - before[0]), 0.0), 1.0)
-    turned = after[3] - before[3]
-    turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
+    before = seen[back + 1, 0]
+    share = min(max((time - before) / (seen[back, 0] - before), 0.0), 1.0)
+    rest = 1.0 - share
     return (
-        before[1] + share * (after[1] - before[1]),
-        before[2] + share * (after[2] - before[2]),
-        before[3] + share * turned,
+        share * seen[back, 1] + rest * seen[back + 1, 1],
+        share * seen[back, 2] + rest * seen[back + 1, 2],
+        share * seen[back, 3] + rest * seen[back + 1, 3],
     )
 
 
@@ -187,43 +224,53 @@ def fill_scan(
         ranges: (rays,) [m]; written, within nearest to farthest.
     """
     count, last = len(bearings), len(ranges)
-    seen, far, off = np.empty(count), np.empty(count), np.empty(last)
-    x, y, theta = trail[newest, 1], trail[newest, 2], trail[newest, 3]
-    cos, sin = cos_sin(theta)
+    (xs, ys, turns), places, lengths = np.empty((3, count)), np.empty(count), np.empty(count)
+    since = until = times[0] if count else 0.0
+    for k in range(count):
+        since, until = min(since, times[k]), max(until, times[k])
+    seen = look_back(trail, newest, since, until, rays)
     least = most = 0.0
     for k in range(count):
-        then_x, then_y, then_theta = pose_at(trail, newest, times[k], rays.period)
-        turned = then_theta - theta
-        turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
-        least, most = min(least, turned), max(most, turned)
-        seen[k], far[k] = bearings[k] + turned, distances[k]
-        if distances[k] > 0.0 and (then_x != x or then_y != y or turned != 0.0):
-            dx, dy = then_x - x, then_y - y
-            turned_cos, turned_sin = cos_sin(turned)
-            beam_cos, beam_sin = cos_sin(seen[k])
-            ahead = cos * dx + sin * dy - rays.mount_x + distances[k] * beam_cos
-            ahead += turned_cos * rays.mount_x - turned_sin * rays.mount_y
-            left = cos * dy - sin * dx - rays.mount_y + distances[k] * beam_sin
-            left += turned_sin * rays.mount_x + turned_cos * rays.mount_y
-            seen[k], far[k] = math.atan2(left, ahead), math.sqrt(ahead * ahead + left * left)
-    reach = GAP_STEPS * FULL_TURN / max(count, 1) + most - least
-    around = FULL_TURN / rays.step
-    whole = abs(around - last) < 1e-6  # the rays go all the way round
-    ranges[:], off[:] = rays.farthest, np.inf
+        xs[k], ys[k], turns[k] = place_at(seen, times[k], rays.period)
+        least, most = min(least, turns[k]), max(most, turns[k])
+    around = FULL_TURN / rays.step  # rays in a full turn; place 0 is the first ray
     for k in range(count):
-        place = (seen[k] - rays.start) / rays.step
-        place -= around * np.floor((place + 0.5 * (around - last + 1.0)) / around)
-        handicap = 0.0 if distances[k] > 0.0 else MISS_HANDICAP
-        found = far[k] if distances[k] > 0.0 else rays.farthest
-        low = int(np.ceil(place - reach / rays.step))
-        high = int(np.floor(place + reach / rays.step))
-        for number in range(low, min(high, low + last - 1) + 1):
-            ray = number % last if whole else number
-            apart = abs(place - number) * rays.step + handicap
-            if 0 <= ray < last and apart < off[ray]:
-                off[ray], ranges[ray] = apart, found
+        measured = distances[k] > 0.0
+        distance = distances[k] if measured else 1.0
+        cos, sin = cos_sin(bearings[k] + turns[k])
+        x = distance * cos + (xs[k] if measured else 0.0)
+        y = distance * sin + (ys[k] if measured else 0.0)
+        place = (angle_of(x, y) - rays.start) / rays.step
+        places[k] = place - around * np.floor((place + 0.5) / around)
+        lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
+    # Each measurement goes to the ray next to it, if it is the nearest there.
+    taken, off = np.full(last, -1), np.full(last, np.inf)
+    for k in range(count):
+        ray = int(places[k] + 0.5)
+        apart = abs(places[k] - ray) * rays.step
+        apart += 0.0 if distances[k] > 0.0 else MISS_HANDICAP
+        if ray < last and apart < off[ray]:
+            taken[ray], off[ray] = k, apart
+    # A ray that got none takes what is next to it on either side.
+    whole = abs(around - last) < 1e-6
+    reach = int((GAP_STEPS * FULL_TURN / max(count, 1) + most - least) / rays.step + 0.5)
     for ray in range(last):
-        ranges[ray] = min(max(ranges[ray], rays.nearest), rays.farthest)
+        found = taken[ray]
+        if found < 0:
+            nearest = np.inf
+            for side in (-1, 1):
+                for far in range(1, reach + 1):
+                    other = ray + side * far
+                    if whole:
+                        other -= last * int(np.floor(other / last))
+                    if 0 <= other < last and taken[other] >= 0:
+                        apart = abs(places[taken[other]] - ray)
+                        apart = min(apart, around - apart)
+                        if apart < nearest:
+                            nearest, found = apart, taken[other]
+                        break
+        length = lengths[found] if found >= 0 else rays.farthest
+        ranges[ray] = min(max(length, rays.nearest), rays.farthest)
 
 
 @jit

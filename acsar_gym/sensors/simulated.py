@@ -7,12 +7,12 @@ at which it turns and its errors, is among the numbers of `physics.Physics`.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.jit import jit, loop, record_of
+from acsar_gym.jit import loop
 from acsar_gym.links.base import Link
 from acsar_gym.links.faults import hash_sample
 from acsar_gym.physics.body import GroundTruth
@@ -25,8 +25,9 @@ from acsar_gym.sensors.scan import (
     Revolution,
     Trail,
     make_rays,
+    look_back,
     newest_revolution,
-    pose_at,
+    place_at,
     ray_spec,
 )
 from acsar_gym.worlds import Scene
@@ -38,6 +39,16 @@ MAX_MEASUREMENTS = 2**14
 """More than a revolution can have; random numbers are numbered with it."""
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
+
+
+class LidarTraits(NamedTuple):
+    """What an episode's LiDAR is like; see `physics.Physics`."""
+
+    scan_rate: float
+    noise: float
+    bias: float
+    dropouts: float
+    outliers: float
 
 
 @loop
@@ -67,41 +78,26 @@ def aim_beams(
         origins: (rays, 2): where the LiDAR was then, from its place now in the robot's present
             frame; written [m].
     """
-    now, x, y, theta = trail[newest, 0], trail[newest, 1], trail[newest, 2], trail[newest, 3]
-    cos, sin = cos_sin(theta)
     begun = ended - duration
-    _, _, then_theta = pose_at(trail, newest, begun, rays.period)
-    turned = theta - then_theta
-    turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
-    rate = turned / (now - begun) / FULL_TURN  # of the robot [turns/s]
+    seen = look_back(trail, newest, begun, ended, rays)
+    since_begun = trail[newest, 0] - begun
+    _, _, turned = place_at(seen, begun, rays.period)
+    rate = -turned / since_begun / FULL_TURN  # of the robot [turns/s]
+    first, full = -(rays.start / FULL_TURN + rate * since_begun), 1.0 / (1.0 / duration - rate)
     for k in range(len(bearings)):
-        ray = rays.start + k * rays.step
         # The head's bearing -FULL_TURN * since / duration, and where the robot still turns until
         # now, make the ray's: that is linear in the time since the revolution began.
-        part = -(ray / FULL_TURN + rate * (now - begun))
-        since = min((part - np.floor(part)) / (1.0 / duration - rate), duration)
+        part = first - k * rays.step / FULL_TURN
+        since = min((part - np.floor(part)) * full, duration)
         times[k] = begun + since
-        then_x, then_y, then_theta = pose_at(trail, newest, times[k], rays.period)
-        turned = then_theta - theta
-        turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
-        bearings[k] = ray - turned
-        c, s = cos_sin(turned)
-        dx, dy = then_x - x, then_y - y
-        ahead = cos * dx + sin * dy + c * rays.mount_x - s * rays.mount_y - rays.mount_x
-        left = cos * dy - sin * dx + s * rays.mount_x + c * rays.mount_y - rays.mount_y
-        origins[k, 0], origins[k, 1] = ahead, left
+        x, y, turned = place_at(seen, times[k], rays.period)
+        bearings[k] = rays.start + k * rays.step - turned
+        origins[k, 0], origins[k, 1] = x, y
 
 
 @loop
 def add_errors(
-    distances: Floats,
-    key: float,
-    number: float,
-    noise: float,
-    bias: float,
-    dropouts: float,
-    outliers: float,
-    farthest: float,
+    distances: Floats, key: float, number: float, traits: LidarTraits, farthest: float
 ) -> None:
     """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement.
 
@@ -109,10 +105,7 @@ def add_errors(
         distances: (rays,) [m]; changed.
         key: key of the episode, in [0, 1).
         number: of the revolution, from -1.
-        noise: standard deviation [m].
-        bias: added to all [m].
-        dropouts: share of measurements that fail.
-        outliers: share of measurements at an edge that lie anywhere between its two sides.
+        traits: of the LiDAR.
         farthest: nothing is measured from here on [m].
     """
     count, first = len(distances), distances[0]
@@ -120,26 +113,26 @@ def add_errors(
     other = 0.0
     for k in range(count):
         true, sample = distances[k], base + k * SAMPLE_KINDS
-        error = bias
-        if noise > 0.0:
+        error = traits.bias
+        if traits.noise > 0.0:
             if k % 2 == 0:
-                radius = noise * math.sqrt(
+                radius = traits.noise * math.sqrt(
                     -2.0 * math.log(1.0 - hash_sample(key, sample + RADIUS_SAMPLE))
                 )
                 c, s = cos_sin(FULL_TURN * hash_sample(key, sample + ANGLE_SAMPLE))
                 error, other = error + radius * c, radius * s
             else:
                 error += other
-        if outliers > 0.0:
+        if traits.outliers > 0.0:
             beside = distances[k + 1] if k + 1 < count else first
             if (
                 abs(beside - true) > EDGE_STEP
-                and hash_sample(key, sample + OUTLIER_SAMPLE) < outliers
+                and hash_sample(key, sample + OUTLIER_SAMPLE) < traits.outliers
             ):
                 true += (beside - true) * hash_sample(key, sample + MIX_SAMPLE)
         measured = true + error
         if true >= farthest or (
-            dropouts > 0.0 and hash_sample(key, sample + DROPOUT_SAMPLE) < dropouts
+            traits.dropouts > 0.0 and hash_sample(key, sample + DROPOUT_SAMPLE) < traits.dropouts
         ):
             measured = 0.0
         elif measured <= 0.0:
@@ -155,7 +148,7 @@ def measure_revolution(
     around: Surroundings,
     rays: Rays,
     episode: tuple[float, float, float],
-    physics: Any,
+    traits: LidarTraits,
     bearings: Floats,
     distances: Floats,
     times: Floats,
@@ -170,7 +163,7 @@ def measure_revolution(
         around: obstacles and rays.
         rays: of the LiDAR.
         episode: when it began [s], phase of the revolution then, and key of its errors.
-        physics: of the robot, a record of `Physics`.
+        traits: of the LiDAR.
         bearings: of the Revolution; written.
         distances: likewise.
         times: likewise.
@@ -180,13 +173,11 @@ def measure_revolution(
         When the revolution ended [s].
     """
     first, phase, key = episode
-    own = physics[0]
-    number, ended = newest_revolution(trail[newest, 0], first, own.scan_rate, phase)
-    aim_beams(trail, newest, ended, 1.0 / own.scan_rate, rays, bearings, times, origins)
+    number, ended = newest_revolution(trail[newest, 0], first, traits.scan_rate, phase)
+    aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, bearings, times, origins)
     cos, sin = cos_sin(trail[newest, 3])
     cast_lines(trail[newest, 1], trail[newest, 2], cos, sin, which, around, origins, distances)
-    errors = own.range_noise, own.range_bias, own.range_dropouts, own.range_outliers
-    add_errors(distances, key, number, *errors, around.reach)
+    add_errors(distances, key, number, traits, around.reach)
     return ended
 
 
@@ -210,7 +201,13 @@ class SimulatedLidar:
         obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
         self._around = make_surroundings(obstacles, ray_spec(config), 1, config)
         physics = scene.physics or compute_physics(config)
-        self._physics = record_of(physics)
+        self._traits = LidarTraits(
+            physics.scan_rate,
+            physics.range_noise,
+            physics.range_bias,
+            physics.range_dropouts,
+            physics.range_outliers,
+        )
         phase, key = rng.random(2).tolist()
         self._episode = (self._link.now(), phase, key)
         self._trail = Trail(2.0 / physics.scan_rate, config.period)
@@ -232,7 +229,7 @@ class SimulatedLidar:
             self._around,
             self._rays,
             self._episode,
-            self._physics,
+            self._traits,
             *measured,
         )
         return Revolution(bearings, distances, times, ended)
