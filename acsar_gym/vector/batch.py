@@ -35,7 +35,7 @@ from acsar_gym.vector.task import TaskLoops, make_loops
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
-"""Runs a loop, given as a function of its first and last robot, for a number of robots, which it
+"""Runs a loop, given as a function of its first and last block, for a number of blocks, which it
 splits into slices for several threads."""
 
 
@@ -171,7 +171,7 @@ class Batch:
                 drive.step, tables, 0, 1, self._setups, self._rules, self._around
             )
         with another:
-            share(self._begin, self.robots)
+            share(self._begin, len(self.tables.blocks))
         self._new = False
         if not self._together:
             self._sense(driven=False)
@@ -179,7 +179,7 @@ class Batch:
         self._check_observations()
 
     def _begin(self, first: int, last: int) -> None:
-        """Begin new episodes of those robots first to last that are in `tables.over`."""
+        """Begin new episodes of the robots of blocks first to last that are in `tables.over`."""
         setups, rules = self._setups, self._rules
         episode.reset(self.tables, first, last, setups, rules, self._spawns, self._around)
         if self._together:
@@ -192,12 +192,12 @@ class Batch:
             try:
                 for tick in range(setup.ticks):
                     ring[2:] = tick, tick + 1
-                    share(self._drive, self.robots)
+                    share(self._drive, len(tables.blocks))
                     self.python.poll(np.flatnonzero(~tables.idle))
             finally:
                 ring[2:] = 0, setup.ticks
         else:
-            share(self._drive, self.robots)
+            share(self._drive, len(tables.blocks))
         if not self._together:
             self._sense(driven=True)
             self._run_task(share)
@@ -216,10 +216,13 @@ class Batch:
         check_observation(self._task, self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:
-        """Run the physics of robots first to last, and their task where `_together`."""
+        """Run the physics of blocks first to last, and their task where `_together`."""
         tables = self.tables
         drive.step(tables, first, last, self._setups, self._rules, self._around)
-        if tables.ring[3] == self._setup.ticks and tables.over[first:last].any():
+        if (
+            tables.ring[3] == self._setup.ticks
+            and tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS].any()
+        ):
             self._begin(first, last)
         elif self._together:
             self._loops.run(first, last)
@@ -227,9 +230,9 @@ class Batch:
     def _run_task(self, share: Share) -> None:
         """Run the task for all robots, on several threads if it is compiled."""
         if self._loops.compiled:
-            share(self._loops.run, self.robots)
+            share(self._loops.run, len(self.tables.blocks))
         else:
-            self._loops.run(0, self.robots)
+            self._loops.run(0, len(self.tables.blocks))
 
     def _sense(self, *, driven: bool) -> None:
         """Reset and read Python sensors of robots that have begun.

@@ -48,7 +48,7 @@ class TaskLoops(Protocol):
         """What the task remembers of all robots; None where Python objects hold it."""
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last, after their physics.
+        """Write rewards, ends and observations of blocks first to last, after their physics.
 
         Robots in `over` begin anew.
         """
@@ -82,7 +82,7 @@ class CompiledLoops:
         self._loop = kernel.bind_task(task)
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last.
+        """Write rewards, ends and observations of blocks first to last.
 
         ConfigError where numba can't compile the task.
         """
@@ -147,12 +147,12 @@ class PythonLoops:
         self._memory: list[Memory] = [new_memory(task) for _ in tables.rewards]
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last."""
+        """Write rewards, ends and observations of blocks first to last."""
         task, tables, setup = self._task, self._tables, self._setup
-        here = slice(first, last)
+        here = slice(first * BLOCK_ROBOTS, last * BLOCK_ROBOTS)
         tables.rewards[here], tables.ends[0, here] = 0.0, False
         tables.ends[1, here] = tables.idle[here] & ~tables.over[here]
-        driven = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + first
+        driven = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + here.start
         observed = []
         with translate_errors(TaskError, lambda: task_name(task)):
             for robot, seen in zip(driven.tolist(), self._states(driven), strict=True):

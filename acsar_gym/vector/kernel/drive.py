@@ -48,8 +48,7 @@ from acsar_gym.vector.kernel.layout import (
     Robots,
     Setup,
     Tables,
-    count_blocks,
-    slice_of_block,
+    robots_of_block,
 )
 from acsar_gym.vector.kernel.lidars import check_contacts, take_scans
 from acsar_gym.worlds.geometry import Surroundings
@@ -68,10 +67,10 @@ def round_as_sent(speed: float) -> float:
 
 
 @jit
-def command_once(robots: Robots, first: int, last: int, setup: Setup, rules: SafetyRules) -> None:
+def command_once(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
     """Compute the wheel targets of this step's command line. Only without limits or faults."""
     ahead, turn, top = setup.max_linear, setup.max_angular, setup.top  # loads don't vectorize
-    for i in range(first, last):
+    for i in range(count):
         linear, angular = robots.action_linear[i] * ahead, robots.action_angular[i] * turn
         right, left = compute_wheels(linear, angular, rules)
         sent = explain_sent(linear, angular, right, left, 0.0, rules)
@@ -83,10 +82,10 @@ def command_once(robots: Robots, first: int, last: int, setup: Setup, rules: Saf
 
 
 @jit
-def limit_twists(robots: Robots, first: int, last: int, setup: Setup, rules: SafetyRules) -> None:
+def limit_twists(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
     """Compute the twist that every robot is sent in this tick."""
     ahead, turn = setup.max_linear, setup.max_angular
-    for i in range(first, last):
+    for i in range(count):
         linear, angular = robots.action_linear[i] * ahead, robots.action_angular[i] * turn
         newest, past = robots.new_linear[i], robots.past_linear[i]
         newest_turn, past_turn = robots.new_angular[i], robots.past_angular[i]
@@ -104,27 +103,24 @@ def limit_twists(robots: Robots, first: int, last: int, setup: Setup, rules: Saf
 def store_commands(
     robots: Robots,
     commands: Floats,
-    first: int,
-    last: int,
+    count: int,
     slot: int,
     setup: Setup,
     rules: SafetyRules,
 ) -> None:
     """Compute and store this tick's command lines: wheel speeds right and left [rad/s]."""
-    limit_twists(robots, first, last, setup, rules)
+    limit_twists(robots, count, setup, rules)
     top = setup.top
-    for i in range(first, last):
+    for i in range(count):
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
         commands[slot, 0, i] = min(max(round_as_sent(right), -top), top)
         commands[slot, 1, i] = min(max(round_as_sent(left), -top), top)
 
 
 @jit
-def explain_commands(
-    robots: Robots, first: int, last: int, setup: Setup, rules: SafetyRules
-) -> None:
+def explain_commands(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
     """Store the twist of the newest command line, and the reason why it isn't the one asked for."""
-    for i in range(first, last):
+    for i in range(count):
         linear = robots.action_linear[i] * setup.max_linear
         angular = robots.action_angular[i] * setup.max_angular
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
@@ -187,14 +183,13 @@ def dispatch_commands(
     robots: Robots,
     commands: Floats,
     arrivals: Floats,
-    first: int,
-    last: int,
+    count: int,
     slot: int,
     setup: Setup,
 ) -> None:
     """Store in the ring's slot which commands the wire passes on to the boards in this tick."""
     slots = commands.shape[0]
-    for i in range(first, last):
+    for i in range(count):
         tick = robots.loops[i] / setup.loops
         newest, loop_of = send_command(robots, i, tick, setup)
         arrivals[slot, 0, i] = loop_of
@@ -221,10 +216,10 @@ def move_set_points(robots: Robots, i: int, right: float, left: float, steps: Sp
 
 
 @jit
-def ramp_to_newest(robots: Robots, first: int, last: int, now: float, setup: Setup) -> None:
+def ramp_to_newest(robots: Robots, count: int, now: float, setup: Setup) -> None:
     """Move set points towards the newest targets that the board knows by loop `now`."""
     steps = ramps_of(setup)
-    for i in range(first, last):
+    for i in range(count):
         new = now >= robots.heard[i]
         right = robots.new_right[i] if new else robots.old_right[i]
         left = robots.new_left[i] if new else robots.old_left[i]
@@ -243,33 +238,33 @@ def find_command(delay: float, slot: int, slots: int, turn: int, loops: int) -> 
 
 @jit
 def follow_commands(
-    robots: Robots, commands: Floats, first: int, last: int, slot: int, turn: int, setup: Setup
+    robots: Robots, commands: Floats, count: int, slot: int, turn: int, setup: Setup
 ) -> None:
     """Move set points towards the newest command that each board knows by this loop."""
     slots, delays, steps = commands.shape[0], robots.command_loops, ramps_of(setup)
     differ = 0
-    for i in range(first, last):
-        differ += delays[i] != delays[first]
-    place = find_command(delays[first], slot, slots, turn, setup.loops)
+    for i in range(count):
+        differ += delays[i] != delays[0]
+    place = find_command(delays[0], slot, slots, turn, setup.loops)
     if differ == 0:
-        for i in range(first, last):
+        for i in range(count):
             move_set_points(robots, i, commands[place, 0, i], commands[place, 1, i], steps)
         return
-    for i in range(first, last):
+    for i in range(count):
         place = find_command(delays[i], slot, slots, turn, setup.loops)
         move_set_points(robots, i, commands[place, 0, i], commands[place, 1, i], steps)
 
 
 @jit
 def obey_commands(
-    robots: Robots, arrivals: Floats, first: int, last: int, slot: int, turn: int, setup: Setup
+    robots: Robots, arrivals: Floats, count: int, slot: int, turn: int, setup: Setup
 ) -> None:
     """Let boards obey the commands that have arrived by this loop.
 
     A board that gets no command for longer than its time-out stops its motors.
     """
     slots, steps = arrivals.shape[0], ramps_of(setup)
-    for i in range(first, last):
+    for i in range(count):
         tick, now = robots.loops[i] / setup.loops, robots.loops[i] + turn
         while robots.heard_tick[i] < tick:
             place = (slot - int(tick - robots.heard_tick[i] - 1.0) + slots) % slots
@@ -283,18 +278,16 @@ def obey_commands(
         waits = (now - robots.heard_loop[i]) * setup.dt
         if waits > setup.faults.command_timeout + TIME_TOLERANCE:
             robots.new_right[i] = robots.new_left[i] = 0.0
-    for i in range(first, last):
+    for i in range(count):
         move_set_points(robots, i, robots.new_right[i], robots.new_left[i], steps)
 
 
 @jit
-def turn_motors(
-    robots: Robots, counts: Floats, first: int, last: int, slot: int, setup: Setup
-) -> None:
+def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
     own, top, dt, counts_per_radian = robots.physics, setup.top, setup.dt, setup.counts_per_radian
     for k in range(4):
-        for i in range(first, last):
+        for i in range(count):
             before, wanted = robots.wheel_speed[k, i], robots.set_point[k, i]
             gain, blend, deadband = own.gain[k, i], own.blend[k, i], own.deadband[k, i]
             speed = wheel_speed(before, wanted, gain, blend, deadband, top)
@@ -318,19 +311,19 @@ class Chassis(NamedTuple):
 
 
 @jit
-def move_bodies(robots: Robots, first: int, last: int, setup: Setup) -> None:
+def move_bodies(robots: Robots, count: int, setup: Setup) -> None:
     """Advance velocity and pose by one loop: tyre forces, then semi-implicit Euler."""
     if setup.isotropic:  # compiled twice, because the constant saves a tenth of the time
-        slide_bodies(robots, first, last, True, setup.dt)
+        slide_bodies(robots, count, True, setup.dt)
     else:
-        slide_bodies(robots, first, last, False, setup.dt)
+        slide_bodies(robots, count, False, setup.dt)
 
 
 @jit
-def slide_bodies(robots: Robots, first: int, last: int, isotropic: bool, dt: float) -> None:
+def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None:
     """Advance velocity and pose by one loop, with tyres that are isotropic or not."""
     own, wheels = robots.physics, robots.wheel_speed
-    for i in range(first, last):
+    for i in range(count):
         sin, cos = sincos(robots.theta[i])
         vx, vy, rate = robots.vx[i], robots.vy[i], robots.rate[i]
         speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
@@ -410,14 +403,12 @@ def receive_line(robots: Robots, i: int, setup: Setup) -> float:
 
 
 @jit
-def read_feedback(
-    robots: Robots, counts: Floats, first: int, last: int, slot: int, setup: Setup
-) -> None:
+def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
     every, delays = robots.physics.feedback_loops, robots.feedback_delay
     faulty, period, turns = setup.faults.possible, setup.period, setup.loops
     encoder = setup.window, setup.speed_per_count, setup.quantum
-    for i in range(first, last):
+    for i in range(count):
         robots.loops[i] += turns
         if faulty:
             line = receive_line(robots, i, setup)
@@ -434,11 +425,11 @@ def read_feedback(
 
 
 @jit
-def update_odometry(robots: Robots, first: int, last: int, setup: Setup) -> None:
+def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
     left, right, separation = setup.left_radius, setup.right_radius, setup.separation
     read, dt = robots.read_speed, setup.period
-    for i in range(first, last):
+    for i in range(count):
         linear, angular = forward(
             read[0, i], read[1, i], read[2, i], read[3, i], left, right, separation
         )
@@ -459,7 +450,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
     rules: SafetyRules,
     around: Surroundings,
 ) -> None:
-    """Run physics and driver of the robots over the ticks that `tables.ring` says.
+    """Run physics and driver of these blocks over the ticks that `tables.ring` says.
 
     The step ends with its last tick. `episode.reset` of the robots in `tables.over` comes after
     this, then the task's loop. Robots whose board falls silent during a step end it as they were
@@ -468,19 +459,19 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
     setup, start, stop = setups[0], tables.ring[2], tables.ring[3]
     slots, lines = tables.counts.shape[1], max(tables.commands.shape[1], 1)
     crowded = around.circles.shape[1] + around.segments.shape[1] > 0
-    for block in range(first // BLOCK_ROBOTS, count_blocks(last)):
+    for block in range(first, last):
         robots, counts, begin = tables.blocks[block], tables.counts[block], block * BLOCK_ROBOTS
         commands, arrivals = tables.commands[block], tables.arrivals[block]
-        low, high = slice_of_block(block, first, last)
+        count = robots_of_block(block, len(tables.over))
         if start == 0:
-            for i in range(low, high):
+            for i in range(count):
                 robots.action_linear[i] = min(max(tables.actions[begin + i, 0], -1.0), 1.0)
                 robots.action_angular[i] = min(max(tables.actions[begin + i, 1], -1.0), 1.0)
                 tables.idle[begin + i] = tables.over[begin + i]
             if not setup.guarded:
-                command_once(robots, low, high, setup, rules)
+                command_once(robots, count, setup, rules)
             if setup.falls_silent:
-                for i in range(low, high):
+                for i in range(count):
                     robot = begin + i
                     tables.idle[robot] |= robots.silent[i] > 0.0
                     for row in range(EPISODE_ROWS):
@@ -493,33 +484,33 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
         for tick in range(start, stop):
             line = (line + 1) % lines
             if setup.guarded:
-                store_commands(robots, commands, low, high, line, setup, rules)
+                store_commands(robots, commands, count, line, setup, rules)
             if setup.faults.possible:
-                dispatch_commands(robots, commands, arrivals, low, high, line, setup)
+                dispatch_commands(robots, commands, arrivals, count, line, setup)
             for turn in range(setup.loops):
                 if setup.faults.possible:
-                    obey_commands(robots, arrivals, low, high, line, turn, setup)
+                    obey_commands(robots, arrivals, count, line, turn, setup)
                 elif setup.guarded:
-                    follow_commands(robots, commands, low, high, line, turn, setup)
+                    follow_commands(robots, commands, count, line, turn, setup)
                 else:
-                    ramp_to_newest(robots, low, high, tick * setup.loops + turn, setup)
-                turn_motors(robots, counts, low, high, (slot + 1 + turn) % slots, setup)
-                move_bodies(robots, low, high, setup)
+                    ramp_to_newest(robots, count, tick * setup.loops + turn, setup)
+                turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
+                move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots
             if crowded:
-                check_contacts(robots, low, high, around)
-            read_feedback(robots, counts, low, high, slot, setup)
+                check_contacts(robots, count, around)
+            read_feedback(robots, counts, count, slot, setup)
             if setup.faults.possible:
-                for i in range(low, high):
+                for i in range(count):
                     tables.idle[begin + i] |= is_silent(robots.age[i], rules)
-            update_odometry(robots, low, high, setup)
+            update_odometry(robots, count, setup)
             if setup.lidar_rate > 0.0:
-                take_scans(tables, block, low, high, tick, setup, around)
+                take_scans(tables, block, count, tick, setup, around)
         if setup.guarded:
-            explain_commands(robots, low, high, setup, rules)
+            explain_commands(robots, count, setup, rules)
         if stop < setup.ticks:
             continue
-        for i in range(low, high):
+        for i in range(count):
             robot = begin + i
             if setup.falls_silent and tables.idle[robot] and not tables.over[robot]:
                 for row in range(EPISODE_ROWS):

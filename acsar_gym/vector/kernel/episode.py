@@ -25,8 +25,7 @@ from acsar_gym.vector.kernel.layout import (
     Robots,
     Spawns,
     Tables,
-    count_blocks,
-    slice_of_block,
+    robots_of_block,
 )
 from acsar_gym.vector.kernel.lidars import take_scans
 from acsar_gym.vector.pcg import uniform
@@ -101,17 +100,16 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
     spawns: Spawns,
     around: Surroundings,
 ) -> None:
-    """Begin new episodes for the robots of the slice that are in `tables.over`.
+    """Begin new episodes for the robots of these blocks that are in `tables.over`.
 
     They are at rest, with new start, goal and physics. Where a single env's reset would fail
     because the board is silent, `silent` is set.
     """
     setup, random, faulty = setups[0], tables.random, setups[0].faults.possible
     samples = np.zeros(len(tables.low))
-    for block in range(first // BLOCK_ROBOTS, count_blocks(last)):
-        robots, anew = tables.blocks[block], False
-        low, high = slice_of_block(block, first, last)
-        for i in range(low, high):
+    for block in range(first, last):
+        robots, count, anew = tables.blocks[block], robots_of_block(block, len(tables.over)), False
+        for i in range(count):
             robot = block * BLOCK_ROBOTS + i
             if not tables.over[robot]:
                 continue
@@ -151,16 +149,16 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                 for k in range(tables.ranges.shape[1]):
                     tables.ranges[robot, k] = tables.observations[robot, setup.numbers + k] = 0.0
         if anew and setup.lidar_rate > 0.0:
-            take_scans(tables, block, low, high, -1, setup, around)
+            take_scans(tables, block, count, -1, setup, around)
 
 
 @loop
 def update_info(blocks: Any, first: int, last: int, setups: Records) -> None:
-    """Compute the numbers of robots first to last that only info uses."""
+    """Compute the numbers of these blocks' robots that only info uses."""
     setup = setups[0]
-    for block in range(first // BLOCK_ROBOTS, count_blocks(last)):
-        robots, (low, high) = blocks[block], slice_of_block(block, first, last)
-        for i in range(low, high):
+    for block in range(first, last):
+        robots = blocks[block]
+        for i in range(BLOCK_ROBOTS):
             x, y, theta = robots.x[i], robots.y[i], robots.theta[i]
             to_x, to_y = robots.goal_x[i] - x, robots.goal_y[i] - y
             off_x, off_y = robots.odom_x[i] - x, robots.odom_y[i] - y

@@ -33,9 +33,9 @@ TURN = 2.0 * math.pi
 
 
 class Episode:
-    """Numbers that are zero when an episode begins. A robot without fault stays as it was.
+    """Numbers that are zero when an episode begins; flags and codes are numbers, too.
 
-    Flags and codes are numbers, too.
+    Where a board falls silent in a step, they become again what they were before it.
     """
 
     x: Number
@@ -234,7 +234,7 @@ INFO_FIELDS = {
 
 def make_blocks(robots: int) -> NDArray[Any]:
     """Blocks for so many robots, all zero; the last block may have more."""
-    blocks = np.zeros(count_blocks(robots), BLOCK)
+    blocks = np.zeros(-(-robots // BLOCK_ROBOTS), BLOCK)
     return blocks if COMPILED else blocks.view(np.recarray)
 
 
@@ -450,16 +450,9 @@ class TaskTables(NamedTuple):
 
 
 @jit
-def count_blocks(robots: int) -> int:
-    """Number of blocks that so many robots take."""
-    return -(-robots // BLOCK_ROBOTS)
-
-
-@jit
-def slice_of_block(block: int, first: int, last: int) -> tuple[int, int]:
-    """Places in a block of those robots first to last of the batch that are in it."""
-    before = block * BLOCK_ROBOTS
-    return max(first - before, 0), min(last - before, BLOCK_ROBOTS)
+def robots_of_block(block: int, robots: int) -> int:
+    """How many of a batch's robots are in a block."""
+    return min(robots - block * BLOCK_ROBOTS, BLOCK_ROBOTS)
 
 
 @jit

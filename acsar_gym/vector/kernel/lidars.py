@@ -22,9 +22,9 @@ def true_pose(robots: Robots, i: int) -> tuple[float, float, float, float]:
 
 
 @subroutine
-def check_contacts(robots: Robots, first: int, last: int, around: Surroundings) -> None:
+def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
     """Set `contact` of robots that touch an obstacle now."""
-    for i in range(first, last):
+    for i in range(count):
         if robots.contact[i] == 0.0:
             x, y, cos, sin = true_pose(robots, i)
             if footprint_collides(x, y, cos, sin, int(robots.world[i]), around):
@@ -35,8 +35,7 @@ def check_contacts(robots: Robots, first: int, last: int, around: Surroundings) 
 def take_scans(
     tables: Tables,
     block: int,
-    first: int,
-    last: int,
+    count: int,
     tick: int,
     setup: Setup,
     around: Surroundings,
@@ -46,7 +45,7 @@ def take_scans(
     Robots whose board is silent at the reset take none, as in the single env, whose reset fails.
     """
     robots, uniforms = tables.blocks[block], np.empty(setup.draws)
-    for i in range(first, last):
+    for i in range(count):
         robot = block * BLOCK_ROBOTS + i
         ticks = robots.steps[i] * setup.ticks + tick + 1
         elapsed = ticks * setup.period

@@ -71,14 +71,14 @@ def run(
     setups: Records,
     spawns: Spawns,
 ) -> None:
-    """Write reward, end and observation of robots first to last.
+    """Write reward, end and observation of the robots of blocks first to last.
 
     Robots in `over` begin anew; the episodes of others that are idle are truncated, and their
     observations stay as they were. `memory` has a row for each robot, and a last one with the first
     values.
     """
     setup = setups[0]
-    for robot in range(first, last):
+    for robot in range(first * BLOCK_ROBOTS, min(last * BLOCK_ROBOTS, len(tables.over))):
         robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
         over = tables.over[robot]
         if over or tables.idle[robot]:
