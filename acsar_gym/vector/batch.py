@@ -219,10 +219,8 @@ class Batch:
         """Run the physics of blocks first to last, and their task where `_together`."""
         tables = self.tables
         drive.step(tables, first, last, self._setups, self._rules, self._around)
-        if (
-            tables.ring[3] == self._setup.ticks
-            and tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS].any()
-        ):
+        begun = tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS]
+        if tables.ring[3] == self._setup.ticks and begun.any():
             self._begin(first, last)
         elif self._together:
             self._loops.run(first, last)
@@ -265,12 +263,11 @@ class Batch:
         if memory is None or len(self.python):
             return None
         arrays = self.tables._asdict() | {"memory": memory}
-        del arrays["numbers"]  # the memory of the blocks
+        del arrays["blocks"]  # the memory of `numbers`
         return arrays
 
     @property
     def bytes_per_robot(self) -> float:
         """Memory of all arrays, divided by the number of robots [bytes]."""
-        return (
-            sum(array.nbytes for array in self.tables) - self.tables.numbers.nbytes
-        ) / self.robots
+        used = sum(array.nbytes for array in self.tables) - self.tables.numbers.nbytes
+        return used / self.robots

@@ -342,9 +342,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             final[index] = self.batch.tables.observations[index].copy()
-        rewards, lengths = self.batch.read("total_reward", "steps")
+        returns, lengths = self.batch.read("total_reward", "steps")
         info = self._info(done)
-        info |= {"episode_return": rewards, "_episode_return": done}
+        info |= {"episode_return": returns, "_episode_return": done}
         info |= {"episode_length": lengths, "_episode_length": done}
         return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
 

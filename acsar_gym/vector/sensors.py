@@ -79,7 +79,8 @@ class BatchView:
 
     def now(self, robots: Robots) -> Floats:
         """Simulated time since these robots' links were reset [s], (robots,)."""
-        return self._read(robots, "loops")[0] * self._dt
+        time: Floats = self._read(robots, "loops")[0] * self._dt
+        return time
 
     def scenes(self, robots: Robots) -> list[Scene]:
         """World, start and goal of these robots' episodes, in the frames of the worlds."""

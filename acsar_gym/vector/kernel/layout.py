@@ -190,7 +190,7 @@ def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
 
 def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
     """Fields of a record for `Physics`: those of four wheels, named _a to _d, are one."""
-    found = []
+    found: list[tuple[str, Any, tuple[int, ...]]] = []
     for name in Physics._fields:
         stem, _, wheel = name.rpartition("_")
         if wheel == "a":
