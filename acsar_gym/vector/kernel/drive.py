@@ -1,7 +1,7 @@
 """One env step of many planar robots, tick by tick: commands, board, motors, tyres and odometry.
 
 Without limits, geofence, faults or late commands all commands of a step are the same, and
-`command_once` and `ramp_to_newest` are fastest. Otherwise (`setup.guarded`) every tick's command is
+`command_once` and `hear_newest` are fastest. Otherwise (`setup.guarded`) every tick's command is
 kept in a ring until the board uses it.
 
 Lines that are lost or late are the same as in `links.faults`: a hash of the episode's key
@@ -29,7 +29,7 @@ from acsar_gym.links.faults import (
 )
 from acsar_gym.physics.model import move_towards, round_printed, tyre_step, wheel_speed, whole_loops
 from acsar_gym.physics.trigonometry import sincos
-from acsar_gym.protocol import MAX_SPEED, Speeds
+from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.rules import (
     SafetyMemory,
     SafetyRules,
@@ -75,7 +75,6 @@ def command_once(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -
         right, left = compute_wheels(linear, angular, rules)
         sent = explain_sent(linear, angular, right, left, 0.0, rules)
         robots.sent_linear[i], robots.sent_angular[i], robots.reason[i] = sent
-        robots.old_right[i], robots.old_left[i] = robots.new_right[i], robots.new_left[i]
         robots.new_right[i] = min(max(round_as_sent(right), -top), top)
         robots.new_left[i] = min(max(round_as_sent(left), -top), top)
         robots.heard[i] = robots.command_loops[i]
@@ -200,30 +199,12 @@ def dispatch_commands(
 
 
 @jit
-def ramps_of(setup: Setup) -> Speeds:
-    """How far the set points of the wheels may move in a firmware loop [rad/s]."""
-    return setup.ramps.a, setup.ramps.b, setup.ramps.c, setup.ramps.d
-
-
-@jit
-def move_set_points(robots: Robots, i: int, right: float, left: float, steps: Speeds) -> None:
-    """Move robot i's set points towards targets of the right and the left wheels [rad/s]."""
-    points = robots.set_point
-    points[0, i] = move_towards(points[0, i], right, steps[0])
-    points[1, i] = move_towards(points[1, i], left, steps[1])
-    points[2, i] = move_towards(points[2, i], left, steps[2])
-    points[3, i] = move_towards(points[3, i], right, steps[3])
-
-
-@jit
-def ramp_to_newest(robots: Robots, count: int, now: float, setup: Setup) -> None:
-    """Move set points towards the newest targets that the board knows by loop `now`."""
-    steps = ramps_of(setup)
+def hear_newest(robots: Robots, count: int, now: float) -> None:
+    """Let boards take over the step's command if they know it by firmware loop `now`."""
     for i in range(count):
         new = now >= robots.heard[i]
-        right = robots.new_right[i] if new else robots.old_right[i]
-        left = robots.new_left[i] if new else robots.old_left[i]
-        move_set_points(robots, i, right, left, steps)
+        robots.target_right[i] = robots.new_right[i] if new else robots.target_right[i]
+        robots.target_left[i] = robots.new_left[i] if new else robots.target_left[i]
 
 
 @jit
@@ -238,21 +219,21 @@ def find_command(delay: float, slot: int, slots: int, turn: int, loops: int) -> 
 
 @jit
 def follow_commands(
-    robots: Robots, commands: Floats, count: int, slot: int, turn: int, setup: Setup
+    robots: Robots, commands: Floats, count: int, slot: int, turn: int, loops: int
 ) -> None:
-    """Move set points towards the newest command that each board knows by this loop."""
-    slots, delays, steps = commands.shape[0], robots.command_loops, ramps_of(setup)
+    """Let boards take over the newest command that each knows by this loop."""
+    slots, delays = commands.shape[0], robots.command_loops
     differ = 0
     for i in range(count):
         differ += delays[i] != delays[0]
-    place = find_command(delays[0], slot, slots, turn, setup.loops)
-    if differ == 0:
-        for i in range(count):
-            move_set_points(robots, i, commands[place, 0, i], commands[place, 1, i], steps)
-        return
+    place = find_command(delays[0], slot, slots, turn, loops)
     for i in range(count):
-        place = find_command(delays[i], slot, slots, turn, setup.loops)
-        move_set_points(robots, i, commands[place, 0, i], commands[place, 1, i], steps)
+        robots.target_right[i], robots.target_left[i] = commands[place, 0, i], commands[place, 1, i]
+    if differ > 0:
+        for i in range(count):
+            place = find_command(delays[i], slot, slots, turn, loops)
+            robots.target_right[i] = commands[place, 0, i]
+            robots.target_left[i] = commands[place, 1, i]
 
 
 @jit
@@ -263,7 +244,7 @@ def obey_commands(
 
     A board that gets no command for longer than its time-out stops its motors.
     """
-    slots, steps = arrivals.shape[0], ramps_of(setup)
+    slots = arrivals.shape[0]
     for i in range(count):
         tick, now = robots.loops[i] / setup.loops, robots.loops[i] + turn
         while robots.heard_tick[i] < tick:
@@ -271,15 +252,26 @@ def obey_commands(
             if arrivals[place, 0, i] < np.inf:
                 if arrivals[place, 0, i] > now:
                     break
-                robots.new_right[i] = arrivals[place, 1, i]
-                robots.new_left[i] = arrivals[place, 2, i]
+                robots.target_right[i] = arrivals[place, 1, i]
+                robots.target_left[i] = arrivals[place, 2, i]
                 robots.heard_loop[i] = now
             robots.heard_tick[i] += 1.0
         waits = (now - robots.heard_loop[i]) * setup.dt
         if waits > setup.faults.command_timeout + TIME_TOLERANCE:
-            robots.new_right[i] = robots.new_left[i] = 0.0
+            robots.target_right[i] = robots.target_left[i] = 0.0
+
+
+@jit
+def move_set_points(robots: Robots, count: int, setup: Setup) -> None:
+    """Move the set points of all wheels towards the boards' targets."""
+    a, b, c, d = setup.ramps.a, setup.ramps.b, setup.ramps.c, setup.ramps.d
+    points = robots.set_point
     for i in range(count):
-        move_set_points(robots, i, robots.new_right[i], robots.new_left[i], steps)
+        right, left = robots.target_right[i], robots.target_left[i]
+        points[0, i] = move_towards(points[0, i], right, a)
+        points[1, i] = move_towards(points[1, i], left, b)
+        points[2, i] = move_towards(points[2, i], left, c)
+        points[3, i] = move_towards(points[3, i], right, d)
 
 
 @jit
@@ -491,9 +483,10 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 if setup.faults.possible:
                     obey_commands(robots, arrivals, count, line, turn, setup)
                 elif setup.guarded:
-                    follow_commands(robots, commands, count, line, turn, setup)
+                    follow_commands(robots, commands, count, line, turn, setup.loops)
                 else:
-                    ramp_to_newest(robots, count, tick * setup.loops + turn, setup)
+                    hear_newest(robots, count, tick * setup.loops + turn)
+                move_set_points(robots, count, setup)
                 turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
                 move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots

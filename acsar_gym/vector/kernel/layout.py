@@ -55,11 +55,11 @@ class Episode:
     wheel_angle: WheelNumber
     """[rad]."""
 
-    old_right: Number
-    """Targets of the right and left wheels before the newest command [rad/s]."""
-    old_left: Number
+    target_right: Number
+    """Speeds of the right and left wheels that the board aims at [rad/s]."""
+    target_left: Number
     new_right: Number
-    """Targets of the newest command [rad/s]."""
+    """Those of the newest command, as the next ones where it is the same in all ticks of a step."""
     new_left: Number
     heard: Number
     """From which firmware loop of a step the board knows the newest command."""
