@@ -17,7 +17,6 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors.base import LIDAR, Sensor
 from acsar_gym.sensors.scan import (
-    Floats,
     Revolution,
     Scan,
     Trail,
@@ -115,8 +114,11 @@ class LidarSensor(Sensor):
         self._trail.clear()
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Mark where the robot is. LidarError where the newest scan is too old, or the device is
-        gone."""
+        """Mark where the robot is.
+
+        Raises:
+            LidarError: the newest scan is too old, or the device is gone.
+        """
         self._trail.mark(now, self._odometry.pose)
         self._revolution = self._scan = None
         if self._poll_lidar is None:
