@@ -15,7 +15,8 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.reading import import_object
 from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
-from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar, SimulatedLidar
+from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar
+from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds import Scene
 
 

@@ -22,7 +22,7 @@ from tapes import playing, recorded
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.sensors.lidar import Scan
+from acsar_gym.sensors.scan import Scan
 from acsar_gym.worlds import Scene, registry
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
