@@ -97,7 +97,7 @@ class Trail:
     """
 
     def __init__(self, duration: float, period: float) -> None:
-        self.rows = np.zeros((count_slots(duration, period), 4))
+        self.rows = np.zeros((count_trail_rows(duration, period), 4))
         self._period = period
         self.clear()
 
@@ -114,7 +114,7 @@ class Trail:
         self.rows[self.newest] = time, *pose
 
 
-def count_slots(duration: float, period: float) -> int:
+def count_trail_rows(duration: float, period: float) -> int:
     """Rows of a trail that reaches back for a duration [s], with a row every period [s]."""
     return math.ceil(duration / period) + 2
 

@@ -17,7 +17,8 @@ from acsar_gym.physics import Randomization, compute_physics
 from acsar_gym.physics.randomization import drawn_places
 from acsar_gym.safety.rules import make_rules
 from acsar_gym.sensors import Factory, Sensor
-from acsar_gym.sensors.lidar import LidarSensor, SimulatedLidar, footprint_edges
+from acsar_gym.sensors.lidar import LidarSensor, footprint_edges
+from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, check_observation
 from acsar_gym.tasks.factory import task_name
@@ -31,6 +32,7 @@ from acsar_gym.vector.setup import (
     make_worlds,
     pad_surroundings,
     spawn_arrays,
+    trail_slots,
 )
 from acsar_gym.vector.task import TaskLoops, make_loops
 
@@ -69,7 +71,7 @@ class Batch:
         randomization: Randomization,
     ) -> None:
         self.robots, self._config, self._task, self._setup = robots, config, task, setup
-        sees = setup.lidar_rate > 0.0
+        sees = setup.sees
         self._pool, worlds = spawn.pool, make_worlds(spawn.pool, follow=task.follows)
         self._spawns = spawn_arrays(task, spawn.pool, worlds)
         self._around = pad_surroundings(worlds, config, sees=sees)
@@ -96,7 +98,7 @@ class Batch:
     @property
     def sensors(self) -> list[Sensor]:
         """One instance of each kind of sensor, in the order of their numbers in the observation."""
-        if self._setup.lidar_rate == 0.0:
+        if not self._setup.sees:
             return self.python.kinds
         lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
         return [LidarSensor(lidar, self._config), *self.python.kinds]
@@ -126,6 +128,7 @@ class Batch:
             kept=np.zeros((layout.COMMAND_LOOPS, columns if setup.falls_silent else 0)),
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
+            trails=np.zeros((2, robots, trail_slots(setup, ranges, self._config), 4)),
             edges=footprint_edges(self._config)[:rays],
             observations=np.zeros((robots, setup.numbers + rays), np.float32),
             rewards=np.zeros(robots),

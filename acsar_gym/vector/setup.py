@@ -15,7 +15,8 @@ from acsar_gym.links.faults import WIRE_BUFFER, Faults
 from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_time
 from acsar_gym.physics.randomization import DrawnRanges, Randomization, longest_delay
 from acsar_gym.safety import rules
-from acsar_gym.sensors.lidar import noise_draws, ray_spec, stale_after
+from acsar_gym.sensors.lidar import stale_after
+from acsar_gym.sensors.scan import count_trail_rows, make_rays, ray_spec
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, path_from_start
 from acsar_gym.tasks.factory import check_reset_options
@@ -119,12 +120,7 @@ def make_setup(
         sees: whether the robots have a LiDAR.
         varied: what every robot draws for every episode.
     """
-    dt, lidar, encoder, firmware = (
-        loop_period(config),
-        config.lidar,
-        config.encoder,
-        config.firmware,
-    )
+    dt, encoder, firmware = loop_period(config), config.encoder, config.firmware
     limited = config.geofence is not None or not rules.is_unlimited(config)
     left_radius, right_radius = config.wheel_radii
     delay = command_loops(config, varied.ranges(config, ticks * config.period))
@@ -166,12 +162,9 @@ def make_setup(
             command_timeout=firmware.command_timeout or math.inf,
         ),
         falls_silent=faults.possible and faults.direction != "commands",
-        lidar_rate=lidar.rate if sees else 0.0,
+        sees=sees,
         stale=stale_after(config),
-        noise=lidar.noise,
-        dropouts=lidar.dropouts,
-        min_range=lidar.min_range,
-        draws=noise_draws(lidar),
+        rays=make_rays(config),
         numbers=numbers,
     )
 
@@ -207,6 +200,13 @@ def count_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -
     slowest = math.ceil(1.0 / (rate * setup.dt))
     late = math.ceil(setup.faults.lateness / setup.dt) if setup.faults.possible else 0
     return int(setup.window + delay + late + slowest + setup.loops + 1)
+
+
+def trail_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
+    """Rows of a robot's trail: two revolutions of the slowest LiDAR; none without one."""
+    slowest = ranges.low.lidar_rate
+    rate = config.lidar.rate if math.isnan(slowest) else slowest
+    return count_trail_rows(2.0 / rate, config.period) if setup.sees else 0
 
 
 def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:

@@ -48,7 +48,7 @@ from acsar_gym.vector.kernel.layout import (
     Tables,
     row,
 )
-from acsar_gym.vector.kernel.lidars import check_contacts, take_scans
+from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails, read_scans
 from acsar_gym.worlds.geometry import Surroundings
 
 forward = jit(kinematics.compute_twist)
@@ -576,18 +576,20 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 for i in range(low, high):
                     tables.idle[i] |= is_silent(state[rows.AGE, i], rules)
             update_odometry(state, low, high, setup)
-            if setup.lidar_rate > 0.0:
-                take_scans(tables, low, high, tick, setup, around)
+            if setup.sees:
+                for i in range(low, high):
+                    mark_trails(tables, i, setup, state[rows.STEPS, i] * setup.ticks + tick + 1.0)
         if setup.guarded:
             explain_commands(state, low, high, setup, rules)
         if stop < setup.ticks:
             continue
+        if setup.sees:
+            read_scans(tables, low, high, setup, around, False)
         if setup.falls_silent:
             for i in range(low, high):
                 if tables.idle[i] and not tables.over[i]:
                     for number in range(rows.COMMAND_LOOPS):
                         state[number, i] = tables.kept[number, i]
-                    state[rows.SCAN_TICK, i] += setup.ticks  # so that the scan's age stays, too
                     state[rows.FAULT, i] = SILENCE
                     for k in range(tables.ranges.shape[1]):
                         tables.observations[i, numbers + k] = tables.kept_rays[i, k]

@@ -17,7 +17,7 @@ from acsar_gym.tasks.episode import goal_at
 from acsar_gym.vector.kernel import layout as rows
 from acsar_gym.vector.kernel.drive import newest_line, settle_with_faults
 from acsar_gym.vector.kernel.layout import Floats, Records, Spawns, Tables, row
-from acsar_gym.vector.kernel.lidars import take_scans
+from acsar_gym.vector.kernel.lidars import mark_trails, read_scans
 from acsar_gym.vector.pcg import uniform
 from acsar_gym.worlds.geometry import Surroundings
 
@@ -137,8 +137,13 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
         if state[rows.SILENT, i] > 0.0:
             for k in range(tables.ranges.shape[1]):
                 tables.ranges[i, k] = tables.observations[i, setup.numbers + k] = 0.0
-    if anew and setup.lidar_rate > 0.0:
-        take_scans(tables, first, last, -1, setup, around)
+        elif setup.sees:
+            state[rows.SCAN_START, i] = state[rows.LOOPS, i] * setup.dt
+            state[rows.SCAN_PHASE, i] = uniform(random, i)
+            state[rows.SCAN_KEY, i] = uniform(random, i)
+            mark_trails(tables, i, setup, 0.0)
+    if anew and setup.sees:
+        read_scans(tables, first, last, setup, around, True)
 
 
 @loop
@@ -161,8 +166,8 @@ def update_info(state: Floats, first: int, last: int, setups: Records) -> None:
         distances[i] = math.sqrt(gx * gx + gy * gy)
         errors[i] = math.sqrt(ox * ox + oy * oy)
         successes[i] = 1.0 if outcomes[i] == 1.0 else 0.0
-    if setup.lidar_rate > 0.0:
+    if setup.sees:
         for i in range(first, last):
-            age = (state[rows.STEPS, i] * setup.ticks - state[rows.SCAN_TICK, i]) * setup.period
+            age = state[rows.LOOPS, i] * setup.dt - state[rows.SCAN_STAMP, i]
             state[rows.SCAN_AGE, i] = age
             state[rows.STALE, i] = 1.0 if age > setup.stale else 0.0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import jit
 from acsar_gym.physics import Physics
+from acsar_gym.sensors.scan import Rays
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +39,9 @@ ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = _rows(5)
 # The episode:
 GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = _rows(7)
 CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = _rows(7)
-SCANS, SCAN_TICK = _rows(2)
+# The LiDAR: phase of its revolution when the episode began, key of its errors, when the newest
+# scan's revolution ended [s]:
+SCAN_PHASE, SCAN_KEY, SCAN_STAMP, SCAN_START = _rows(4)
 # The safety layer: the last two twists sent, and why they differ from those asked for.
 SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = _rows(6)
 NEW_LINEAR, NEW_ANGULAR = _rows(2)
@@ -76,6 +79,7 @@ MOTOR_DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
 LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
 COMMAND_DELAY = PHYSICS + Physics._fields.index("command_delay")
 FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
+SCAN_RATE = PHYSICS + Physics._fields.index("scan_rate")
 ROWS = next(_NUMBERS)
 INFO_ROWS = {
     "is_success": SUCCESS,
@@ -190,18 +194,12 @@ class Setup(NamedTuple):
     """Faults of the lines."""
     falls_silent: bool
     """Whether feedback may stay away for so long that the episode ends."""
-    lidar_rate: float
-    """Scans per second; 0 where the robots have no LiDAR [Hz]."""
+    sees: bool
+    """Whether the robots have a LiDAR."""
     stale: float
     """Age from which a scan counts as stale [s]."""
-    noise: float
-    """Standard deviation of a range [m]."""
-    dropouts: float
-    """Share of rays that measure nothing."""
-    min_range: float
-    """Least range [m]."""
-    draws: int
-    """How many uniform samples one noisy scan consumes."""
+    rays: Rays
+    """Of the LiDAR."""
     numbers: int
     """Numbers of an observation that are the task's own; those of the sensors follow, the LiDAR
     first."""
@@ -268,6 +266,9 @@ class Tables(NamedTuple):
     """(R, rays): the observed ranges before the step; no rows where boards can't fall silent."""
     ranges: Floats
     """(R, rays): the LiDAR's newest scan [m]."""
+    trails: Floats
+    """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
+    `Trail.rows`; no slots without a LiDAR."""
     edges: Floats
     """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]
