@@ -132,7 +132,8 @@ class NeatoTwin(PacketTwin):
     farthest_range = 0x3FFF / 1000.0
 
     def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
-        body = struct.pack("<BBH", 0xFA, 0xA0 + round(degrees[0]) // 4, round(self.speed * 3840.0))
+        speed = min(round(self.speed * 3840.0), 0xFFFF)  # rpm * 64
+        body = struct.pack("<BBH", 0xFA, 0xA0 + round(degrees[0]) // 4, speed)
         for distance in ranges:
             body += struct.pack("<HH", round(distance * 1000.0) or 0x8035, 300)
         total = 0

@@ -24,7 +24,9 @@ Start = Callable[..., Emulated]
 Open = Callable[..., SerialLidar]
 
 
-def open_serial(device: Emulated | str, model: str = "rplidar", timeout: float = 20.0) -> SerialLidar:
+def open_serial(
+    device: Emulated | str, model: str = "rplidar", timeout: float = 20.0
+) -> SerialLidar:
     """A LiDAR on a device; closed."""
     config = RobotConfig.preset("acsar").with_(lidar={"timeout": timeout}, reconnect_timeout=0.5)
     name = device if isinstance(device, str) else device.device

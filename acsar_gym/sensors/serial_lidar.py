@@ -11,6 +11,7 @@ times.
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import os
 import threading
@@ -49,7 +50,10 @@ READER_TIMEOUT = 0.5
 
 
 class Packet(NamedTuple):
-    """Measurements that a LiDAR sends together, in the order in which they were taken."""
+    """Measurements that a LiDAR sends together, in the order in which they were taken.
+
+    One without any is another sign that the device is there.
+    """
 
     angles: Sequence[float]
     """Clockwise from the LiDAR's zero [deg]; anything where nothing was measured."""
@@ -78,7 +82,7 @@ class Driver:
     start_proof: ClassVar[int] = 1
     """How many measurements must follow the start of a revolution before it is believed."""
     max_unevenness: ClassVar[float] = 60.0
-    """Angles of a revolution grow evenly, up to this deviation; otherwise some are missing [deg]."""
+    """Angles of a revolution grow evenly up to this deviation; otherwise some are missing [deg]."""
     max_jump: ClassVar[float] = math.inf
     """The same between one measurement and the next, for packets without a checksum [deg]."""
 
@@ -121,8 +125,7 @@ class Driver:
 def load_lds2d() -> Any:
     """Import the drivers of lds2d; MissingExtraError where it isn't installed."""
     with require_extra("a real LiDAR", "lidar"):
-        from lds2d import drivers  # noqa: PLC0415 - optional
-    return drivers
+        return importlib.import_module("lds2d.drivers")
 
 
 class Outbox:
@@ -206,6 +209,8 @@ class RevolutionAssembler:
         if packet.gap:
             self._drop()
         count, start = len(packet.angles), packet.start
+        if not count:
+            return []
         before, self._elapsed = self._elapsed, self._elapsed + packet.duration
         # A packet is sent when it is complete. Of those that arrived at once the newest counts.
         if self._marks and self._marks[-1][1] >= arrived:

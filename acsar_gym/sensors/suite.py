@@ -249,7 +249,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     """
     if url is None or (isinstance(url, str) and url == "simulated"):
         if (tape := tape_of(link)) is not None:
-            return ReplayedLidar(tape, link, config)
+            return ReplayedLidar(tape, link)
         if link.truth is None:
             raise ConfigError(
                 "this env needs a LiDAR and this link simulates none: "
@@ -274,8 +274,9 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         return SerialLidar(device, make_driver, config, getattr(link, "clock", link.now))
     made = url
     if isinstance(url, str) and ":" in url:
+        make = import_object("lidar", url)
         with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
-            made = import_object("lidar", url)(link, config)
+            made = make(link, config)
     if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
         raise ConfigError(
             f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or "

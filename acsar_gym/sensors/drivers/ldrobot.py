@@ -7,7 +7,8 @@ LD14P takes commands; the others measure as soon as they have power, and turn un
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from acsar_gym.sensors.serial_lidar import Driver, Outbox, Packet, load_lds2d
 
@@ -26,7 +27,12 @@ NOMINAL_RATE = 4500.0
 class LdrobotDriver(Driver):
     """A LiDAR of LDROBOT."""
 
-    models = {"ld06": "LD06", "ld14p": "LD14P", "ld19": "LD19", "stl19p": "STL19P"}
+    models: ClassVar[Mapping[str, str]] = {
+        "ld06": "LD06",
+        "ld14p": "LD14P",
+        "ld19": "LD19",
+        "stl19p": "STL19P",
+    }
 
     def __init__(self, model: str) -> None:
         super().__init__(model)

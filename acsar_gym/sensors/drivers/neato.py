@@ -6,7 +6,8 @@ their motor needs a driver board of its own, which keeps it at about 300 turns p
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from acsar_gym.sensors.serial_lidar import Driver, Packet, load_lds2d
 
@@ -21,7 +22,11 @@ NOMINAL_SPEED = 5.0
 class NeatoDriver(Driver):
     """An XV-11, or one that is built like it."""
 
-    models = {"neato": "NeatoXV11", "lds01rr": "LDS01RR", "lds02rr": "LDS02RR"}
+    models: ClassVar[Mapping[str, str]] = {
+        "neato": "NeatoXV11",
+        "lds01rr": "LDS01RR",
+        "lds02rr": "LDS02RR",
+    }
 
     def __init__(self, model: str) -> None:
         super().__init__(model)

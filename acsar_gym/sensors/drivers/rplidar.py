@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from acsar_gym.errors import LidarError
 from acsar_gym.links.ports import PORT_ERRORS, write_all
@@ -44,7 +45,7 @@ BAUD_TRIES = 2
 class RplidarDriver(Driver):
     """An RPLIDAR. "rplidar" finds its baud rate."""
 
-    models = {
+    models: ClassVar[Mapping[str, str]] = {
         "rplidar": "RPLIDAR_A1 RPLIDAR_C1",
         "rplidar_a1": "RPLIDAR_A1",
         "rplidar_a2": "RPLIDAR_A1",

@@ -7,13 +7,16 @@ boards of these LiDARs switch the motor by DTR; an X4 takes commands as well.
 from __future__ import annotations
 
 import contextlib
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 from acsar_gym.links.ports import PORT_ERRORS
 from acsar_gym.sensors.serial_lidar import Driver, Outbox, Packet, load_lds2d
 
 HEADER = b"\xaa\x55"
 HEADER_BYTES = 10
+SCAN_ANSWER = bytes.fromhex("a5 5a 05 00 00 40 81")
+"""What an X4 answers before its head turns."""
 MAX_JUMP = 3.0
 """Where the head has turned further between two packets, measurements are missing [deg]."""
 
@@ -21,7 +24,7 @@ MAX_JUMP = 3.0
 class YdlidarDriver(Driver):
     """A LiDAR of YDLIDAR; "ydlidar" is an X4."""
 
-    models = {
+    models: ClassVar[Mapping[str, str]] = {
         "ydlidar": "YDLidarX4",
         "ydlidar_x2": "YDLidarX2X2L",
         "ydlidar_x2l": "YDLidarX2X2L",
@@ -62,6 +65,8 @@ class YdlidarDriver(Driver):
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
         """Find a packet of a header of ten bytes, and two or three bytes for each measurement."""
+        if data.startswith(SCAN_ANSWER, at):
+            return len(SCAN_ANSWER), Packet((), (), 0.0)
         if not HEADER.startswith(data[at : at + len(HEADER)]):
             return 1, None
         if len(data) - at < HEADER_BYTES:

@@ -189,9 +189,7 @@ class LidarEmulator:
             answer = OTHER_DEVICE
         if self._lose:
             first, self._sent = self._sent + 1, self._sent + len(answer)
-            answer = bytes(
-                byte for number, byte in enumerate(answer, first) if number % self._lose
-            )
+            answer = bytes(byte for number, byte in enumerate(answer, first) if number % self._lose)
         if answer and self._fault != "silent":
             self._cable.write(self._cable.over_uart(answer))
 

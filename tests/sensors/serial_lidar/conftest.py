@@ -40,9 +40,7 @@ def make() -> Iterator[Open]:
     """`make(emulated, "ld06", timeout=0.5)` is a LiDAR; all of them are closed with the test."""
     made: list[SerialLidar] = []
 
-    def begin(
-        device: Emulated | str, model: str = "rplidar", timeout: float = 20.0
-    ) -> SerialLidar:
+    def begin(device: Emulated | str, model: str = "rplidar", timeout: float = 20.0) -> SerialLidar:
         made.append(open_serial(device, model, timeout))
         return made[-1]
 

@@ -116,9 +116,7 @@ def reads(twin: LidarTwin, seconds: float, jitter: float) -> list[tuple[float, b
 
 
 @every_maker
-@pytest.mark.parametrize(
-    ("wobble", "jitter"), [(0.0, 0.0), (0.0, 0.02), (0.25, 0.0), (0.25, 0.02)]
-)
+@pytest.mark.parametrize(("wobble", "jitter"), [(0.0, 0.0), (0.0, 0.02), (0.25, 0.0), (0.25, 0.02)])
 def test_each_measurement_has_the_time_at_which_it_was_made(
     model: str, wobble: float, jitter: float
 ) -> None:
