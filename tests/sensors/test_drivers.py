@@ -91,7 +91,7 @@ def test_what_names_no_lidar_is_refused(url: Any, said: str) -> None:
 
 
 def test_an_error_of_ones_own_class_names_it() -> None:
-    with pytest.raises(SensorError, match="make_broken.* raised OSError: no such bus"):
+    with pytest.raises(SensorError, match=r"make_broken.* raised OSError: no such bus"):
         open_lidar(f"{__name__}:make_broken", open_link("planar", ACSAR), ACSAR)
 
 
