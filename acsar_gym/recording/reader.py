@@ -71,6 +71,8 @@ MAX_RECORDS = 4_500_000
 """Most records; an hour at 100 Hz has 4 million."""
 MAX_STAMP = 4e9
 """Largest time on a link's clock, either sign [s]: 126 years."""
+MAX_BEARING, MAX_DISTANCE = 100.0, 1e6
+"""Largest bearing, either sign [rad], and distance [m] of a LiDAR's measurement."""
 MAX_OFFSET = 2**62
 """Largest offset of an episode, either sign [ns]; times of the file then fit into 64 bits."""
 TOO_MUCH = "holds too much: cut out a part of it"
@@ -491,7 +493,13 @@ def _make_revolutions(rows: list[bytes]) -> Revolutions:
         if len(row) % 3 != 2 or not np.isfinite(row).all():
             raise ConfigError("is damaged: a broken revolution of the LiDAR")
         heads[place] = row[:2]
-        measured.append(row[2:].reshape(3, -1).astype(np.float64))
+        turn = row[2:].reshape(3, -1).astype(np.float64)
+        _check_stamps(turn[2])
+        if np.abs(turn[0]).max(initial=0.0) > MAX_BEARING or (
+            turn[1].min(initial=0.0) < 0.0 or turn[1].max(initial=0.0) > MAX_DISTANCE
+        ):
+            raise ConfigError("is damaged: a measurement of the LiDAR that is out of range")
+        measured.append(turn)
     return Revolutions(_check_stamps(heads[:, 1]), tuple(measured), _to_integers(heads[:, 0]))
 
 

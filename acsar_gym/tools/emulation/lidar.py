@@ -127,7 +127,7 @@ class LidarTwin:
             turns = turns + self._wobble / share * np.sin(turns * share)
         whole = np.floor(turns)
         degrees = (turns - whole)[1:] * 360.0
-        ages = (np.arange(count)[::-1] + self._due) / pace
+        ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / pace
         starts = np.diff(whole) > 0.0
         self.turns += int(starts.sum())
         return self.encode(degrees, self.measure(degrees, ages), starts)
