@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.jit import jit, loop
-from acsar_gym.physics.trigonometry import angle_of, cos_sin
+from acsar_gym.jit import jit, loop, subroutine
+from acsar_gym.trigonometry import angle_of, cos_sin
 from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
@@ -199,6 +199,42 @@ def place_at(seen: Floats, time: float, period: float) -> tuple[float, float, fl
     )
 
 
+@subroutine
+def move_measurements(
+    bearings: Floats,
+    distances: Floats,
+    xs: Floats,
+    ys: Floats,
+    turns: Floats,
+    rays: Rays,
+    places: Floats,
+    lengths: Floats,
+) -> None:
+    """Compute how measurements look from elsewhere; a loop of its own, which can be vectorized.
+
+    Args:
+        bearings: (n,), of a Revolution [rad].
+        distances: (n,), of the same [m].
+        xs: (n,): where the LiDAR was, ahead of its present place [m].
+        ys: (n,): likewise, to the left [m].
+        turns: (n,): its heading then, from the present one [rad].
+        rays: of the LiDAR.
+        places: (n,): directions in parts of the angle between two rays, 0 for the first ray;
+            written, from -0.5 to less than a full turn beyond.
+        lengths: (n,) [m]; written, the longest range where nothing was measured.
+    """
+    around = FULL_TURN / rays.step
+    for k in range(len(bearings)):
+        measured = distances[k] > 0.0
+        distance = distances[k] if measured else 1.0
+        cos, sin = cos_sin(bearings[k] + turns[k])
+        x = distance * cos + (xs[k] if measured else 0.0)
+        y = distance * sin + (ys[k] if measured else 0.0)
+        place = (angle_of(x, y) - rays.start) / rays.step
+        places[k] = place - around * np.floor((place + 0.5) / around)
+        lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
+
+
 @loop
 def fill_scan(
     bearings: Floats,
@@ -224,7 +260,7 @@ def fill_scan(
         ranges: (rays,) [m]; written, within nearest to farthest.
     """
     count, last = len(bearings), len(ranges)
-    (xs, ys, turns), places, lengths = np.empty((3, count)), np.empty(count), np.empty(count)
+    xs, ys, turns, places, lengths = np.empty((5, count))
     since = until = times[0] if count else 0.0
     for k in range(count):
         since, until = min(since, times[k]), max(until, times[k])
@@ -233,16 +269,8 @@ def fill_scan(
     for k in range(count):
         xs[k], ys[k], turns[k] = place_at(seen, times[k], rays.period)
         least, most = min(least, turns[k]), max(most, turns[k])
-    around = FULL_TURN / rays.step  # rays in a full turn; place 0 is the first ray
-    for k in range(count):
-        measured = distances[k] > 0.0
-        distance = distances[k] if measured else 1.0
-        cos, sin = cos_sin(bearings[k] + turns[k])
-        x = distance * cos + (xs[k] if measured else 0.0)
-        y = distance * sin + (ys[k] if measured else 0.0)
-        place = (angle_of(x, y) - rays.start) / rays.step
-        places[k] = place - around * np.floor((place + 0.5) / around)
-        lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
+    around = FULL_TURN / rays.step  # rays in a full turn
+    move_measurements(bearings, distances, xs, ys, turns, rays, places, lengths)
     # Each measurement goes to the ray next to it, if it is the nearest there.
     taken, off = np.full(last, -1), np.full(last, np.inf)
     for k in range(count):
@@ -255,20 +283,20 @@ def fill_scan(
     whole = abs(around - last) < 1e-6
     reach = int((GAP_STEPS * FULL_TURN / max(count, 1) + most - least) / rays.step + 0.5)
     for ray in range(last):
-        found = taken[ray]
-        if found < 0:
-            nearest = np.inf
-            for side in (-1, 1):
-                for far in range(1, reach + 1):
-                    other = ray + side * far
-                    if whole:
-                        other -= last * int(np.floor(other / last))
-                    if 0 <= other < last and taken[other] >= 0:
-                        apart = abs(places[taken[other]] - ray)
-                        apart = min(apart, around - apart)
-                        if apart < nearest:
-                            nearest, found = apart, taken[other]
-                        break
+        found, nearest = taken[ray], np.inf
+        for far in range(1, reach + 1 if found < 0 else 1):
+            for other in (ray - far, ray + far):
+                if whole and other < 0:
+                    other += last
+                elif whole and other >= last:
+                    other -= last
+                if 0 <= other < last and taken[other] >= 0:
+                    apart = abs(places[taken[other]] - ray)
+                    apart = min(apart, around - apart)
+                    if apart < nearest:
+                        nearest, found = apart, taken[other]
+            if nearest < far:
+                break
         length = lengths[found] if found >= 0 else rays.farthest
         ranges[ray] = min(max(length, rays.nearest), rays.farthest)
 

@@ -17,7 +17,7 @@ from acsar_gym.links.base import Link
 from acsar_gym.links.faults import hash_sample
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.physics.model import compute_physics
-from acsar_gym.physics.trigonometry import cos_sin
+from acsar_gym.trigonometry import cos_sin
 from acsar_gym.sensors.scan import (
     FULL_TURN,
     Floats,

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.physics.trigonometry import cos_sin
+from acsar_gym.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Goal,

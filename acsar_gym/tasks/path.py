@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.physics.trigonometry import cos_sin
+from acsar_gym.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Floats,

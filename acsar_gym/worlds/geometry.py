@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
+from acsar_gym.trigonometry import angle_of
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
 FULL_TURN = 2.0 * math.pi
-RAY_TOLERANCE = 1e-9
-"""Tolerance at both ends of the range of rays that can meet an obstacle [rad]."""
+RAY_TOLERANCE = 1e-7
+"""Tolerance at both ends of the range of rays that can meet an obstacle: more than `angle_of` may
+be wrong by [rad]."""
 CLEARANCE_CHUNK = 2**14
 """Distances that are computed at a time, so that memory stays at a few MB."""
 
@@ -156,6 +158,15 @@ def make_surroundings(
 
 
 @jit
+def widest_angle(width: float, distance: float) -> float:
+    """An angle [rad] that is a little more than asin(width / distance); half a turn from inside."""
+    share = width / (distance + 1e-300)
+    if share >= 1.0:
+        return 0.5 * FULL_TURN
+    return share + (0.25 * FULL_TURN - 1.0) * share * share * share + RAY_TOLERANCE
+
+
+@jit
 def see_circle(
     ranges: Floats,
     x: float,
@@ -169,13 +180,14 @@ def see_circle(
 
     The origins of the rays lie within `margin` of the sensor.
     """
-    last, directions = len(ranges) - 1, around.directions
-    wide = (radius + margin) / math.sqrt(x * x + y * y + 1e-300)
-    middle = math.atan2(y, x)
-    half = math.asin(wide) + RAY_TOLERANCE if wide < 1.0 else 0.5 * FULL_TURN
-    for shift in (-FULL_TURN, 0.0, FULL_TURN):
-        low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
-        high = min(math.floor((middle + half + shift - around.start) / around.step), last)
+    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    half = widest_angle(radius + margin, math.sqrt(x * x + y * y)) * density
+    middle = (angle_of(x, y) - around.start) * density
+    for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
+        if middle + shift + half < 0.0 or middle + shift - half > last:
+            continue
+        low = max(math.ceil(middle + shift - half), 0)
+        high = min(math.floor(middle + shift + half), last)
         for k in range(low, high + 1):
             dx, dy = x - origins[k, 0], y - origins[k, 1]
             apart = dx * dx + dy * dy - radius * radius
@@ -199,28 +211,32 @@ def see_segment(
     around: Surroundings,
 ) -> None:
     """Shorten the rays that meet a segment from a to b in the sensor's frame, as `see_circle`."""
-    one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
     ex, ey = bx - ax, by - ay
-    extra = RAY_TOLERANCE
-    if margin > 0.0:
-        share = -(ax * ex + ay * ey) / (ex * ex + ey * ey + 1e-300)
-        share = min(max(share, 0.0), 1.0)
-        near_x, near_y = ax + share * ex, ay + share * ey
-        wide = margin / math.sqrt(near_x * near_x + near_y * near_y + 1e-300)
-        extra = math.asin(wide) + RAY_TOLERANCE if wide < 1.0 else 0.5 * FULL_TURN
-    first, last = min(one, one + width) - extra, len(ranges) - 1
-    top, directions = min(first + abs(width) + 2.0 * extra, first + FULL_TURN), around.directions
-    for shift in (-FULL_TURN, 0.0, FULL_TURN):
-        low = max(math.ceil((first + shift - around.start) / around.step), 0)
-        high = min(math.floor((top + shift - around.start) / around.step), last)
+    share = -(ax * ex + ay * ey) / (ex * ex + ey * ey + 1e-300)
+    share = min(max(share, 0.0), 1.0)
+    near_x, near_y = ax + share * ex, ay + share * ey
+    distance = math.sqrt(near_x * near_x + near_y * near_y)
+    if distance > around.reach + margin:
+        return
+    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    extra = widest_angle(margin, distance) * density
+    one = (angle_of(ax, ay) - around.start) * density
+    width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * density
+    first, top = min(one, one + width) - extra, max(one, one + width) + extra
+    top = min(top, first + FULL_TURN * density)
+    for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
+        if top + shift < 0.0 or first + shift > last:
+            continue
+        low = max(math.ceil(first + shift), 0)
+        high = min(math.floor(top + shift), last)
         for k in range(low, high + 1):
             across = directions[k, 0] * ey - directions[k, 1] * ex
             if abs(across) > 1e-12:
                 from_x, from_y = ax - origins[k, 0], ay - origins[k, 1]
-                distance = (from_x * ey - from_y * ex) / across
+                length = (from_x * ey - from_y * ex) / across
                 share = (from_x * directions[k, 1] - from_y * directions[k, 0]) / across
-                if distance >= 0.0 and -1e-9 <= share <= 1.0 + 1e-9:
-                    ranges[k] = min(ranges[k], distance)
+                if length >= 0.0 and -1e-9 <= share <= 1.0 + 1e-9:
+                    ranges[k] = min(ranges[k], length)
 
 
 @loop

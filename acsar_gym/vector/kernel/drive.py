@@ -28,7 +28,7 @@ from acsar_gym.links.faults import (
     line_hash,
 )
 from acsar_gym.physics.model import move_towards, round_printed, tyre_step, wheel_speed, whole_loops
-from acsar_gym.physics.trigonometry import sincos
+from acsar_gym.trigonometry import sincos
 from acsar_gym.protocol import MAX_SPEED, Speeds
 from acsar_gym.safety.rules import (
     SafetyMemory,

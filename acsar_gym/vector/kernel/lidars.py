@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.physics.trigonometry import sincos
+from acsar_gym.trigonometry import sincos
 from acsar_gym.sensors.scan import begin_trail, fill_scan
 from acsar_gym.sensors.simulated import LidarTraits, measure_revolution
 from acsar_gym.vector.kernel import layout as rows
