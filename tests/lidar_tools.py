@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lidar_twins import MAKERS
@@ -74,9 +75,15 @@ def main() -> None:
     parser.add_argument("--lose", type=int, default=0)
     given = parser.parse_args()
     maker = MAKERS[given.model]
-    options = {"rate": given.rate, "spin_up": given.spin_up, "wobble": given.wobble}
-    options |= maker.options | ({"samples": given.samples} if given.samples else {})
-    twin = maker.twin(room, **options, **({"broken": True} if given.broken else {}))
+    options: dict[str, Any] = {
+        "rate": given.rate,
+        "spin_up": given.spin_up,
+        "wobble": given.wobble,
+        **maker.options,
+        **({"samples": given.samples} if given.samples else {}),
+        **({"broken": True} if given.broken else {}),
+    }
+    twin = maker.twin(room, **options)
     with given.log.open("w", encoding="ascii", buffering=1) as log:
 
         def note(**event: object) -> None:

@@ -232,7 +232,7 @@ def test_on_hardware_a_lidar_of_ones_own_is_observed(mine: Path) -> None:
     """Of a turn of four measurements each has its ray, whatever the clock."""
     clock = SimpleNamespace(time=1.0)
     link, config = SimpleNamespace(now=lambda: clock.time), RobotConfig().with_(lidar={"rays": 4})
-    lidar = open_lidar("mine.scanner:Scanner", link, config)
+    lidar: Any = open_lidar("mine.scanner:Scanner", link, config)
     sensor = LidarSensor(lidar, config)
     board, device = pty.openpty()
     lidar.device = os.ttyname(device)

@@ -195,7 +195,12 @@ def turned(*numbers: float) -> Callable[[Add], None]:
     """A recording with this revolution."""
     packer = array_packer("<f8", len(numbers))
     (data,) = packer.pack(1, {"data": np.array([numbers])})
-    return lambda one: (rows()(one), one(REVOLUTIONS, data))[0]
+
+    def add(one: Add) -> None:
+        rows()(one)
+        one(REVOLUTIONS, data)
+
+    return add
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -
     emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
     lidar = make(emulated, model)
     reset(lidar)
-    stamps = []
+    stamps: list[float] = []
     for _ in range(7):
         turn = newer(lidar, stamps[-1] if stamps else 0.0)
         assert shows_the_room(turn)

@@ -31,7 +31,7 @@ def at(distance: float) -> Look:
     return lambda bearings, ages: np.full(len(bearings), distance)
 
 
-def scanning(look: Look, **options: float) -> RplidarTwin:
+def scanning(look: Look, **options: Any) -> RplidarTwin:
     twin = RplidarTwin(look, **options)
     assert twin.receive(SCAN) == SCAN_DESCRIPTOR
     return twin
