@@ -65,7 +65,8 @@ def aim_beams(
     """Find the measurements of a revolution that point along the robot's present rays.
 
     The head turns clockwise, as that of most LiDARs, and passes straight ahead when a revolution
-    begins and ends.
+    begins and ends. Where a robot turns against it, no measurement points into the gap between the
+    two ends; the later one is taken to.
 
     Args:
         trail: of the true poses; its newest row is now.
