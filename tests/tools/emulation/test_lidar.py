@@ -22,7 +22,7 @@ LOOPS = 200
 
 
 def test_each_measurement_is_from_where_the_robot_was_then() -> None:
-    """The exact pose at its time, between those of the loops; that of the loop is centimetres off."""
+    """Its pose is between those of the loops, which are centimetres off."""
     config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05)
     with Emulator(config, world=ROOM, sees=True) as emulator:
         assert emulator.lidar_device is not None
