@@ -24,6 +24,7 @@ from acsar_gym.sensors.scan import (
     make_rays,
     ray_spec,
 )
+from acsar_gym.sensors.simulated import draw_episode
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
@@ -146,10 +147,16 @@ class LidarSensor(Sensor):
         return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
+def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
+    """The LiDAR among a robot's sensors; None without one."""
+    first = sensors[0] if sensors else None
+    return first if isinstance(first, LidarSensor) else None
+
+
 def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:
     """The newest scan of the LiDAR among a robot's sensors; None without a LiDAR."""
-    first = sensors[0] if sensors else None
-    return first.scan if isinstance(first, LidarSensor) else None
+    lidar = find_lidar(sensors)
+    return None if lidar is None else lidar.scan
 
 
 def footprint_edges(config: RobotConfig) -> NDArray[np.float64]:
@@ -172,43 +179,35 @@ def stale_after(config: RobotConfig) -> float:
 
 
 class ReplayedLidar:
-    """Plays the scans of a recording, beside the bytes of its wire.
+    """Plays the revolutions of a recording, beside the bytes of its wire.
 
     Args:
         tape: the link that replays it.
         link: the robot's link, with the recorded ground truth where the recording was a simulation.
-        config: of the robot.
     """
 
-    def __init__(self, tape: ScannedLink, link: Link, config: RobotConfig) -> None:
+    def __init__(self, tape: ScannedLink, link: Link) -> None:
         self._tape = tape
         self._link = link
-        self._config = config
-        self._rng = np.random.default_rng(0)
-        self._scan: Scan | None = None
+        self._measured: NDArray[np.float64] | None = None
+        self._newest: Revolution | None = None
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Begin an episode."""
-        self._rng = rng
-        self._scan = None
+        self._newest = None
+        if self._link.truth is not None:
+            draw_episode(rng)  # as the simulated LiDAR did here
 
-    def scan(self) -> Scan:
-        """Return the scan that was the newest one; LidarError where none was recorded."""
-        found = self._tape.scan()
+    def scan(self) -> Revolution:
+        """Return the revolution that was the newest one; LidarError where none was recorded."""
+        found = self._tape.revolution()
         if found is None:
             raise LidarError("the recording has no scan", "was it made with a LiDAR?")
-        stamp, ranges = found
-        rays = self._config.lidar.rays
-        if len(ranges) != rays:
-            raise LidarError(
-                f"the recording's scans have {len(ranges)} rays, the robot's LiDAR {rays}",
-                "replay it with the robot that was recorded",
-            )
-        if self._scan is None or stamp != self._scan.stamp:
-            self._scan = Scan(ranges, stamp)
-            if self._link.truth is not None:  # a simulated LiDAR drew noise here
-                self._rng.random(noise_draws(self._config.lidar))
-        return self._scan
+        stamp, measured = found
+        if self._newest is None or measured is not self._measured:
+            self._measured = measured
+            self._newest = Revolution(measured[0], measured[1], measured[2], stamp)
+        return self._newest
 
     def close(self) -> None:
         """Do nothing: there is no device."""

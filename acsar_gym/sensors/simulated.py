@@ -184,6 +184,12 @@ def measure_revolution(
     return ended
 
 
+def draw_episode(rng: np.random.Generator) -> tuple[float, float]:
+    """Draw the phase of the revolution at a reset, and the key of its errors."""
+    phase, key = rng.random(2).tolist()
+    return phase, key
+
+
 class SimulatedLidar:
     """The LiDAR of a simulated robot. It turns all the time, from before the episode on.
 
@@ -211,8 +217,7 @@ class SimulatedLidar:
             physics.range_dropouts,
             physics.range_outliers,
         )
-        phase, key = rng.random(2).tolist()
-        self._episode = (self._link.now(), phase, key)
+        self._episode = (self._link.now(), *draw_episode(rng))
         self._trail = Trail(2.0 / physics.scan_rate, config.period)
         self.poll(self._link.truth, self._link.now())
 

@@ -304,11 +304,13 @@ def cast_rays(
     cast_lines(x, y, cos, sin, which, around, np.zeros((len(ranges), 2)), ranges)
 
 
-def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
+def measure_ranges(
+    place: tuple[float | Floats, float | Floats], bearings: Floats, world: World | None
+) -> Floats:
     """Compute ranges at any bearings, in plain NumPy; `cast_rays` is faster for evenly spaced rays.
 
     Args:
-        place: x, y in the frame of the world [m].
+        place: x, y in the frame of the world [m]: of all rays, or (rays,) each.
         bearings: (rays,) in the frame of the world [rad].
         world: with the obstacles, or None.
 
@@ -318,11 +320,14 @@ def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | 
     if world is None:
         return np.full(len(bearings), np.inf)
     cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
-    x, y, radius = (world.circles - (*place, 0.0)).T
+    from_x, from_y = (np.reshape(values, (-1, 1)) for values in place)
+    circle_x, circle_y, radius = world.circles.T
+    x, y = circle_x - from_x, circle_y - from_y
     along = cos * x + sin * y
     inside = along * along - (x * x + y * y - radius * radius)
     near = np.where(inside >= 0.0, along - np.sqrt(np.abs(inside)), np.inf)
-    ax, ay, bx, by = (world.segments - (*place, *place)).T
+    ax, ay, bx, by = world.segments.T
+    ax, ay, bx, by = ax - from_x, ay - from_y, bx - from_x, by - from_y
     ex, ey = bx - ax, by - ay
     with np.errstate(divide="ignore", invalid="ignore"):
         across = cos * ey - sin * ex

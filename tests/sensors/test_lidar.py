@@ -1,4 +1,4 @@
-"""The simulated LiDAR: its revolutions and their errors; and which LiDAR a URL means."""
+"""The simulated LiDAR: its revolutions and their errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from acsar_gym.physics.model import Physics, compute_physics
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.scan import Revolution, Scan
 from acsar_gym.sensors.simulated import LidarTraits, SimulatedLidar, add_errors
-from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
@@ -126,18 +125,6 @@ def test_an_episode_has_its_own_lidar() -> None:
     found = [scanner(physics, seed, rays=4) for seed in range(20)]
     assert found[0].scan.ranges[3] == pytest.approx(1.7, abs=1e-6)
     assert min(one.scan.stamp for one in found) < found[0].lidar._link.now() - 0.2  # type: ignore[attr-defined]
-
-
-def test_urls_name_lidars() -> None:
-    link = open_link("planar", ACSAR)
-    for url in (None, "simulated"):
-        assert isinstance(open_lidar(url, link, ACSAR), SimulatedLidar)
-    ready = SimulatedLidar(link, ACSAR)
-    assert open_lidar(ready, link, ACSAR) is ready
-    bad: list[Any] = ["rplidar://", "/dev/ttyUSB1", 7, "rplidr:///dev/ttyUSB1"]
-    for url in bad:
-        with pytest.raises(ConfigError, match=r"rplidar:///dev/ttyUSB1"):
-            open_lidar(url, link, ACSAR)
 
 
 @pytest.mark.parametrize(
