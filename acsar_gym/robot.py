@@ -33,7 +33,7 @@ from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
-from acsar_gym.sensors.lidar import newest_scan
+from acsar_gym.sensors.lidar import find_lidar
 from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
@@ -90,7 +90,7 @@ class Robot:
         self.active = False
         self.safety = Safety(self.config)
         self._recorder = recorder
-        self._scan_stamp: float | None = None
+        self._scanned = -math.inf
         self._listener: StopListener | None = None
         self._held = False
         self._stopwatch: EpisodeStopwatch | None = None
@@ -150,7 +150,7 @@ class Robot:
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         self.sensors.reset(scene, rng)
-        self._scan_stamp = None
+        self._scanned = -math.inf
         self._record_scan()
 
     @_deactivating
@@ -161,7 +161,9 @@ class Robot:
             SensorError: a sensor gives something else than its finite numbers.
             LinkError: a sensor's device fails.
         """
-        return self.sensors.read()
+        numbers = self.sensors.read()
+        self._record_scan()
+        return numbers
 
     @_deactivating
     def tell(self, info: dict[str, float]) -> None:
@@ -394,15 +396,20 @@ class Robot:
             sum(wire.decoder.refused.values()),
         )
         self._recorder.add(tick)
-        self._record_scan()
+        self._record_scan(1.0 / self.config.lidar.rate - 0.5 * self._period)  # if nobody reads it
 
-    def _record_scan(self) -> None:
-        """Record the newest scan, if it is recorded for the first time."""
-        if self._recorder is not None:
-            scan = newest_scan(self.sensors)
-            if scan is not None and scan.stamp != self._scan_stamp:
-                self._scan_stamp = scan.stamp
-                self._recorder.add(Scanned(self._recorder.number - 1, scan.stamp, scan.ranges))
+    def _record_scan(self, rest: float = 0.0) -> None:
+        """Record the scan, with what it was made of.
+
+        Args:
+            rest: not where the newest recorded one was read less than this before [s].
+        """
+        lidar, stamp = find_lidar(self.sensors), self.wire.stamp
+        if self._recorder is None or lidar is None or stamp - self._scanned <= rest:
+            return
+        self._scanned = stamp
+        number = self._recorder.number - 1
+        self._recorder.add(Scanned(number, stamp, lidar.scan.ranges, lidar.revolution))
 
     def __reduce__(self) -> tuple[type[Robot], tuple[Link, RobotConfig, tuple[Sensor, ...]]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""

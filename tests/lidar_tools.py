@@ -1,4 +1,4 @@
-"""An RPLIDAR in a room of known size, in a process of its own."""
+"""A LiDAR in a room of known size, in a process of its own."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from lidar_twins import MAKERS
 from numpy.typing import NDArray
 from serial_tools import Emulated, Forked, first_line
 
-from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
+from acsar_gym.tools.emulation.lidar import LidarEmulator
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +25,7 @@ LATE = 0.1
 """After a pause this long the emulator goes on from now [s]."""
 
 
-def room(bearings: Floats) -> Floats:
+def room(bearings: Floats, ages: Floats | None = None) -> Floats:
     """Ranges [m] at bearings [rad], counter-clockwise from the sensor's zero."""
     cos, sin = np.cos(bearings), np.sin(bearings)
     with np.errstate(divide="ignore"):
@@ -32,7 +34,7 @@ def room(bearings: Floats) -> Floats:
     return np.minimum(np.abs(along_x), np.abs(along_y))
 
 
-def nothing(bearings: Floats) -> Floats:
+def nothing(bearings: Floats, ages: Floats | None = None) -> Floats:
     """An empty plain."""
     return np.full(len(bearings), np.inf)
 
@@ -47,10 +49,10 @@ def start_lidar(log: Path, *arguments: str) -> Emulated:
     return emulated
 
 
-def state(emulated: Emulated) -> tuple[bool, int]:
-    """Whether it scans, and its motor's PWM."""
-    newest = [event for event in emulated.events() if "pwm" in event][-1]
-    return bool(newest["scanning"]), int(newest["pwm"])
+def state(emulated: Emulated) -> tuple[bool, bool]:
+    """Whether it scans, and whether its motor runs."""
+    newest = [event for event in emulated.events() if "running" in event][-1]
+    return bool(newest["scanning"]), bool(newest["running"])
 
 
 def turns(emulated: Emulated) -> list[float]:
@@ -62,44 +64,49 @@ def main() -> None:
     """Print the device, and serve until killed."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--log", type=Path, required=True)
+    parser.add_argument("--model", default="rplidar")
     parser.add_argument("--rate", type=float, default=20.0)
-    parser.add_argument("--samples", type=int, default=360)
+    parser.add_argument("--samples", type=int)
     parser.add_argument("--spin-up", type=float, default=0.0)
+    parser.add_argument("--wobble", type=float, default=0.0)
     parser.add_argument("--broken", action="store_true")
-    parser.add_argument("--baud", type=int, default=115200)
+    parser.add_argument("--baud", type=int)
     parser.add_argument("--fault", default=None)
-    options = parser.parse_args()
-    with options.log.open("w", encoding="ascii", buffering=1) as log:
+    parser.add_argument("--lose", type=int, default=0)
+    given = parser.parse_args()
+    maker = MAKERS[given.model]
+    options: dict[str, Any] = {
+        "rate": given.rate,
+        "spin_up": given.spin_up,
+        "wobble": given.wobble,
+        **maker.options,
+        **({"samples": given.samples} if given.samples else {}),
+        **({"broken": True} if given.broken else {}),
+    }
+    twin = maker.twin(room, **options)
+    with given.log.open("w", encoding="ascii", buffering=1) as log:
 
         def note(**event: object) -> None:
             log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
-        def look(bearings: Floats) -> Floats:
-            if (bearings == 0.0).any():
-                note(turn=True)
-            return room(bearings)
-
-        twin = RplidarTwin(
-            look,
-            rate=options.rate,
-            samples=options.samples,
-            spin_up=options.spin_up,
-            broken=options.broken,
-        )
-        with RplidarEmulator(twin, baud=options.baud, fault=options.fault) as emulator:
+        baud = given.baud or maker.baud
+        with LidarEmulator(twin, baud=baud, fault=given.fault, lose=given.lose) as emulator:
             print(emulator.device, flush=True)
             serve(emulator, note)
 
 
-def serve(emulator: RplidarEmulator, note: Callable[..., None]) -> None:
+def serve(emulator: LidarEmulator, note: Callable[..., None]) -> None:
     """In real time; what changes is noted."""
-    before = None
+    before, begun = None, 0
     deadline = time.monotonic()
     while True:
         emulator.serve_once(PERIOD)
-        now = emulator.twin.scanning, emulator.twin.pwm
+        now = emulator.twin.scanning, emulator.twin.running
         if now != before:
-            note(scanning=now[0], pwm=now[1])
+            note(scanning=now[0], running=now[1])
             before = now
+        if emulator.twin.turns > begun:
+            note(turn=True)
+            begun = emulator.twin.turns
         deadline = max(deadline + PERIOD, time.monotonic() - LATE)
         time.sleep(max(0.0, deadline - time.monotonic()))

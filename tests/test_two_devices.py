@@ -15,6 +15,7 @@ from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LateTicksError, LidarError
 from acsar_gym.links.shutdown import install_handlers
+from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
@@ -48,9 +49,10 @@ def simulated(config: RobotConfig, pose: Pose) -> Any:
     link = open_link("planar", config)
     link.open()
     link.reset(scene)
-    lidar = open_lidar(None, link, config)
-    lidar.reset(scene, np.random.default_rng(0))
-    return lidar.scan().ranges
+    sensor = LidarSensor(open_lidar(None, link, config), config)
+    sensor.reset(scene, np.random.default_rng(0))
+    sensor.poll(link.truth, link.now())
+    return sensor.scan.ranges
 
 
 def assert_seen(observation: Any, config: RobotConfig, pose: Pose) -> None:

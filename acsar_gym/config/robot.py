@@ -61,8 +61,13 @@ class LidarConfig(Section):
     """Scans per second [Hz], at most 10,000."""
     noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
     """Standard deviation of simulated ranges [m]; typical of hobby LiDARs at a few metres."""
+    bias: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
+    """Added to all simulated ranges [m]."""
     dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of simulated rays whose measurement fails."""
+    """Share of simulated measurements that fail."""
+    outliers: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Share of simulated measurements at an edge that lie anywhere between what is before and what
+    is behind it, as the beam meets both."""
     timeout: Wait = 1.0
     """A scan older than this is an error that stops the robot [s], at most 1 h."""
 

@@ -66,7 +66,8 @@ class ObstacleGoalEnv(RobotEnv):
       "rooms", "barn"), and with those that `acsar_gym.worlds.register` adds. Or a file (.world, ROS
       map, .json, .yaml), a folder of them, a World, or a list of World.
     - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
-    - `lidar`: None for the simulated one, "rplidar:///dev/ttyUSB1" on hardware, or a Lidar.
+    - `lidar`: None for the simulated one, model and device like "rplidar:///dev/ttyUSB1" on
+      hardware, "module:Class", or a Lidar.
 
     ## Info
 

@@ -83,10 +83,13 @@ class CameraLink(Protocol):
 
 @runtime_checkable
 class ScannedLink(Protocol):
-    """A link that has the scans of a LiDAR: a recording."""
+    """A link that has the revolutions of a LiDAR: a recording."""
 
-    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
-        """Stamp [s] and ranges [m] of the newest scan; None if there is none."""
+    def revolution(self) -> tuple[float, NDArray[np.float64]] | None:
+        """End [s], and bearings [rad], distances [m] and times [s], (3, n), of the newest one.
+
+        None if there is none.
+        """
 
 
 @runtime_checkable

@@ -70,21 +70,17 @@ _BITS = 9007199254740992.0
 
 
 @loop
-def line_hash(key: float, whose: int, number: float, kind: int) -> float:
-    """Return a uniform random number in [0, 1) for one line and one kind of fault.
+def hash_sample(key: float, number: int) -> float:
+    """Return a uniform random number in [0, 1) that depends on these inputs only.
 
-    It depends on these inputs only, not on other random numbers, so the link of a single robot and
-    the robots of a batch lose the same lines. The hash is SplitMix64 of Steele, Lea and Flood
-    (2014).
+    So a single robot and the robots of a batch draw the same one, in any order. The hash is
+    SplitMix64 of Steele, Lea and Flood (2014).
 
     Args:
         key: key of the episode, in [0, 1).
-        whose: FEEDBACK_LINE, COMMAND_LINE or WHOLE_EPISODE.
-        number: number of the line.
-        kind: kind of fault, below FAULT_KINDS.
+        number: of the sample, from 0.
     """
-    count = np.uint64((int(number) * 3 + whose) * FAULT_KINDS + kind + 1)
-    word = (np.uint64(key * _BITS) << _S11) + count * _STEP
+    word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST
     word = (word ^ (word >> _S27)) * _SECOND
     word ^= word >> _S31
@@ -92,12 +88,25 @@ def line_hash(key: float, whose: int, number: float, kind: int) -> float:
 
 
 if not COMPILED:
-    _wrapping = line_hash
+    _wrapping = hash_sample
 
-    def line_hash(key: float, whose: int, number: float, kind: int) -> float:
+    def hash_sample(key: float, number: int) -> float:
         """Return the same number without numba, ignoring NumPy's overflow warnings."""
         with np.errstate(over="ignore"):
-            return _wrapping(key, whose, number, kind)
+            return _wrapping(key, number)
+
+
+@loop
+def line_hash(key: float, whose: int, number: float, kind: int) -> float:
+    """Return a uniform random number in [0, 1) for one line and one kind of fault.
+
+    Args:
+        key: key of the episode, in [0, 1).
+        whose: FEEDBACK_LINE, COMMAND_LINE or WHOLE_EPISODE.
+        number: number of the line.
+        kind: kind of fault, below FAULT_KINDS.
+    """
+    return hash_sample(key, (int(number) * 3 + whose) * FAULT_KINDS + kind)
 
 
 # What may be asked for

@@ -58,7 +58,7 @@ class ReplayLink:
     def open(self) -> None:
         """Read the recording; ConfigError if it can't be read."""
         if self._recording is None:
-            self._recording = read(self.replays)
+            self._recording = read(self.replays, revolutions=True)
             self._tape = Tape(self._recording.episodes[0])
         self._is_open = True
 
@@ -157,9 +157,9 @@ class ReplayLink:
         """When the bytes of the newest period arrived, as recorded [s]."""
         return self._tape.arrivals if self._tape else []
 
-    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
-        """Stamp [s] and ranges [m] of the scan that was the newest one; None without a LiDAR."""
-        return self._tape.scan() if self._tape else None
+    def revolution(self) -> tuple[float, NDArray[np.float64]] | None:
+        """Return the LiDAR's revolution that was the newest one; see `Tape.revolution`."""
+        return self._tape.revolution() if self._tape else None
 
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, ByteStream | None]]:
         """Copy with the replay at its beginning."""

@@ -134,6 +134,16 @@ class Physics(NamedTuple):
     """Further delay of commands [s]."""
     feedback_loops: float
     """Period of feedback lines [firmware loops]."""
+    scan_rate: float
+    """Revolutions of the LiDAR per second [Hz]."""
+    range_noise: float
+    """Standard deviation of a measured range [m]."""
+    range_bias: float
+    """Added to all measured ranges [m]."""
+    range_dropouts: float
+    """Share of measurements that fail."""
+    range_outliers: float
+    """Share of measurements at an edge that lie anywhere between its two sides."""
 
 
 def turn_factor(config: RobotConfig) -> float:
@@ -170,6 +180,11 @@ def compute_physics(config: RobotConfig) -> Physics:
         latency_loops=0.0,
         command_delay=config.firmware.command_delay,
         feedback_loops=config.firmware.loop_rate / config.feedback_rate,
+        scan_rate=config.lidar.rate,
+        range_noise=config.lidar.noise,
+        range_bias=config.lidar.bias,
+        range_dropouts=config.lidar.dropouts,
+        range_outliers=config.lidar.outliers,
     )
 
 

@@ -196,6 +196,11 @@ class Drawn(NamedTuple):
     deadband_offset_b: float = 0.0
     deadband_offset_c: float = 0.0
     deadband_offset_d: float = 0.0
+    lidar_rate: float = math.nan
+    lidar_noise: float = math.nan
+    lidar_bias: float = math.nan
+    lidar_dropouts: float = math.nan
+    lidar_outliers: float = math.nan
 
 
 class DrawnRanges(NamedTuple):
@@ -262,6 +267,16 @@ class Randomization(Section):
     """Delays of commands on top of `command_delay` [s]; each episode draws one of them."""
     deadband_offset: Annotated[Range | None, _bounded(-1e3, 1e3)] = None
     """Added to each wheel's deadband, which stays at least 0 [rad/s]; four numbers."""
+    lidar_rate: Annotated[Range | None, _bounded(0.1, 1e4)] = None
+    """Revolutions of the LiDAR per second [Hz]."""
+    lidar_noise: Annotated[Range | None, _bounded(0.0, 1e3)] = None
+    """Standard deviation of the LiDAR's ranges [m]."""
+    lidar_bias: Annotated[Range | None, _bounded(-1e3, 1e3)] = None
+    """Added to all of the LiDAR's ranges [m]."""
+    lidar_dropouts: Annotated[Range | None, _bounded(0.0, 1.0)] = None
+    """Share of the LiDAR's measurements that fail."""
+    lidar_outliers: Annotated[Range | None, _bounded(0.0, 1.0)] = None
+    """Share of the LiDAR's measurements at an edge that lie between its two sides."""
 
     @classmethod
     def of(
@@ -436,6 +451,11 @@ def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
         latency_loops=nominal.latency_loops + np.rint(drawn.latency / dt),
         command_delay=replace_nan(nominal.command_delay, drawn.command_delay) + drawn.delay_samples,
         feedback_loops=replace_nan(nominal.feedback_loops, loops_between(drawn.feedback_rate, dt)),
+        scan_rate=replace_nan(nominal.scan_rate, drawn.lidar_rate),
+        range_noise=replace_nan(nominal.range_noise, drawn.lidar_noise),
+        range_bias=replace_nan(nominal.range_bias, drawn.lidar_bias),
+        range_dropouts=replace_nan(nominal.range_dropouts, drawn.lidar_dropouts),
+        range_outliers=replace_nan(nominal.range_outliers, drawn.lidar_outliers),
     )
 
 

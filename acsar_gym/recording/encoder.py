@@ -103,12 +103,15 @@ class Tick(NamedTuple):
 
 
 class Scanned(NamedTuple):
-    """A scan became the newest one."""
+    """A scan was read."""
 
     exchange: int
     stamp: float
+    """When it was read, which is where the robot was that its ranges are from [s]."""
     ranges: Any
     """(rays,) [m]."""
+    revolution: Any
+    """The `Revolution` of which it was made."""
 
 
 class Stepped(NamedTuple):
@@ -305,6 +308,8 @@ class Encoder:
         self._diagnostics = Diagnostics(config)
         self._offset = 0
         self._newest = self._episode = self._rays = -1
+        self._scanned: float | None = None
+        self._revolution: Any = None
         odom, twist = config.odom_frame, messages.Packer(*messages.TWIST)
         self._packers = {
             messages.ODOM: messages.odometry_packer(odom, BASE_FOOTPRINT),
@@ -351,6 +356,7 @@ class Encoder:
         elif start + self._offset <= self._newest:
             self._offset = self._newest + EPISODE_GAP - start
         self._episode += 1
+        self._scanned = self._revolution = None
         self._covariance.reset()
         self._diagnostics.reset(event.stamp)
         time = start + self._offset
@@ -439,7 +445,7 @@ class Encoder:
                 yield Message(messages.DIAGNOSTICS, time, data)
 
     def _encode_scans(self, events: Sequence[Scanned]) -> Iterator[Message]:
-        """Scans, for viewers and exactly."""
+        """Scans, for viewers and exactly, and each new revolution of which they are made."""
         lidar = self._config.lidar
         for event in events:
             ranges, stamps = np.asarray(event.ranges, np.float64), np.array([event.stamp])
@@ -448,9 +454,16 @@ class Encoder:
                 self._rays = len(ranges)
                 self._packers[messages.SCAN] = messages.scan_packer(self._config, step, self._rays)
             seen = {"ranges": np.where(ranges >= lidar.max_range, np.inf, ranges)}
+            seen["scan_time"] = np.array([event.stamp - (self._scanned or event.stamp)])
+            self._scanned = event.stamp
             yield from self._pack(messages.SCAN, stamps, seen, stamped=True)
             row = np.concatenate([[event.exchange, event.stamp], ranges])
             yield from self._encode_table(messages.SCANS, stamps, row[None])
+            if event.revolution is not self._revolution:
+                self._revolution = event.revolution
+                *measured, ended = event.revolution
+                row = np.concatenate([[event.exchange, ended], *measured])
+                yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
 
     def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
         """Observations, actions and rewards."""

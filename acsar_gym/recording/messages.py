@@ -119,8 +119,12 @@ TICK_COLUMNS = (
 STEP_COLUMNS = ("step", "stamp", "reward", "terminated", "truncated", "success")
 """One row for each step of the env; step 0 is the reset, without action and reward."""
 SCAN_COLUMNS = ("exchange", "stamp", "ranges")
-"""One row for each scan: the exchange at whose end it was the newest, the end of its revolution
-[s], and its ranges [m], exactly as the policy got them."""
+"""One row for each scan: the exchange after which it was read, the time of that [s], and its ranges
+[m] from where the robot was then, exactly as the policy got them."""
+REVOLUTION_COLUMNS = ("exchange", "stamp", "bearings", "distances", "times")
+"""One row for each revolution that scans are made of: the exchange after which it was read, its end
+[s], and of its n measurements all bearings [rad], then all distances [m], 0 where nothing was
+measured, then all times [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +167,12 @@ EXCHANGES = Topic("/acsar/exchanges", DOUBLES_TYPE, EXCHANGE_COLUMNS)
 TICKS = Topic("/acsar/ticks", DOUBLES_TYPE, TICK_COLUMNS)
 STEPS = Topic("/acsar/steps", DOUBLES_TYPE, STEP_COLUMNS)
 SCANS = Topic("/acsar/scans", DOUBLES_TYPE, SCAN_COLUMNS)
+REVOLUTIONS = Topic("/acsar/revolutions", DOUBLES_TYPE, REVOLUTION_COLUMNS)
 
 TOPICS = (
     *(ODOM, TF, TF_STATIC, JOINT_STATES, CMD_VEL, CMD_VEL_SENT, SCAN, DIAGNOSTICS, TRUTH),
     *(TIME_REFERENCE, WIRE_SENT, WIRE_RECEIVED, OBSERVATION, ACTION),
-    *(EPISODE, EXCHANGES, TICKS, STEPS, SCANS),
+    *(EPISODE, EXCHANGES, TICKS, STEPS, SCANS, REVOLUTIONS),
 )
 """All of them; those under /acsar are what this project reads back, bit for bit."""
 
@@ -296,14 +301,17 @@ def array_packer(kind: str, columns: int) -> Packer:
 
 
 def scan_packer(config: RobotConfig, step: float, rays: int) -> Packer:
-    """sensor_msgs/LaserScan, with the field ranges, (rays,)."""
+    """sensor_msgs/LaserScan, with the fields ranges, (rays,), and scan_time [s].
+
+    All rays are as from one pose, that of the robot at the stamp: no time passes between them.
+    """
     lidar, first = config.lidar, -config.lidar.field_of_view / 2.0
     values = {
         "angle_min": first,
         "angle_max": first + (rays - 1) * step,
         "angle_increment": step,
         "time_increment": 0.0,
-        "scan_time": 1.0 / lidar.rate,
+        "scan_time": None,
         "range_min": lidar.min_range,
         "range_max": lidar.max_range,
     }

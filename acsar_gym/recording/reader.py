@@ -33,12 +33,21 @@ from acsar_gym.recording.messages import (
     HEADER_RECORD,
     MCAP_MAGIC,
     RECORDING_FORMAT,
+    REVOLUTIONS,
     SCANS,
     STEPS,
     TICKS,
     Topic,
 )
-from acsar_gym.recording.types import Episode, Exchanges, Floats, Recording, Scans, WireLog
+from acsar_gym.recording.types import (
+    Episode,
+    Exchanges,
+    Floats,
+    Recording,
+    Revolutions,
+    Scans,
+    WireLog,
+)
 
 MAX_FILE = 1_000_000_000
 """Largest accepted file [bytes]."""
@@ -62,6 +71,8 @@ MAX_RECORDS = 4_500_000
 """Most records; an hour at 100 Hz has 4 million."""
 MAX_STAMP = 4e9
 """Largest time on a link's clock, either sign [s]: 126 years."""
+MAX_BEARING, MAX_DISTANCE = 100.0, 1e6
+"""Largest bearing, either sign [rad], and distance [m] of a LiDAR's measurement."""
 MAX_OFFSET = 2**62
 """Largest offset of an episode, either sign [ns]; times of the file then fit into 64 bits."""
 TOO_MUCH = "holds too much: cut out a part of it"
@@ -378,11 +389,12 @@ class EpisodeCollector:
             self.parts[-1].add(topic, time, data)
 
 
-def read(path: str | Path) -> Recording:
+def read(path: str | Path, *, revolutions: bool = False) -> Recording:
     """Read a recording.
 
     Args:
         path: the file, at most 1 GB.
+        revolutions: also read what a LiDAR measured, which takes most of the memory.
 
     Returns:
         All of it. Where the end of the file is missing, what there is, and `cut` is true.
@@ -390,7 +402,8 @@ def read(path: str | Path) -> Recording:
     Raises:
         ConfigError: the file can't be read, isn't a recording, or is damaged.
     """
-    collector, digest, cut = EpisodeCollector(), hashlib.sha256(), False
+    wanted = (*TABLE_TOPICS, *LIST_TOPICS, *((REVOLUTIONS,) if revolutions else ()))
+    collector, digest, cut = EpisodeCollector(wanted), hashlib.sha256(), False
     with open_file(Path(path), MAX_FILE) as file:
         try:
             for opcode, content in RecordStream(file, collector.topics, digest):
@@ -460,6 +473,7 @@ def make_episode(parts: EpisodeParts) -> Episode:
         success=bool(steps[-1, 5] == 1.0) if number > 1 else None,
         step_stamps=steps[:, 1],
         scans=Scans(_check_stamps(scans[:, 1]), scans[:, 2:], _to_integers(scans[:, 0])),
+        revolutions=_make_revolutions(parts.take_list(REVOLUTIONS)[1]),
         exchanges=Exchanges(
             _to_integers(exchanges[:, 0]),
             exchanges[:, 1],
@@ -469,6 +483,24 @@ def make_episode(parts: EpisodeParts) -> Episode:
             exchanges[:, 5:],
         ),
     )
+
+
+def _make_revolutions(rows: list[bytes]) -> Revolutions:
+    """The revolutions of an episode; ConfigError where one is damaged."""
+    heads, measured = np.zeros((len(rows), 2)), []
+    for place, data in enumerate(rows):
+        row = np.frombuffer(data, "<f8")
+        if len(row) % 3 != 2 or not np.isfinite(row).all():
+            raise ConfigError("is damaged: a broken revolution of the LiDAR")
+        heads[place] = row[:2]
+        turn = row[2:].reshape(3, -1).astype(np.float64)
+        _check_stamps(turn[2])
+        if np.abs(turn[0]).max(initial=0.0) > MAX_BEARING or (
+            turn[1].min(initial=0.0) < 0.0 or turn[1].max(initial=0.0) > MAX_DISTANCE
+        ):
+            raise ConfigError("is damaged: a measurement of the LiDAR that is out of range")
+        measured.append(turn)
+    return Revolutions(_check_stamps(heads[:, 1]), tuple(measured), _to_integers(heads[:, 0]))
 
 
 def _check_stamps(stamps: Floats) -> Floats:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import WIRE_LETTERS
@@ -49,7 +48,7 @@ class Tape:
         )
         self._next = 0
         self._written = 0
-        self._scan = -1
+        self._revolution = -1
         self.now = episode.start
 
     @property
@@ -121,14 +120,16 @@ class Tape:
         span = slice(self._pieces[max(number - 1, 0)], self._pieces[number])
         return list(zip(wire.got_stamps[span].tolist(), wire.got[span], strict=True))
 
-    def scan(self) -> tuple[float, NDArray[np.float64]] | None:
-        """Stamp [s] and ranges [m] of the newest scan; None where there is none."""
-        scans = self._episode.scans
-        while self._scan + 1 < len(scans.stamps) and (scans.exchanges[self._scan + 1] < self._next):
-            self._scan += 1
-        if self._scan < 0:
-            return None
-        return float(scans.stamps[self._scan]), scans.ranges[self._scan]
+    def revolution(self) -> tuple[float, Floats] | None:
+        """End [s] of the newest revolution of the LiDAR, and its bearings, distances and times.
+
+        They are (3, n), as in `Revolutions.measured`; None where there is no revolution.
+        """
+        turns, place = self._episode.revolutions, self._revolution
+        while place + 1 < len(turns.stamps) and turns.exchanges[place + 1] < self._next:
+            place += 1
+        self._revolution = place
+        return (float(turns.stamps[place]), turns.measured[place]) if place >= 0 else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,11 +75,29 @@ class Scans:
     """The scans of a LiDAR during an episode."""
 
     stamps: Floats
-    """(k,): when each revolution ended, on the link's clock [s]."""
+    """(k,): when each was read, on the link's clock [s]."""
     ranges: Floats
-    """(k, rays): ranges [m], counter-clockwise from -field_of_view / 2 of the robot's x axis."""
+    """(k, rays): ranges [m], counter-clockwise from -field_of_view / 2 of the robot's x axis, from
+    where the robot was then."""
     exchanges: NDArray[np.int64]
-    """(k,): number of the exchange at whose end each scan became the newest one."""
+    """(k,): number of the exchange after which each was read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Revolutions:
+    """The revolutions of a LiDAR of which an episode's scans are made."""
+
+    stamps: Floats
+    """(k,): when each ended, on the link's clock [s]."""
+    measured: tuple[Floats, ...]
+    """(3, n) each: bearings [rad], distances [m], 0 where nothing was measured, and times [s]."""
+    exchanges: NDArray[np.int64]
+    """(k,): number of the exchange after which each was read first."""
+
+    @classmethod
+    def none(cls) -> Revolutions:
+        """Return no revolutions."""
+        return cls(np.zeros(0), (), np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +161,7 @@ class Episode:
     rewards: Floats
     """(steps,)."""
     scans: Scans
-    """What the LiDAR measured."""
+    """What the LiDAR's rays were."""
     info: Mapping[str, Any] = field(default_factory=dict)
     """Seed, goal, start and number of the episode, as far as they are known."""
     offset: int = 0
@@ -155,6 +173,8 @@ class Episode:
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
     exchanges: Exchanges = field(default_factory=Exchanges.none)
     """The control periods of the wire, for replay."""
+    revolutions: Revolutions = field(default_factory=Revolutions.none)
+    """What the LiDAR measured; empty unless they were asked for."""
     success: bool | None = None
     """Whether the task was solved; None where no env was recorded."""
 

@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError, MissingExtraError, OffScreenWarning, R
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
 from acsar_gym.physics.body import GroundTruth, Image
-from acsar_gym.sensors.lidar import Scan, ray_spec
+from acsar_gym.sensors.scan import Scan, ray_spec
 from acsar_gym.tasks import Assignment, State
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import point_in_world, to_world

@@ -1,6 +1,7 @@
 """Sensors beside the wheel encoders: the base class, and the sensors of a robot."""
 
 from acsar_gym.sensors.base import LIDAR, Bound, Factory, Sensor
+from acsar_gym.sensors.scan import Revolution
 from acsar_gym.sensors.suite import Sensors
 
-__all__ = ["LIDAR", "Bound", "Factory", "Sensor", "Sensors"]
+__all__ = ["LIDAR", "Bound", "Factory", "Revolution", "Sensor", "Sensors"]

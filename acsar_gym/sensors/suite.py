@@ -15,7 +15,8 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.reading import import_object
 from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
-from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar, SimulatedLidar
+from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar
+from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds import Scene
 
 
@@ -237,33 +238,52 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
     Args:
         url: None or "simulated" for rays in the world of a simulated link, or the scans of a
-            recording, or "rplidar:///dev/ttyUSB1" for an RPLIDAR on a serial device, or a Lidar.
+            recording; a model and its serial device, like "rplidar:///dev/ttyUSB1" (a wrong model
+            is an error that names all of them); "module:Class" for one's own, which is called with
+            link and config; or a Lidar.
         link: of the robot.
         config: of the robot.
 
     Raises:
         ConfigError: for anything else, and for a simulated LiDAR on a link without a simulation.
     """
-    if hasattr(url, "scan"):
-        ready: Lidar = url
-        return ready
     if url is None or (isinstance(url, str) and url == "simulated"):
         if (tape := tape_of(link)) is not None:
-            return ReplayedLidar(tape, link, config)
+            return ReplayedLidar(tape, link)
         if link.truth is None:
             raise ConfigError(
                 "this env needs a LiDAR and this link simulates none: "
                 "pass lidar='rplidar:///dev/ttyUSB1'"
             )
         return SimulatedLidar(link, config)
-    if isinstance(url, str) and url.startswith("rplidar://") and len(url) > len("rplidar://"):
-        from acsar_gym.sensors.rplidar import RplidarLidar  # noqa: PLC0415 - optional
+    if isinstance(url, str) and "://" in url:
+        from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
+        from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
 
-        clock = getattr(link, "clock", link.now)
-        return RplidarLidar(url.removeprefix("rplidar://"), config, clock)
-    raise ConfigError(
-        f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', or 'simulated'"
-    )
+        model, _, device = url.partition("://")
+        drivers = find_drivers()
+        make_driver = drivers.get(model.lower().replace("-", "_"))
+        if make_driver is None:
+            raise ConfigError(
+                f"lidar = {show_value(url)}: unknown model; known: {', '.join(drivers)}"
+            )
+        if not device:
+            raise ConfigError(
+                f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
+            )
+        return SerialLidar(device, make_driver, config, getattr(link, "clock", link.now))
+    made = url
+    if isinstance(url, str) and ":" in url:
+        make = import_object("lidar", url)
+        with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
+            made = make(link, config)
+    if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
+        raise ConfigError(
+            f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or "
+            "'simulated'"
+        )
+    ready: Lidar = made
+    return ready
 
 
 def sensor_factories(

@@ -31,7 +31,7 @@ from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.render.top_view import TopView, TopViewFrame
 from acsar_gym.robot import Robot
-from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks import Outcome, State, Task
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.vector.env import RobotVectorEnv

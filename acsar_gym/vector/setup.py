@@ -1,4 +1,4 @@
-"""What compiled loops take: shared numbers, the worlds as arrays, and reset options as rows."""
+"""What compiled loops take: shared numbers, the worlds as arrays, and reset options as fields."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from acsar_gym.links.faults import WIRE_BUFFER, Faults
 from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_time
 from acsar_gym.physics.randomization import DrawnRanges, Randomization, longest_delay
 from acsar_gym.safety import rules
-from acsar_gym.sensors.lidar import noise_draws, ray_spec, stale_after
+from acsar_gym.sensors.lidar import stale_after
+from acsar_gym.sensors.scan import count_trail_rows, make_rays, ray_spec
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, path_from_start
 from acsar_gym.tasks.factory import check_reset_options
@@ -28,13 +29,12 @@ from acsar_gym.worlds.search import align_with_path
 from acsar_gym.worlds.world import Floats
 
 Array = NDArray[Any]
-ResetRows = dict[int, Array]
-"""Rows of the state that hold reset options: the row's number -> (robots,). Missing rows are
-zero."""
+ResetOptions = dict[str, Array]
+"""A field of `layout.Options` -> (robots,). Missing ones are zero."""
 
 
-def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRows:
-    """Convert a reset's options "world", "difficulty" and "goal" to rows of the state.
+def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetOptions:
+    """Convert a reset's options "world", "difficulty" and "goal" to fields of the robots.
 
     Args:
         spawn: knows which options the task has.
@@ -45,7 +45,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
         ConfigError, WorldError: for an unknown option, or a bad value; names the robot.
     """
     given = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
-    found: ResetRows = {}
+    found: ResetOptions = {}
     if given.get("goal") is not None:
         goals = _spread_option("goal", given["goal"], robots, 2)
         asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
@@ -56,8 +56,8 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
             if spawn.pool is None:
                 spawn.check_goal((x, y))
         wanted = np.where(asked, goals.T, 0.0)
-        found = dict(zip((layout.WISHED_X, layout.WISHED_Y), wanted, strict=True))
-        found[layout.WISHED_GOAL] = asked.astype(np.float64)
+        found = dict(zip(("wished_x", "wished_y"), wanted, strict=True))
+        found["wished_goal"] = asked.astype(np.float64)
     if spawn.pool is not None and given.get("world") is not None:
         numbers = _spread_option("world", given["world"], robots, 1)[:, 0]
         asked, (first, last) = ~np.isnan(numbers), (spawn.pool.numbers[0], spawn.pool.numbers[-1])
@@ -68,7 +68,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
                 f"world of robot {bad} = {numbers[bad]:g}: must be {first} to {last} "
                 f"({spawn.pool.kind})"
             )
-        found[layout.WISHED_WORLD] = np.where(asked, numbers - first + 1.0, 0.0)
+        found["wished_world"] = np.where(asked, numbers - first + 1.0, 0.0)
     if spawn.pool is not None and given.get("difficulty") is not None:
         ranks, ranges = np.zeros((robots, 2)), given["difficulty"]
         ranges = _spread_option("difficulty", ranges, robots, 2)
@@ -77,7 +77,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
             if not (np.isnan(low) and np.isnan(high)):
                 among = spawn.pool.ranks((low, high))
                 ranks[which.ravel() == number] = among.start, among.stop
-        found |= {layout.FIRST_RANK: ranks[:, 0], layout.LAST_RANK: ranks[:, 1]}
+        found |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
     return found
 
 
@@ -119,12 +119,7 @@ def make_setup(
         sees: whether the robots have a LiDAR.
         varied: what every robot draws for every episode.
     """
-    dt, lidar, encoder, firmware = (
-        loop_period(config),
-        config.lidar,
-        config.encoder,
-        config.firmware,
-    )
+    dt, encoder, firmware = loop_period(config), config.encoder, config.firmware
     limited = config.geofence is not None or not rules.is_unlimited(config)
     left_radius, right_radius = config.wheel_radii
     delay = command_loops(config, varied.ranges(config, ticks * config.period))
@@ -166,12 +161,9 @@ def make_setup(
             command_timeout=firmware.command_timeout or math.inf,
         ),
         falls_silent=faults.possible and faults.direction != "commands",
-        lidar_rate=lidar.rate if sees else 0.0,
+        sees=sees,
         stale=stale_after(config),
-        noise=lidar.noise,
-        dropouts=lidar.dropouts,
-        min_range=lidar.min_range,
-        draws=noise_draws(lidar),
+        rays=make_rays(config),
         numbers=numbers,
     )
 
@@ -207,6 +199,13 @@ def count_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -
     slowest = math.ceil(1.0 / (rate * setup.dt))
     late = math.ceil(setup.faults.lateness / setup.dt) if setup.faults.possible else 0
     return int(setup.window + delay + late + slowest + setup.loops + 1)
+
+
+def trail_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
+    """Rows of a robot's trail: two revolutions of the slowest LiDAR; none without one."""
+    slowest = ranges.low.lidar_rate
+    rate = config.lidar.rate if math.isnan(slowest) else slowest
+    return count_trail_rows(2.0 / rate, config.period) if setup.sees else 0
 
 
 def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:

@@ -18,12 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import jit, loop
+from acsar_gym.trigonometry import angle_of
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
 FULL_TURN = 2.0 * math.pi
-RAY_TOLERANCE = 1e-9
-"""Tolerance at both ends of the range of rays that can meet an obstacle [rad]."""
+RAY_TOLERANCE = 1e-7
+"""Tolerance at both ends of the range of rays that can meet an obstacle: more than `angle_of` may
+be wrong by [rad]."""
 CLEARANCE_CHUNK = 2**14
 """Distances that are computed at a time, so that memory stays at a few MB."""
 
@@ -153,41 +155,132 @@ def make_surroundings(
 
 
 @jit
+def widest_angle(width: float, distance: float) -> float:
+    """An angle [rad] that is a little more than asin(width / distance); half a turn from inside."""
+    share = width / (distance + 1e-300)
+    if share >= 1.0:
+        return 0.5 * FULL_TURN
+    return share + (0.25 * FULL_TURN - 1.0) * share * share * share + RAY_TOLERANCE
+
+
+@jit
 def see_circle(
-    ranges: Floats, x: float, y: float, radius: float, square: float, around: Surroundings
+    ranges: Floats,
+    x: float,
+    y: float,
+    radius: float,
+    origins: Floats,
+    margin: float,
+    around: Surroundings,
 ) -> None:
-    """Shorten the rays that meet a circle at (x, y) in the sensor's frame, `square` [m^2] away."""
-    middle, half = math.atan2(y, x), math.asin(radius / math.sqrt(square)) + RAY_TOLERANCE
-    last, apart, directions = len(ranges) - 1, x * x + y * y - radius * radius, around.directions
-    for shift in (-FULL_TURN, 0.0, FULL_TURN):
-        low = max(math.ceil((middle - half + shift - around.start) / around.step), 0)
-        high = min(math.floor((middle + half + shift - around.start) / around.step), last)
+    """Shorten the rays that meet a circle at (x, y) in the sensor's frame.
+
+    The origins of the rays lie within `margin` of the sensor.
+    """
+    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    half = widest_angle(radius + margin, math.sqrt(x * x + y * y)) * density
+    middle = (angle_of(x, y) - around.start) * density
+    for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
+        if middle + shift + half < 0.0 or middle + shift - half > last:
+            continue
+        low = max(math.ceil(middle + shift - half), 0)
+        high = min(math.floor(middle + shift + half), last)
         for k in range(low, high + 1):
-            along = x * directions[k, 0] + y * directions[k, 1]
+            dx, dy = x - origins[k, 0], y - origins[k, 1]
+            apart = dx * dx + dy * dy - radius * radius
+            along = dx * directions[k, 0] + dy * directions[k, 1]
             inside = along * along - apart
-            if inside >= 0.0 and along > 0.0:
+            if apart <= 0.0:
+                ranges[k] = 0.0
+            elif inside >= 0.0 and along > 0.0:
                 ranges[k] = min(ranges[k], along - math.sqrt(inside))
 
 
 @jit
 def see_segment(
-    ranges: Floats, ax: float, ay: float, bx: float, by: float, around: Surroundings
+    ranges: Floats,
+    ax: float,
+    ay: float,
+    bx: float,
+    by: float,
+    origins: Floats,
+    margin: float,
+    around: Surroundings,
 ) -> None:
-    """Shorten the rays that meet a segment from a to b in the sensor's frame."""
-    one, width = math.atan2(ay, ax), math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-    first, last = min(one, one + width) - RAY_TOLERANCE, len(ranges) - 1
-    top, directions = first + abs(width) + 2.0 * RAY_TOLERANCE, around.directions
+    """Shorten the rays that meet a segment from a to b in the sensor's frame, as `see_circle`."""
     ex, ey = bx - ax, by - ay
-    cross = ax * ey - ay * ex
-    for shift in (-FULL_TURN, 0.0, FULL_TURN):
-        low = max(math.ceil((first + shift - around.start) / around.step), 0)
-        high = min(math.floor((top + shift - around.start) / around.step), last)
+    share = -(ax * ex + ay * ey) / (ex * ex + ey * ey + 1e-300)
+    share = min(max(share, 0.0), 1.0)
+    near_x, near_y = ax + share * ex, ay + share * ey
+    distance = math.sqrt(near_x * near_x + near_y * near_y)
+    if distance > around.reach + margin:
+        return
+    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    extra = widest_angle(margin, distance) * density
+    one = (angle_of(ax, ay) - around.start) * density
+    width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * density
+    first, top = min(one, one + width) - extra, max(one, one + width) + extra
+    top = min(top, first + FULL_TURN * density)
+    for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
+        if top + shift < 0.0 or first + shift > last:
+            continue
+        low = max(math.ceil(first + shift), 0)
+        high = min(math.floor(top + shift), last)
         for k in range(low, high + 1):
             across = directions[k, 0] * ey - directions[k, 1] * ex
             if abs(across) > 1e-12:
-                distance = cross / across
-                if distance >= 0.0:
-                    ranges[k] = min(ranges[k], distance)
+                from_x, from_y = ax - origins[k, 0], ay - origins[k, 1]
+                length = (from_x * ey - from_y * ex) / across
+                share = (from_x * directions[k, 1] - from_y * directions[k, 0]) / across
+                if length >= 0.0 and -1e-9 <= share <= 1.0 + 1e-9:
+                    ranges[k] = min(ranges[k], length)
+
+
+@loop
+def cast_lines(
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    which: int,
+    around: Surroundings,
+    origins: Floats,
+    ranges: Floats,
+) -> None:
+    """Compute the ranges of rays that begin at places of their own; otherwise as `cast_rays`.
+
+    Args:
+        x: of the base in the frame of the world [m].
+        y: of the base in the frame of the world [m].
+        cos: of its heading.
+        sin: of its heading.
+        which: index of the set of obstacles.
+        around: obstacles and rays.
+        origins: (rays, 2): where each ray begins, from the LiDAR's place at this pose, in the frame
+            of the base [m].
+        ranges: (rays,) [m]; written.
+    """
+    x += cos * around.mount_x - sin * around.mount_y
+    y += sin * around.mount_x + cos * around.mount_y
+    circles, segments, margin = around.circles, around.segments, 0.0
+    ranges[:] = around.reach
+    for k in range(len(ranges)):
+        margin = max(margin, origins[k, 0] ** 2 + origins[k, 1] ** 2)
+    margin = math.sqrt(margin)
+    for n in range(circles.shape[1]):
+        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
+        far = around.reach + radius + margin
+        if dx * dx + dy * dy <= far * far:
+            ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
+            see_circle(ranges, ahead, left, radius, origins, margin, around)
+    for n in range(segments.shape[1]):
+        px, py = segments[which, n, 0] - x, segments[which, n, 1] - y
+        qx, qy = segments[which, n, 2] - x, segments[which, n, 3] - y
+        ax, ay = px * cos + py * sin, py * cos - px * sin
+        bx, by = qx * cos + qy * sin, qy * cos - qx * sin
+        see_segment(ranges, ax, ay, bx, by, origins, margin, around)
+    for k in range(len(ranges)):
+        ranges[k] = min(max(ranges[k], 0.0), around.reach)
 
 
 @loop
@@ -205,34 +298,16 @@ def cast_rays(
     `which` is the index of the set of obstacles. Rays that meet nothing within reach have the
     reach. From inside a circle all ranges are zero.
     """
-    x += cos * around.mount_x - sin * around.mount_y
-    y += sin * around.mount_x + cos * around.mount_y
-    circles, segments = around.circles, around.segments
-    ranges[:] = around.reach
-    for n in range(circles.shape[1]):
-        dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
-        square, far = dx * dx + dy * dy, around.reach + radius
-        if square > far * far:
-            continue
-        if square <= radius * radius:
-            ranges[:] = 0.0
-            return
-        see_circle(ranges, dx * cos + dy * sin, dy * cos - dx * sin, radius, square, around)
-    for n in range(segments.shape[1]):
-        px, py = segments[which, n, 0] - x, segments[which, n, 1] - y
-        qx, qy = segments[which, n, 2] - x, segments[which, n, 3] - y
-        ax, ay = px * cos + py * sin, py * cos - px * sin
-        bx, by = qx * cos + qy * sin, qy * cos - qx * sin
-        see_segment(ranges, ax, ay, bx, by, around)
-    for k in range(len(ranges)):
-        ranges[k] = min(max(ranges[k], 0.0), around.reach)
+    cast_lines(x, y, cos, sin, which, around, np.zeros((len(ranges), 2)), ranges)
 
 
-def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | None) -> Floats:
+def measure_ranges(
+    place: tuple[float | Floats, float | Floats], bearings: Floats, world: World | None
+) -> Floats:
     """Compute ranges at any bearings, in plain NumPy; `cast_rays` is faster for evenly spaced rays.
 
     Args:
-        place: x, y in the frame of the world [m].
+        place: x, y in the frame of the world [m]: of all rays, or (rays,) each.
         bearings: (rays,) in the frame of the world [rad].
         world: with the obstacles, or None.
 
@@ -242,11 +317,14 @@ def measure_ranges(place: tuple[float, float], bearings: Floats, world: World | 
     if world is None:
         return np.full(len(bearings), np.inf)
     cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
-    x, y, radius = (world.circles - (*place, 0.0)).T
+    from_x, from_y = (np.reshape(values, (-1, 1)) for values in place)
+    circle_x, circle_y, radius = world.circles.T
+    x, y = circle_x - from_x, circle_y - from_y
     along = cos * x + sin * y
     inside = along * along - (x * x + y * y - radius * radius)
     near = np.where(inside >= 0.0, along - np.sqrt(np.abs(inside)), np.inf)
-    ax, ay, bx, by = (world.segments - (*place, *place)).T
+    ax, ay, bx, by = world.segments.T
+    ax, ay, bx, by = ax - from_x, ay - from_y, bx - from_x, by - from_y
     ex, ey = bx - ax, by - ay
     with np.errstate(divide="ignore", invalid="ignore"):
         across = cos * ey - sin * ex

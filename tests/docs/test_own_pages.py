@@ -20,9 +20,11 @@ import pytest
 from tapes import playing, recorded
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import LidarError, LinkError
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.sensors.lidar import Scan
+from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.scan import Scan
+from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -217,6 +219,29 @@ def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     np.testing.assert_allclose(sensor.read(None, 1.2), [1.0, 0.2, 0.2])
     with pytest.raises(LinkError, match="silent"):
         sensor.read(None, 1.9)
+    sensor.close()
+    os.close(board)
+    os.close(device)
+
+
+@pytest.mark.xdist_group("serial")
+@pytest.mark.usefixtures("deadline")
+def test_on_hardware_a_lidar_of_ones_own_is_observed(mine: Path) -> None:
+    """Of a turn of four measurements each has its ray, whatever the clock."""
+    clock = SimpleNamespace(time=1.0)
+    link, config = SimpleNamespace(now=lambda: clock.time), RobotConfig().with_(lidar={"rays": 4})
+    lidar: Any = open_lidar("mine.scanner:Scanner", link, config)
+    sensor = LidarSensor(lidar, config)
+    board, device = pty.openpty()
+    lidar.device = os.ttyname(device)
+    talking = threading.Timer(0.1, os.write, (board, b"9:9\n0:1000,90:2000,180:0,270:4000\n"))
+    talking.start()
+    sensor.reset(Scene(), np.random.default_rng(0))
+    sensor.poll(None, 1.0)
+    np.testing.assert_allclose(sensor.read(None, 1.0) * 5.0, [5.0, 4.0, 1.0, 2.0])
+    clock.time = 1.6
+    with pytest.raises(LidarError, match="silent"):
+        sensor.poll(None, 1.6)
     sensor.close()
     os.close(board)
     os.close(device)

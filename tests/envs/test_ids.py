@@ -19,7 +19,7 @@ from gymnasium.wrappers import RecordVideo
 from acsar_gym import RobotConfig, World
 from acsar_gym.envs.base import EnvOptions
 from acsar_gym.errors import AcsarError, LidarError, LinkError, MissingExtraError, OffScreenWarning
-from acsar_gym.sensors.lidar import Scan
+from acsar_gym.sensors.scan import Scan
 from acsar_gym.worlds import Region, Scene
 
 

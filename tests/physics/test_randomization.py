@@ -42,6 +42,11 @@ CHANGES = {
     "command_delay": {"command_delay"},
     "delay_samples": {"command_delay"},
     "deadband_offset": {f"deadband_{wheel}" for wheel in WHEELS},
+    "lidar_rate": {"scan_rate"},
+    "lidar_noise": {"range_noise"},
+    "lidar_bias": {"range_bias"},
+    "lidar_dropouts": {"range_dropouts"},
+    "lidar_outliers": {"range_outliers"},
 }
 
 

@@ -122,6 +122,32 @@ def test_a_scan_has_the_rays_of_the_config(messages: dict[str, list[Any]]) -> No
     assert scan.header.frame_id == "lidar_link"
 
 
+def test_a_scan_is_of_one_moment_whose_pose_is_told(messages: dict[str, list[Any]]) -> None:
+    def nanoseconds(message: Any) -> int:
+        return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+    poses = {nanoseconds(message) for message in messages["/odom"]}
+    scans = messages["/scan"]
+    assert {nanoseconds(scan) for scan in scans[1:]} <= poses
+    assert {scan.time_increment for scan in scans} == {0.0}
+    assert [scan.scan_time for scan in scans] == pytest.approx([0.0] + [0.1] * 12)
+
+
+def test_what_scans_are_made_of_is_recorded(tape: Path) -> None:
+    assert not read(tape).episodes[0].revolutions.measured
+    (episode,) = read(tape, revolutions=True).episodes
+    turns, scans = episode.revolutions, episode.scans
+    assert turns.exchanges.tolist() == scans.exchanges.tolist()
+    for stamp, ended, (bearings, distances, times) in zip(
+        scans.stamps, turns.stamps, turns.measured, strict=True
+    ):
+        assert stamp - 0.101 < ended <= stamp
+        assert (ended - 0.101 < times).all()
+        assert (times <= ended).all()
+        assert len(bearings) == len(distances) == RobotConfig.of(None).lidar.rays
+        assert not distances.any()  # an open floor
+
+
 def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, list[Any]]) -> None:
     (told,) = messages["/diagnostics"]
     states = {state.name: state for state in told.status}

@@ -1,4 +1,4 @@
-"""Simulated scans: directions, limits, noise and drop-outs, and which LiDAR a URL means."""
+"""The simulated LiDAR: its revolutions and their errors."""
 
 from __future__ import annotations
 
@@ -8,86 +8,123 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.config import LidarConfig, RobotConfig
+from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import open_link
-from acsar_gym.sensors.lidar import SimulatedLidar, add_noise, noise_draws
-from acsar_gym.sensors.rplidar import RplidarLidar
-from acsar_gym.sensors.suite import open_lidar
+from acsar_gym.physics.model import Physics, compute_physics
+from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.scan import Revolution, Scan
+from acsar_gym.sensors.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
 PILLAR = World(np.array([[0.85, 2.0, 0.5]]))
 
 
-def scanner(**lidar: Any) -> SimulatedLidar:
+def scanner(physics: Physics | None = None, seed: int = 0, **lidar: Any) -> LidarSensor:
+    """A LiDAR at rest before a pillar, after its reset."""
     config = ACSAR.with_(lidar={"noise": 0.0, **lidar})
     link = open_link("planar", config)
     link.open()
-    scene = Scene(start=(1.0, 0.0, 0.0), world=PILLAR)
+    scene = Scene(start=(1.0, 0.0, 0.0), world=PILLAR, physics=physics)
     link.reset(scene)
-    made = SimulatedLidar(link, config)
-    made.reset(scene, np.random.default_rng(0))
+    made = LidarSensor(SimulatedLidar(link, config), config)
+    made.reset(scene, np.random.default_rng(seed))
+    made.poll(link.truth, link.now())
     return made
 
 
 def test_a_pillar_to_the_left_is_seen_from_the_lidars_own_place() -> None:
     """The LiDAR sits 15 cm behind the robot's centre, so the pillar is exactly at its side."""
-    ranges = scanner(rays=4).scan().ranges
-    assert ranges == pytest.approx([5.0, 5.0, 5.0, 1.5])
+    assert scanner(rays=4).scan.ranges == pytest.approx([5.0, 5.0, 5.0, 1.5], abs=1e-6)
 
 
 def test_ranges_have_limits() -> None:
-    assert scanner(rays=4, max_range=1.2).scan().ranges == pytest.approx([1.2] * 4)
-    assert scanner(rays=4, min_range=2.5).scan().ranges == pytest.approx([5.0, 5.0, 5.0, 2.5])
+    assert scanner(rays=4, max_range=1.2).scan.ranges == pytest.approx([1.2] * 4)
+    found = scanner(rays=4, min_range=2.5).scan.ranges
+    assert found == pytest.approx([5.0, 5.0, 5.0, 2.5])
 
 
-def noisy(true: float, count: int = 20_000, **lidar: Any) -> Any:
-    """Ranges of many scans, (count, rays)."""
-    settings = LidarConfig(**{"rays": 1, **lidar})
-    limits = settings.noise, settings.dropouts, settings.min_range, settings.max_range
-    rng, found = np.random.default_rng(1), np.full((count, settings.rays), true)
-    for ranges in found:
-        add_noise(ranges, rng.random(noise_draws(settings)), *limits)
+def test_the_phase_of_a_revolution_is_drawn_at_the_reset() -> None:
+    stamps = np.array([scanner(seed=seed).scan.stamp for seed in range(50)])
+    now = scanner().lidar._link.now()  # type: ignore[attr-defined]
+    ages = now - stamps
+    assert 0.0 <= ages.min() < 0.02
+    assert 0.08 < ages.max() <= 0.1
+    assert len(set(ages.tolist())) == 50
+
+
+def drive_scans(**lidar: Any) -> list[tuple[float, Revolution, Scan]]:
+    """Time, revolution and scan after each of some steps of driving."""
+    config = ACSAR.with_(lidar={"noise": 0.0, **lidar})
+    found = []
+    with Robot(open_link("planar", config), config, ["lidar"]) as robot:
+        robot.reset(Scene(start=(1.0, 0.0, 0.0), world=PILLAR), np.random.default_rng(2))
+        for _ in range(25):
+            for _ in range(7):
+                robot.drive(0.3, 0.8)
+            sensor = robot.sensors[0]
+            found.append((robot.link.now(), sensor.revolution, sensor.scan))
     return found
 
 
-def test_noise_is_normal() -> None:
+@pytest.mark.parametrize("rate", [5.5, 10.0])
+def test_measurements_are_of_the_newest_complete_revolution(rate: float) -> None:
+    scans = drive_scans(rate=rate)
+    ages = [now - scan.stamp for now, _, scan in scans]
+    assert 0.0 <= min(ages) < max(ages) <= 1.0 / rate
+    assert max(ages) > 0.6 / rate
+    for step, (_, revolution, scan) in enumerate(scans):
+        since = revolution.times - (scan.stamp - 1.0 / rate)
+        assert -1e-9 < since.min() < since.max() < 1.0 / rate + 1e-9
+        # The head turns clockwise, evenly, from straight ahead. A robot's ramps bend that, and one
+        # that turns against the head leaves a gap between the ends, in which the end counts.
+        expected = -2.0 * math.pi * rate * since
+        off = np.remainder(revolution.bearings - expected + math.pi, 2.0 * math.pi) - math.pi
+        assert np.sort(np.abs(off))[-3] < (0.1 if step < 10 else 0.01)
+        assert np.ptp(since) > 0.9 / rate
+    turns = {round((scan.stamp - scans[0][2].stamp) * rate, 6) for *_, scan in scans}
+    assert all(turn == round(turn) for turn in turns)
+
+
+def noisy(true: float, revolutions: int = 300, beside: float = 0.0, **traits: float) -> Any:
+    """Distances of many revolutions, (revolutions, 64); every second one is `beside` further."""
+    given = {"scan_rate": 10.0, "noise": 0.0, "bias": 0.0, "dropouts": 0.0, "outliers": 0.0}
+    found = np.full((revolutions, 64), true)
+    found[:, ::2] += beside
+    for number, distances in enumerate(found):
+        add_errors(distances, 0.3, float(number - 1), LidarTraits(**given | traits), 5.0)
+    return found
+
+
+def test_noise_is_normal_and_every_measurement_has_its_own() -> None:
     errors = (noisy(2.0, noise=0.02) - 2.0) / 0.02
     assert errors.mean() == pytest.approx(0.0, abs=0.03)
     assert errors.std() == pytest.approx(1.0, abs=0.03)
     assert np.mean(np.abs(errors) < 1.0) == pytest.approx(0.683, abs=0.015)
+    correlation = np.corrcoef(noisy(2.0, 4000, noise=0.05).T)
+    assert np.abs(correlation - np.eye(64)).max() < 0.08
+    assert (noisy(5.0, noise=0.5) == 0.0).all()  # out of reach
+    assert (noisy(0.1, noise=1.0) > 0.0).all()  # near, not nothing
 
 
-def test_both_rays_of_a_pair_have_noise_of_their_own() -> None:
-    correlation = np.corrcoef(noisy(2.0, 4000, rays=3, noise=0.05).T)
-    assert np.abs(correlation - np.eye(3)).max() < 0.06
-
-
-def test_dropouts_read_as_nothing_in_reach() -> None:
+def test_dropouts_bias_and_outliers() -> None:
     found = noisy(2.0, noise=0.01, dropouts=0.2)
-    assert np.mean(found == 5.0) == pytest.approx(0.2, abs=0.015)
-    assert (np.abs(found[found < 5.0] - 2.0) < 0.1).all()
+    assert np.mean(found == 0.0) == pytest.approx(0.2, abs=0.015)
+    assert (np.abs(found[found > 0.0] - 2.0) < 0.1).all()
+    assert noisy(2.0, bias=-0.03) == pytest.approx(1.97)
+    assert (noisy(2.0, outliers=0.5) == 2.0).all()  # not an edge
+    mixed = noisy(2.0, beside=1.0, outliers=0.3)
+    between = (mixed > 2.0) & (mixed < 3.0)
+    assert between.mean() == pytest.approx(0.3, abs=0.02)
+    assert mixed[between].mean() == pytest.approx(2.5, abs=0.02)
 
 
-def test_noise_stays_within_the_limits_and_what_is_out_of_reach_has_none() -> None:
-    assert (noisy(5.0, 100, noise=0.5) == 5.0).all()
-    found = noisy(0.3, 2000, noise=1.0)
-    assert found.min() == 0.1
-    assert found.max() <= 5.0
-
-
-def test_urls_name_lidars() -> None:
-    link = open_link("planar", ACSAR)
-    for url in (None, "simulated"):
-        assert isinstance(open_lidar(url, link, ACSAR), SimulatedLidar)
-    assert isinstance(open_lidar("rplidar:///dev/ttyUSB1", link, ACSAR), RplidarLidar)
-    ready = scanner()
-    assert open_lidar(ready, link, ACSAR) is ready
-    bad: list[Any] = ["rplidar://", "/dev/ttyUSB1", 7, "rplidr:///dev/ttyUSB1"]
-    for url in bad:
-        with pytest.raises(ConfigError, match=r"rplidar:///dev/ttyUSB1"):
-            open_lidar(url, link, ACSAR)
+def test_an_episode_has_its_own_lidar() -> None:
+    physics = compute_physics(ACSAR)._replace(range_bias=0.2, range_noise=0.0, scan_rate=2.0)
+    found = [scanner(physics, seed, rays=4) for seed in range(20)]
+    assert found[0].scan.ranges[3] == pytest.approx(1.7, abs=1e-6)
+    assert min(one.scan.stamp for one in found) < found[0].lidar._link.now() - 0.2  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

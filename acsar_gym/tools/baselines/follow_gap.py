@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import footprint
-from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext

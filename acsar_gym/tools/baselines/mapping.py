@@ -11,7 +11,7 @@ import numpy as np
 from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import jit, loop
-from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext

@@ -28,8 +28,9 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
+from acsar_gym.tools.emulation.lidar import LidarEmulator
 from acsar_gym.tools.emulation.quirks import QuirkyLink, apply_to_config, parse_quirks
-from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
 
@@ -99,6 +100,8 @@ class Emulator:
                 start = world.start.x, world.start.y, world.start.theta or 0.0
                 scene = Scene(start, world=world)
             self._link.reset(scene)
+            self._poses = self._true_pose(), self._true_pose()
+            """Before and after the newest loop."""
             self._lidar = ours.enter_context(self._make_lidar(world, config)) if sees else None
             self.lidar_device = self._lidar.device if self._lidar else None
             self._log = open_lines(log) if log else None
@@ -108,18 +111,25 @@ class Emulator:
             ours.callback(self._cable.pull)
             self._ours = ours.pop_all()
 
-    def _make_lidar(self, world: World | None, config: RobotConfig) -> RplidarEmulator:
+    def _make_lidar(self, world: World | None, config: RobotConfig) -> LidarEmulator:
         """Make an emulated LiDAR at its place on the robot, at the configured rate."""
 
-        def ranges(bearings: Floats) -> Floats:
-            """Return ranges [m] at bearings [rad] in the sensor's frame."""
-            x, y, theta = self._link.truth.pose if self._link.truth else (0.0, 0.0, 0.0)
-            cos, sin = math.cos(theta), math.sin(theta)
-            x += cos * config.lidar_x_offset - sin * config.lidar_y_offset
-            y += sin * config.lidar_x_offset + cos * config.lidar_y_offset
-            return measure_ranges((x, y), bearings + theta, world)
+        def look(bearings: Floats, ages: Floats) -> Floats:
+            """Return ranges [m], each from where the robot was when it was measured.
 
-        return RplidarEmulator(RplidarTwin(ranges, rate=config.lidar.rate, samples=LIDAR_SAMPLES))
+            The robot goes evenly from its pose before the loop to that after it.
+            """
+            (x0, y0, theta0), (x, y, theta) = self._poses
+            back = np.minimum(ages / self._period, 1.0)
+            turned = math.remainder(theta - theta0, 2.0 * math.pi)
+            headings = theta - back * turned
+            cos, sin = np.cos(headings), np.sin(headings)
+            across, along = config.lidar_y_offset, config.lidar_x_offset
+            from_x = x - back * (x - x0) + cos * along - sin * across
+            from_y = y - back * (y - y0) + sin * along + cos * across
+            return measure_ranges((from_x, from_y), bearings + headings, world)
+
+        return LidarEmulator(RplidarTwin(look, rate=config.lidar.rate, samples=LIDAR_SAMPLES))
 
     @property
     def device(self) -> str:
@@ -162,11 +172,16 @@ class Emulator:
             self._log_event({"rx": data.decode("latin-1")})
             self._link.write(self._cable.over_uart(data))
         answer = self._link.advance(self._period)
+        self._poses = self._poses[1], self._true_pose()
         if self._lidar is not None:
             self._lidar.serve_once(self._period)
-        self._log_event({"pose": self._link.truth.pose if self._link.truth else None})
+        self._log_event({"pose": self._poses[1]})
         if answer and self.device and not self._silent:
             self._cable.write(self._cable.over_uart(answer))
+
+    def _true_pose(self) -> tuple[float, float, float]:
+        """Where the robot is, in the frame of the world [m, m, rad]."""
+        return self._link.truth.pose if self._link.truth else (0.0, 0.0, 0.0)
 
     def _log_event(self, event: dict[str, object]) -> None:
         if self._log is not None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import struct
+import sys
 from pathlib import Path
 
 from acsar_gym.errors import ConfigError
 
 try:
+    import fcntl
     import pty
     import termios
     import tty
@@ -16,6 +19,33 @@ except ImportError:
     raise ConfigError("this operating system has no pseudo-terminals to emulate on") from None
 
 READ_SIZE = 4096
+UNNAMED_RATES = (128000,)
+"""Baud rates that termios has no name for, and Linux's terminals have all the same."""
+TCGETS2, TCSETS2, TERMIOS2 = 0x802C542A, 0x402C542B, struct.Struct("=4I20s2I")
+"""Requests and structure with which Linux tells and sets any rate; see termios2 in its sources."""
+CBAUD, BOTHER, CFLAG, SPEEDS = 0o010017, 0o010000, 2, slice(5, 7)
+
+
+def read_baud_rate(descriptor: int) -> int:
+    """Return the baud rate of a terminal, or on other systems than Linux what stands for it."""
+    if sys.platform != "linux":
+        return int(termios.tcgetattr(descriptor)[4])
+    data = fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size))
+    return int(TERMIOS2.unpack(data)[SPEEDS.start])
+
+
+def set_baud_rate(descriptor: int, rate: int) -> None:
+    """Set the baud rate of a terminal."""
+    code = getattr(termios, f"B{rate}", None)
+    if code is None:
+        fields = list(TERMIOS2.unpack(fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size))))
+        fields[CFLAG] = fields[CFLAG] & ~CBAUD | BOTHER
+        fields[SPEEDS] = rate, rate
+        fcntl.ioctl(descriptor, TCSETS2, TERMIOS2.pack(*fields))
+        return
+    attributes = termios.tcgetattr(descriptor)
+    attributes[4] = attributes[5] = code
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
 
 
 class EmulatedCable:
@@ -35,8 +65,9 @@ class EmulatedCable:
 
     def __init__(self, baud_rate: int, name: Path | None = None) -> None:
         self.device = ""
-        self._baud_code = getattr(termios, f"B{baud_rate}", None)
-        if self._baud_code is None:
+        self._baud_rate = baud_rate
+        unnamed = UNNAMED_RATES if sys.platform == "linux" else ()
+        if not hasattr(termios, f"B{baud_rate}") and baud_rate not in unnamed:
             raise ConfigError(
                 f"baud = {baud_rate}: must be a rate that a terminal knows, as 115200"
             )
@@ -53,9 +84,8 @@ class EmulatedCable:
             return
         self._master, self._slave = self._descriptors = pty.openpty()
         tty.setraw(self._slave)
-        attributes = termios.tcgetattr(self._slave)
-        attributes[4] = attributes[5] = self._baud_code
-        termios.tcsetattr(self._slave, termios.TCSANOW, attributes)
+        set_baud_rate(self._slave, self._baud_rate)
+        self._own_rate = read_baud_rate(self._slave)
         os.set_blocking(self._master, False)
         self.device = os.ttyname(self._slave)
         if self._name is None:
@@ -87,7 +117,7 @@ class EmulatedCable:
     @property
     def has_equal_rates(self) -> bool:
         """Whether the client has set the device's baud rate."""
-        return bool(termios.tcgetattr(self._slave)[4] == self._baud_code)
+        return read_baud_rate(self._slave) == self._own_rate
 
     def over_uart(self, data: bytes) -> bytes:
         """Return what arrives of bytes at the other end: garbled if the baud rates differ."""

@@ -26,7 +26,8 @@ from stable_baselines3.common.type_aliases import Schedule
 from acsar_gym.config import RobotConfig, RobotSource, footprint
 from acsar_gym.config.footprint import Outline
 from acsar_gym.errors import ConfigError
-from acsar_gym.sensors.lidar import footprint_edges, ray_spec
+from acsar_gym.sensors.lidar import footprint_edges
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.training.recipes import find_classes
 from acsar_gym.worlds.geometry import RaySpec
 

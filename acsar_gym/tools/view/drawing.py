@@ -14,7 +14,7 @@ from acsar_gym.errors import AcsarError
 from acsar_gym.recording.encoder import LATE_TICK
 from acsar_gym.recording.types import Floats
 from acsar_gym.safety.rules import Reason
-from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.view.tail import TICK_PLACES, GrowingEpisode
 from acsar_gym.worlds import World
 from acsar_gym.worlds.pool import Pool

@@ -5,56 +5,85 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.physics.trigonometry import sincos
-from acsar_gym.sensors.lidar import add_noise
-from acsar_gym.vector.kernel import layout as rows
-from acsar_gym.vector.kernel.layout import Floats, Setup, Tables, to_world
-from acsar_gym.vector.pcg import uniform
-from acsar_gym.worlds.geometry import Surroundings, cast_rays, footprint_collides
+from acsar_gym.sensors.scan import begin_trail, fill_scan
+from acsar_gym.sensors.simulated import Beams, LidarTraits, measure_revolution
+from acsar_gym.trigonometry import sincos
+from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Robots, Setup, Tables, to_world
+from acsar_gym.worlds.geometry import Surroundings, footprint_collides
 
 
 @jit
-def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
+def true_pose(robots: Robots, i: int) -> tuple[float, float, float, float]:
     """Robot i's pose in the frame of its world: x [m], y [m], cosine and sine of its heading."""
-    x, y = to_world(state, i, state[rows.X, i], state[rows.Y, i])
-    s, c = sincos(state[rows.THETA, i])
-    cos, sin = state[rows.START_COS, i], state[rows.START_SIN, i]
+    x, y = to_world(robots, i, robots.x[i], robots.y[i])
+    s, c = sincos(robots.theta[i])
+    cos, sin = robots.start_cos[i], robots.start_sin[i]
     return x, y, cos * c - sin * s, sin * c + cos * s
 
 
 @subroutine
-def check_contacts(state: Floats, first: int, last: int, around: Surroundings) -> None:
-    """Set CONTACT of robots that touch an obstacle now."""
-    for i in range(first, last):
-        if state[rows.CONTACT, i] == 0.0:
-            x, y, cos, sin = true_pose(state, i)
-            if footprint_collides(x, y, cos, sin, int(state[rows.WORLD, i]), around):
-                state[rows.CONTACT, i] = 1.0
+def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
+    """Set `contact` of robots that touch an obstacle now."""
+    for i in range(count):
+        if robots.contact[i] == 0.0:
+            x, y, cos, sin = true_pose(robots, i)
+            if footprint_collides(x, y, cos, sin, int(robots.world[i]), around):
+                robots.contact[i] = 1.0
+
+
+@jit
+def mark_trails(tables: Tables, block: int, i: int, tick: float, setup: Setup) -> None:
+    """Mark where a robot is, so many ticks after its reset, by odometry and in truth."""
+    robots, trails, robot = tables.blocks[block], tables.trails, block * BLOCK_ROBOTS + i
+    x, y = to_world(robots, i, robots.x[i], robots.y[i])
+    true = x, y, robots.start_theta[i] + robots.theta[i]
+    told = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
+    now = robots.loops[i] * setup.dt
+    if tick == 0.0:
+        begin_trail(trails[0, robot], now, told, setup.period)
+        begin_trail(trails[1, robot], now, true, setup.period)
+    row = int(tick) % trails.shape[2]
+    for k in range(3):
+        trails[0, robot, row, 1 + k], trails[1, robot, row, 1 + k] = told[k], true[k]
+    trails[0, robot, row, 0] = trails[1, robot, row, 0] = now
 
 
 @subroutine
-def take_scans(
-    tables: Tables, first: int, last: int, tick: int, setup: Setup, around: Surroundings
+def read_scans(
+    tables: Tables, block: int, count: int, setup: Setup, around: Surroundings, begins: bool
 ) -> None:
-    """Take the scans that are due at the end of a tick; -1 is the reset of robots in `over`.
+    """Read the LiDARs of a block's robots that drive, or of those in `over` that begin an episode.
 
-    Robots whose board is silent at the reset take none, as in the single env, whose reset fails.
+    Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """
-    state, uniforms = tables.state, np.empty(setup.draws)
-    for i in range(first, last):
-        ticks = state[rows.STEPS, i] * setup.ticks + tick + 1
-        elapsed = ticks * setup.period
-        due = elapsed > state[rows.SCANS, i] / setup.lidar_rate - 1e-9
-        begins = tables.over[i] and state[rows.SILENT, i] == 0.0
-        if not (due and (begins if tick < 0 else not tables.idle[i])):
+    robots, rays = tables.blocks[block], tables.ranges.shape[1]
+    beams = Beams(np.empty(rays), np.empty(rays), np.empty(rays), np.empty((rays, 2)))
+    for i in range(count):
+        robot = block * BLOCK_ROBOTS + i
+        silent = robots.silent[i] > 0.0
+        if (silent or not tables.over[robot]) if begins else tables.idle[robot]:
             continue
-        state[rows.SCANS, i] = 1.0 + np.floor(elapsed * setup.lidar_rate + 1e-9)
-        state[rows.SCAN_TICK, i] = ticks
-        x, y, cos, sin = true_pose(state, i)
-        ranges = tables.ranges[i]
-        cast_rays(x, y, cos, sin, int(state[rows.WORLD, i]), around, ranges)
-        for k in range(setup.draws):
-            uniforms[k] = uniform(tables.random, i)
-        add_noise(ranges, uniforms, setup.noise, setup.dropouts, setup.min_range, around.reach)
-        for k in range(len(ranges)):
-            tables.observations[i, setup.numbers + k] = ranges[k] / around.reach
+        tick = 0.0 if begins else (robots.steps[i] + 1.0) * setup.ticks
+        newest, own = int(tick) % tables.trails.shape[2], robots.physics
+        traits = LidarTraits(
+            own.scan_rate[i],
+            own.range_noise[i],
+            own.range_bias[i],
+            own.range_dropouts[i],
+            own.range_outliers[i],
+        )
+        robots.scan_stamp[i] = measure_revolution(
+            tables.trails[1, robot],
+            newest,
+            int(robots.world[i]),
+            around,
+            setup.rays,
+            (robots.scan_start[i], robots.scan_phase[i], robots.scan_key[i]),
+            traits,
+            beams,
+        )
+        ranges, told = tables.ranges[robot], tables.trails[0, robot]
+        measured = beams.bearings, beams.distances, beams.times
+        fill_scan(*measured, told, newest, setup.rays, ranges)
+        for k in range(rays):
+            tables.observations[robot, setup.numbers + k] = ranges[k] / around.reach

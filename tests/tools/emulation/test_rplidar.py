@@ -8,7 +8,7 @@ import os
 import struct
 import termios
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from lds2d.drivers.rplidar import RPLIDAR_A1
 from lidar_tools import Floats, nothing, room
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.emulation.rplidar import RplidarEmulator, RplidarTwin
+from acsar_gym.tools.emulation.lidar import LidarEmulator, Look
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
 
 SCAN = b"\xa5\x20"
 SCAN_DESCRIPTOR = bytes.fromhex("a5 5a 05 00 00 40 81")
@@ -26,12 +27,12 @@ STOP_MOTOR = bytes.fromhex("a5 f0 02 00 00 57")
 START_MOTOR = bytes.fromhex("a5 f0 02 94 02 c1")
 
 
-def at(distance: float) -> Callable[[Floats], Floats]:
-    return lambda bearings: np.full(len(bearings), distance)
+def at(distance: float) -> Look:
+    return lambda bearings, ages: np.full(len(bearings), distance)
 
 
-def scanning(look: Callable[[Floats], Floats], **options: float) -> RplidarTwin:
-    twin = RplidarTwin(look, **options)  # type: ignore[arg-type]
+def scanning(look: Look, **options: Any) -> RplidarTwin:
+    twin = RplidarTwin(look, **options)
     assert twin.receive(SCAN) == SCAN_DESCRIPTOR
     return twin
 
@@ -92,7 +93,7 @@ def test_what_is_not_measured_has_distance_and_quality_zero(distance: float) -> 
 def test_it_looks_counter_clockwise_and_reports_clockwise() -> None:
     asked: list[float] = []
 
-    def look(bearings: Floats) -> Floats:
+    def look(bearings: Floats, ages: Floats) -> Floats:
         asked.extend(bearings)
         return room(bearings)
 
@@ -153,9 +154,9 @@ def test_what_cannot_be_is_refused() -> None:
         with pytest.raises(ConfigError, match="must be positive"):
             RplidarTwin(room, **options)
     with pytest.raises(ConfigError, match="baud = 12345"):
-        RplidarEmulator(RplidarTwin(room), baud=12345)
+        LidarEmulator(RplidarTwin(room), baud=12345)
     with pytest.raises(ConfigError, match="'silent', 'garbage' or None"):
-        RplidarEmulator(RplidarTwin(room), fault="loud")  # type: ignore[arg-type]
+        LidarEmulator(RplidarTwin(room), fault="loud")  # type: ignore[arg-type]
 
 
 class Wire:
@@ -183,11 +184,11 @@ def test_another_library_understands_it() -> None:
 
 
 @pytest.fixture
-def served(request: pytest.FixtureRequest) -> Iterator[tuple[RplidarEmulator, int]]:
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[LidarEmulator, int]]:
     """An emulator with options, and the port of a client that asks it for a scan."""
     options: dict[str, Any] = dict(getattr(request, "param", {}))
     speed = options.pop("speed", termios.B115200)
-    with RplidarEmulator(RplidarTwin(room, rate=10.0, samples=360), **options) as emulator:
+    with LidarEmulator(RplidarTwin(room, rate=10.0, samples=360), **options) as emulator:
         port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(port)
         attributes = termios.tcgetattr(port)
@@ -200,7 +201,7 @@ def served(request: pytest.FixtureRequest) -> Iterator[tuple[RplidarEmulator, in
 
 
 def test_it_serves_whoever_opens_its_device_and_drops_what_nobody_reads(
-    served: tuple[RplidarEmulator, int],
+    served: tuple[LidarEmulator, int],
 ) -> None:
     emulator, port = served
     data = os.read(port, 4096)
@@ -215,7 +216,7 @@ def test_it_serves_whoever_opens_its_device_and_drops_what_nobody_reads(
 
 
 @pytest.mark.parametrize("served", [{"speed": termios.B57600}], indirect=True)
-def test_a_wrong_baud_garbles_both_directions(served: tuple[RplidarEmulator, int]) -> None:
+def test_a_wrong_baud_garbles_both_directions(served: tuple[LidarEmulator, int]) -> None:
     emulator, port = served
     assert not emulator.twin.scanning
     emulator.twin.receive(SCAN)
@@ -224,11 +225,11 @@ def test_a_wrong_baud_garbles_both_directions(served: tuple[RplidarEmulator, int
 
 
 @pytest.mark.parametrize("served", [{"fault": "silent"}], indirect=True)
-def test_a_silent_one(served: tuple[RplidarEmulator, int]) -> None:
+def test_a_silent_one(served: tuple[LidarEmulator, int]) -> None:
     with pytest.raises(BlockingIOError):
         os.read(served[1], 4096)
 
 
 @pytest.mark.parametrize("served", [{"fault": "garbage"}], indirect=True)
-def test_another_device(served: tuple[RplidarEmulator, int]) -> None:
+def test_another_device(served: tuple[LidarEmulator, int]) -> None:
     assert os.read(served[1], 4096).startswith(b"$GPGGA")

@@ -9,7 +9,7 @@ from sysid_tools import ACSAR
 from acsar_gym.errors import LidarError
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
-from acsar_gym.sensors.lidar import SimulatedLidar
+from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tools.sysid.calibration_drive import (
     RunPlan,
     TruthObserver,

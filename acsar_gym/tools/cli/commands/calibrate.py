@@ -49,7 +49,7 @@ class CalibrationSetup(RecordOptions):
     world: Worlds = None
     """Simulation: world around the robot, for --lidar."""
     lidar: LidarArg = None
-    """Measure by scan matching instead of a tape: rplidar:///dev/ttyUSB1, or simulated."""
+    """Measure by scan matching instead of a tape: MODEL:///dev/ttyUSB1, or simulated."""
     tape: float = 0.005
     """Divisions of the tape [m]."""
     protractor: float = 1.0

@@ -51,7 +51,8 @@ class RobotOptions(RecordOptions):
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None
-    """On hardware, if the policy needs a LiDAR: such as rplidar:///dev/ttyUSB1."""
+    """On hardware, if the policy needs a LiDAR: its model and device, such as
+    rplidar:///dev/ttyUSB1 or ld06:///dev/ttyUSB1, or module:Class of your own."""
 
 
 @dataclass(frozen=True)

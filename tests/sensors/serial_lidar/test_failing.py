@@ -1,9 +1,10 @@
-"""An RPLIDAR that is frozen, unplugged, busy, or something else."""
+"""A LiDAR that is frozen, unplugged, busy, or something else."""
 
 from __future__ import annotations
 
 import functools
 import os
+import re
 import signal
 import sys
 import time
@@ -12,13 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rplidar_tools import MAX, Open, Start, newer, reset
+from lidar_twins import MAKERS
+from serial_lidar_tools import Open, Start, newer, reset, shows_the_room
 from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
 from acsar_gym.links import ports
-from acsar_gym.sensors import rplidar
-from acsar_gym.sensors.rplidar import RplidarLidar
+from acsar_gym.sensors import serial_lidar
+from acsar_gym.sensors.drivers import rplidar
+from acsar_gym.sensors.serial_lidar import SerialLidar
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -33,7 +36,7 @@ def error_of(action: Callable[[], object]) -> str:
     return message
 
 
-def is_lost(lidar: RplidarLidar) -> bool:
+def is_lost(lidar: SerialLidar) -> bool:
     try:
         lidar.scan()
     except LidarError as error:
@@ -41,9 +44,9 @@ def is_lost(lidar: RplidarLidar) -> bool:
     return False
 
 
-def scans_again(lidar: RplidarLidar) -> bool:
+def scans_again(lidar: SerialLidar) -> bool:
     try:
-        return bool(lidar.scan().ranges.max() < MAX)
+        return shows_the_room(lidar.scan())
     except LidarError:
         return False
 
@@ -86,13 +89,14 @@ def plug(tmp_path: Path) -> Path:
     return tmp_path / "rplidar"
 
 
+@pytest.mark.parametrize("model", MAKERS)
 @pytest.mark.parametrize("closed", [True, False], ids=["closed", "left open"])
 def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
-    start: Start, make: Open, plug: Path, closed: bool
+    start: Start, make: Open, plug: Path, closed: bool, model: str
 ) -> None:
-    emulated = start()
+    emulated = start("--model", model)
     plug.symlink_to(emulated.device)
-    lidar = make(str(plug))
+    lidar = make(str(plug), model)
     reset(lidar)
     emulated.kill()
     plug.unlink()
@@ -100,29 +104,50 @@ def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
     if closed:
         lidar.close()
         assert "no such device" in error_of(lambda: reset(lidar))
-    plug.symlink_to(start().device)
+    plug.symlink_to(start("--model", model).device)
     reset(lidar)
-    assert lidar.scan().ranges.max() < MAX
+    assert shows_the_room(lidar.scan())
 
 
+@pytest.mark.parametrize("model", MAKERS)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--fault", "silent"), "no answer in 1.2 s: check its power and cable"),
-        (("--fault", "garbage"), "none from an RPLIDAR: check the port's name"),
+        (("--fault", "silent"), "no answer in .* s: check its power and cable"),
+        (("--fault", "garbage"), "bytes in .* s, but none from .*: check the port's name"),
+        (("--baud", "57600"), "bytes in .* s, but none from .*: check|no answer in"),
+        (("--spin-up", "1000"), "no complete turn in 0.3 s: check that its head|no answer in 0.3"),
         (("--broken",), "reports error 0x8001"),
-        (("--spin-up", "1000"), "no complete turn in 0.5 s: check that its head"),
     ],
+    ids=["silent", "garbage", "baud", "stuck", "broken"],
 )
 def test_what_does_not_measure_says_why(
-    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch, arguments: Any, said: str
+    start: Start,
+    make: Open,
+    monkeypatch: pytest.MonkeyPatch,
+    model: str,
+    arguments: Any,
+    said: str,
 ) -> None:
-    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.3)
-    monkeypatch.setattr(rplidar, "SPIN_UP_TIMEOUT", 0.5)
-    lidar = make(start(*arguments))
+    if arguments == ("--broken",) and "rplidar" not in model:
+        pytest.skip("it can't say so")
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.1)
+    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.3)
+    lidar = make(start("--model", model, *arguments), model)
     message = error_of(lambda: reset(lidar))
     assert message.startswith(f"LiDAR {lidar.device}: ")
-    assert said in message
+    assert re.search(said, message)
+
+
+@pytest.mark.parametrize("model", MAKERS)
+def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model: str) -> None:
+    lidar = make(start("--model", model, "--lose", "9001"), model)
+    reset(lidar)
+    stamp = lidar.scan().stamp
+    for _ in range(3):
+        turn = newer(lidar, stamp)
+        assert shows_the_room(turn)
+        stamp = turn.stamp
 
 
 def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:

@@ -54,3 +54,26 @@ def _direction(theta: Any) -> Callable[..., Any]:
         return cosine, sine
 
     return compiled
+
+
+@jit
+def angle_of(x: float, y: float) -> float:
+    """Angle of a vector from the x axis, in [-pi, pi] [rad], as atan2(y, x) to 1e-8.
+
+    Branchless so that loops vectorize: the polynomial of Hastings (Approximations for Digital
+    Computers, 1955; Abramowitz and Stegun 4.4.49) for the ratio of the lesser to the greater side.
+    """
+    ahead, across = abs(x), abs(y)
+    ratio = min(ahead, across) / (max(ahead, across) + 1e-300)
+    z = ratio * ratio
+    angle = z * 0.0028662257 - 0.0161657367
+    angle = z * angle + 0.0429096138
+    angle = z * angle - 0.0752896400
+    angle = z * angle + 0.1065626393
+    angle = z * angle - 0.1420889944
+    angle = z * angle + 0.1999355085
+    angle = z * angle - 0.3333314528
+    angle = ratio + ratio * z * angle
+    angle = 0.5 * math.pi - angle if across > ahead else angle
+    angle = math.pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle

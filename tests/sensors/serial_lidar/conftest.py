@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from lidar_tools import start_lidar
-from rplidar_tools import Open, Start
+from serial_lidar_tools import Open, Start, open_serial
 from serial_tools import Emulated
 
-from acsar_gym import RobotConfig
-from acsar_gym.sensors.rplidar import RplidarLidar
+from acsar_gym.sensors.serial_lidar import SerialLidar
 
 
 @pytest.fixture(scope="module")
 def sensor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
-    """A sensor in a room, for tests that leave it as it is."""
+    """An RPLIDAR in a room, for tests that leave it as it is."""
     emulated = start_lidar(tmp_path_factory.mktemp("lidar") / "log.jsonl")
     yield emulated
     emulated.end()
@@ -39,15 +37,11 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def make() -> Iterator[Open]:
-    """`make(emulated, rays=63, ...)` is a LiDAR; all of them are closed with the test."""
-    made: list[RplidarLidar] = []
+    """`make(emulated, "ld06", timeout=0.5)` is a LiDAR; all of them are closed with the test."""
+    made: list[SerialLidar] = []
 
-    def begin(device: Emulated | str, **lidar: float) -> RplidarLidar:
-        config = RobotConfig.preset("acsar").with_(
-            lidar={"timeout": 20.0, **lidar}, reconnect_timeout=0.5
-        )
-        name = device if isinstance(device, str) else device.device
-        made.append(RplidarLidar(name, config, time.monotonic))
+    def begin(device: Emulated | str, model: str = "rplidar", timeout: float = 20.0) -> SerialLidar:
+        made.append(open_serial(device, model, timeout))
         return made[-1]
 
     yield begin

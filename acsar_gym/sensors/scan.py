@@ -1,0 +1,331 @@
+"""Scans of a LiDAR that turns while the robot drives: what was measured, and how it becomes rays.
+
+A LiDAR hands over revolutions: measurements with a bearing, a distance and a time each.
+`fill_scan` moves them by what the odometry says that the robot drove between their time and now,
+and sorts them into the rays of an observation. It is the same for a device, for a simulated LiDAR
+and in a batch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.jit import jit, loop, subroutine
+from acsar_gym.trigonometry import angle_of, cos_sin
+from acsar_gym.worlds.geometry import RaySpec
+
+Floats = NDArray[np.float64]
+FULL_TURN = 2.0 * math.pi
+MISS_HANDICAP = math.radians(0.75)
+"""A ray prefers a measured distance to a miss that is nearer in direction by up to this angle: one
+failed measurement among many isn't free space [rad]."""
+GAP_STEPS = 2.0
+"""A ray takes what is measured within so many steps between two measurements of a robot at rest;
+further away nothing is known."""
+
+
+class Revolution(NamedTuple):
+    """One turn of a LiDAR's head: n measurements, in any order."""
+
+    bearings: Floats
+    """(n,): counter-clockwise from the LiDAR's zero, which is the robot's x axis [rad]."""
+    distances: Floats
+    """(n,) [m]; 0 where nothing was measured."""
+    times: Floats
+    """(n,): when each was taken, on the clock of the robot's link [s]."""
+    stamp: float
+    """When the revolution ended, on that clock [s]."""
+
+
+class Scan(NamedTuple):
+    """What a LiDAR's rays measure from where the robot is now."""
+
+    ranges: Floats
+    """(rays,): range in each direction [m], within min_range to max_range, counter-clockwise from
+    -field_of_view / 2 of the robot's x axis; max_range where nothing was measured."""
+    stamp: float
+    """When the revolution ended, on the link's clock [s]."""
+
+
+class Rays(NamedTuple):
+    """The rays of an observation, and where the LiDAR sits, as compiled loops need them."""
+
+    start: float
+    """Angle of the first ray [rad]."""
+    step: float
+    """Angle between two rays [rad]."""
+    nearest: float
+    """Least range [m]."""
+    farthest: float
+    """Longest range [m]."""
+    mount_x: float
+    """Position of the LiDAR in the base frame, ahead [m]."""
+    mount_y: float
+    """Position of the LiDAR in the base frame, to the left [m]."""
+    period: float
+    """Time between two poses of a trail, roughly [s]."""
+
+
+def ray_spec(config: RobotConfig) -> RaySpec:
+    """The rays of a robot's LiDAR."""
+    lidar = config.lidar
+    return RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
+
+
+def make_rays(config: RobotConfig) -> Rays:
+    """The rays of a robot's LiDAR, for `fill_scan`."""
+    spec, lidar = ray_spec(config), config.lidar
+    mount = config.lidar_x_offset, config.lidar_y_offset
+    start = float(spec.angles()[0])
+    return Rays(start, spec.step, lidar.min_range, lidar.max_range, *mount, config.period)
+
+
+class Trail:
+    """Where a robot was at the ends of the last ticks, by odometry or in truth.
+
+    Attributes: `rows`, a ring of time [s], x [m], y [m] and theta [rad], (slots, 4); `newest`, the
+    place of the newest row.
+
+    Args:
+        duration: how far it reaches back [s].
+        period: between two rows, roughly [s].
+    """
+
+    def __init__(self, duration: float, period: float) -> None:
+        self.rows = np.zeros((count_trail_rows(duration, period), 4))
+        self._period = period
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: until its first mark the robot has been at rest."""
+        self.newest = -1
+
+    def mark(self, time: float, pose: tuple[float, float, float]) -> None:
+        """Add a row, or change the newest one where no time has passed."""
+        if self.newest < 0:
+            begin_trail(self.rows, time, pose, self._period)
+        if self.newest < 0 or time > self.rows[self.newest, 0]:
+            self.newest = (self.newest + 1) % len(self.rows)
+        self.rows[self.newest] = time, *pose
+
+
+def count_trail_rows(duration: float, period: float) -> int:
+    """Rows of a trail that reaches back for a duration [s], with a row every period [s]."""
+    return math.ceil(duration / period) + 2
+
+
+@loop
+def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt: float) -> None:
+    """Fill a trail with the pose of a robot that has been at rest; its next row is 0.
+
+    Args:
+        trail: (slots, 4), as `Trail.rows`; written.
+        time: of the first mark, which comes next [s].
+        pose: x [m], y [m], theta [rad].
+        dt: between two marks [s].
+    """
+    slots = len(trail)
+    for slot in range(slots):
+        trail[slot, 0] = time - (slots - slot) * dt
+        trail[slot, 1], trail[slot, 2], trail[slot, 3] = pose
+
+
+@jit
+def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays) -> Floats:
+    """Where a LiDAR was during a time, as seen from where it is now.
+
+    Args:
+        trail: (slots, 4), as `Trail.rows`.
+        newest: place of its newest row: now.
+        since: when that time began [s].
+        until: when it ended [s].
+        rays: of the LiDAR.
+
+    Returns:
+        (slots, 4), the newest first: time [s], x and y of the LiDAR's place from its present one in
+        the robot's present frame [m], and the heading from the present one [rad]. Rows that
+        `place_at` doesn't need for that time have no more than a time.
+    """
+    slots = len(trail)
+    seen = np.empty((slots, 4))
+    cos, sin = cos_sin(trail[newest, 3])
+    row, over = newest, False
+    for back in range(slots):
+        seen[back, 0] = trail[row, 0]
+        before = row - 1 if row > 0 else slots - 1
+        if not over and (back == slots - 1 or trail[before, 0] <= until):
+            over = trail[row, 0] < since
+            dx, dy = trail[row, 1] - trail[newest, 1], trail[row, 2] - trail[newest, 2]
+            turned = trail[row, 3] - trail[newest, 3]
+            turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
+            c, s = cos_sin(turned)
+            seen[back, 1] = cos * dx + sin * dy + c * rays.mount_x - s * rays.mount_y - rays.mount_x
+            seen[back, 2] = cos * dy - sin * dx + s * rays.mount_x + c * rays.mount_y - rays.mount_y
+            seen[back, 3] = turned
+        row = before
+    return seen
+
+
+@jit
+def place_at(seen: Floats, time: float, period: float) -> tuple[float, float, float]:
+    """A LiDAR's place and heading at a time [s], interpolated; the nearest end outside.
+
+    Args:
+        seen: from `look_back`.
+        time: on its clock [s].
+        period: between two rows, roughly [s].
+
+    Returns:
+        x, y [m] and heading [rad], from those now.
+    """
+    last = len(seen) - 2
+    back = int(min(max((seen[0, 0] - time) / period, 0.0), float(last)))
+    while back < last and seen[back + 1, 0] > time:
+        back += 1
+    while back > 0 and seen[back, 0] < time:
+        back -= 1
+    before = seen[back + 1, 0]
+    share = min(max((time - before) / (seen[back, 0] - before), 0.0), 1.0)
+    rest = 1.0 - share
+    return (
+        share * seen[back, 1] + rest * seen[back + 1, 1],
+        share * seen[back, 2] + rest * seen[back + 1, 2],
+        share * seen[back, 3] + rest * seen[back + 1, 3],
+    )
+
+
+@subroutine
+def move_measurements(
+    bearings: Floats,
+    distances: Floats,
+    xs: Floats,
+    ys: Floats,
+    turns: Floats,
+    rays: Rays,
+    places: Floats,
+    lengths: Floats,
+) -> None:
+    """Compute how measurements look from elsewhere; a loop of its own, which can be vectorized.
+
+    Args:
+        bearings: (n,), of a Revolution [rad].
+        distances: (n,), of the same [m].
+        xs: (n,): where the LiDAR was, ahead of its present place [m].
+        ys: (n,): likewise, to the left [m].
+        turns: (n,): its heading then, from the present one [rad].
+        rays: of the LiDAR.
+        places: (n,): directions in parts of the angle between two rays, 0 for the first ray;
+            written, from -0.5 to less than a full turn beyond.
+        lengths: (n,) [m]; written, the longest range where nothing was measured.
+    """
+    around = FULL_TURN / rays.step
+    for k in range(len(bearings)):
+        measured = distances[k] > 0.0
+        distance = distances[k] if measured else 1.0
+        cos, sin = cos_sin(bearings[k] + turns[k])
+        x = distance * cos + (xs[k] if measured else 0.0)
+        y = distance * sin + (ys[k] if measured else 0.0)
+        place = (angle_of(x, y) - rays.start) / rays.step
+        places[k] = place - around * np.floor((place + 0.5) / around)
+        lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
+
+
+@subroutine
+def sort_into_rays(
+    places: Floats, lengths: Floats, distances: Floats, reach: float, rays: Rays, ranges: Floats
+) -> None:
+    """Give each ray the measurement that is next to it in direction.
+
+    Args:
+        places: (n,), from `move_measurements`.
+        lengths: (n,), likewise.
+        distances: (n,), of the Revolution: zeros are misses.
+        reach: how far a ray looks for a measurement, if there is none nearer [rad].
+        rays: of the LiDAR.
+        ranges: (rays,) [m]; written.
+    """
+    last, around = len(ranges), FULL_TURN / rays.step
+    whole = abs(around - last) < 1e-6  # the rays go all the way round
+    # Each measurement goes to the ray next to it, if it is the nearest there.
+    taken, off = np.full(last, -1), np.full(last, np.inf)
+    for k in range(len(places)):
+        ray = int(places[k] + 0.5)
+        apart = abs(places[k] - ray) * rays.step
+        apart += 0.0 if distances[k] > 0.0 else MISS_HANDICAP
+        if ray < last and apart < off[ray]:
+            taken[ray], off[ray] = k, apart
+    # A ray that got none takes what is next to it on either side.
+    most = int(reach / rays.step + 0.5)
+    for ray in range(last):
+        found, nearest, far = taken[ray], np.inf, 0
+        while found < 0 and far < most:
+            far += 1
+            for side in (-far, far):
+                other = ray + side
+                if whole:
+                    other += last if other < 0 else -last if other >= last else 0
+                if 0 <= other < last and taken[other] >= 0:
+                    apart = abs(places[taken[other]] - ray)
+                    apart = min(apart, around - apart)
+                    if apart < nearest:
+                        nearest, found = apart, taken[other]
+        length = lengths[found] if found >= 0 else rays.farthest
+        ranges[ray] = min(max(length, rays.nearest), rays.farthest)
+
+
+@loop
+def fill_scan(
+    bearings: Floats,
+    distances: Floats,
+    times: Floats,
+    trail: Floats,
+    newest: int,
+    rays: Rays,
+    ranges: Floats,
+) -> None:
+    """Compute what the rays of a robot would measure now from the measurements of a revolution.
+
+    Each is moved by the odometry between its time and now, then each ray takes the one that is
+    next to it.
+
+    Args:
+        bearings: of a Revolution.
+        distances: of the same.
+        times: of the same.
+        trail: of the odometry; its newest row is now.
+        newest: place of that row.
+        rays: of the LiDAR.
+        ranges: (rays,) [m]; written, within nearest to farthest.
+    """
+    count = len(bearings)
+    xs, ys, turns, places, lengths = np.empty((5, count))
+    since = until = times[0] if count else 0.0
+    for k in range(count):
+        since, until = min(since, times[k]), max(until, times[k])
+    seen = look_back(trail, newest, since, until, rays)
+    least = most = 0.0
+    for k in range(count):
+        xs[k], ys[k], turns[k] = place_at(seen, times[k], rays.period)
+        least, most = min(least, turns[k]), max(most, turns[k])
+    move_measurements(bearings, distances, xs, ys, turns, rays, places, lengths)
+    reach = GAP_STEPS * FULL_TURN / max(count, 1) + most - least
+    sort_into_rays(places, lengths, distances, reach, rays, ranges)
+
+
+@jit
+def newest_revolution(now: float, first: float, rate: float, phase: float) -> tuple[float, float]:
+    """Number and end [s] of the newest complete revolution of a LiDAR that has always turned.
+
+    Args:
+        now: [s].
+        first: when the episode began [s].
+        rate: revolutions per second [Hz].
+        phase: of a revolution at which the episode began, 0 to 1: number 0 ends so much later.
+    """
+    number: float = np.floor((now - first) * rate - phase)
+    return number, first + (number + phase) / rate

@@ -1,0 +1,165 @@
+"""LiDARs of other makers than SLAMTEC, as their manuals describe them; none of it is lds2d's."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.tools.emulation.lidar import Floats, LidarTwin
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
+
+
+class PacketTwin(LidarTwin):
+    """Sends measurements when a packet is full.
+
+    Or a turn begins, where it `splits`; one that is `aligned` has its first packet at zero degrees.
+    """
+
+    size = 1
+    splits = aligned = False
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._waiting: list[tuple[float, float, bool]] = []
+
+    def encode(self, degrees: Floats, ranges: Floats, starts: NDArray[np.bool_]) -> bytes:
+        sent = b""
+        new = zip(degrees.tolist(), ranges.tolist(), starts.tolist(), strict=True)
+        for number, (degree, distance, start) in enumerate(new):
+            if self.aligned and not self._waiting and round(degree) % self.size:
+                continue
+            if self.splits and start and self._waiting:
+                sent += self._flush()
+            self._waiting.append((degree, distance, start))
+            if len(self._waiting) == self.size or (self.splits and start):
+                left = len(degrees) - 1 - number
+                sent += self._flush(left / (self._rate * self._samples))
+        return sent
+
+    def _flush(self, age: float = 0.0) -> bytes:
+        full, self._waiting = self._waiting, []
+        return self.pack([d for d, _, _ in full], [r for _, r, _ in full], full[0][2], age)
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        raise NotImplementedError
+
+
+def crc8(data: bytes) -> int:
+    """With polynomial 0x4D."""
+    value = 0
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = (value << 1 ^ 0x4D if value & 0x80 else value << 1) & 0xFF
+    return value
+
+
+class LdrobotTwin(PacketTwin):
+    """An LD06 measures as long as it has power; an LD14P takes commands."""
+
+    size = 12
+
+    def __init__(self, *args: Any, takes_commands: bool = False, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._takes_commands = takes_commands
+
+    def receive(self, data: bytes) -> bytes:
+        for command, running in ((0xA0, True), (0xA1, False)):
+            body = bytes((0x54, command, 4, 0, 0, 0, 0))
+            if self._takes_commands and body + bytes([crc8(body)]) in data:
+                self.running = self.scanning = running
+        return b""
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        first, last = (round(degree * 100.0) % 36000 for degree in (degrees[0], degrees[-1]))
+        body = struct.pack("<BBHH", 0x54, 0x2C, round(self.speed * 360.0), first)
+        for distance in ranges:
+            body += struct.pack("<HB", round(distance * 1000.0), 200 if distance else 0)
+        body += struct.pack("<HH", last, round((self._now - age) * 1000.0) % 30000)
+        return body + bytes([crc8(body)])
+
+
+class YdlidarTwin(PacketTwin):
+    """An X4, which looks past its laser's lens: the beam deviates from the head's angle."""
+
+    size = 40
+    splits = True
+    farthest_range = 0xFFFF / 4000.0
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.running = self.scanning = False
+
+    def receive(self, data: bytes) -> bytes:
+        answer = b""
+        for command in data.split(b"\xa5")[1:]:
+            if command[:1] in (b"\x65", b"\x00"):
+                self.running = self.scanning = False
+            elif command[:1] == b"\x60":
+                self.running = self.scanning = True
+                answer = bytes.fromhex("a5 5a 05 00 00 40 81")
+        return answer
+
+    def measure(self, degrees: Floats, ages: Floats) -> Floats:
+        beams = degrees
+        for _ in range(8):
+            ranges = super().measure(beams, ages)
+            far = np.maximum(np.rint(ranges * 4000.0) / 4.0, 1e-3)
+            off = np.degrees(np.arctan(21.8 * (155.3 - far) / (155.3 * far)))
+            beams = degrees + np.where(ranges > 0.0, off, 0.0)
+        return ranges
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
+        words = [round(distance * 4000.0) for distance in ranges]
+        kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
+        check = 0x55AA ^ (kind | len(words) << 8) ^ first ^ last
+        for word in words:
+            check ^= word
+        head = struct.pack("<HBBHHH", 0x55AA, kind, len(words), first, last, check)
+        return head + struct.pack(f"<{len(words)}H", *words)
+
+
+class NeatoTwin(PacketTwin):
+    """An XV-11 measures once a degree, counter-clockwise."""
+
+    size = 4
+    even_angles, clockwise, aligned = True, False, True
+    farthest_range = 0x3FFF / 1000.0
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        speed = min(round(self.speed * 3840.0), 0xFFFF)  # rpm * 64
+        body = struct.pack("<BBH", 0xFA, 0xA0 + round(degrees[0]) // 4, speed)
+        for distance in ranges:
+            body += struct.pack("<HH", round(distance * 1000.0) or 0x8035, 300)
+        total = 0
+        for (word,) in struct.iter_unpack("<H", body):
+            total = (total << 1) + word
+        return body + struct.pack("<H", ((total & 0x7FFF) + (total >> 15)) & 0x7FFF)
+
+
+class Maker(NamedTuple):
+    """How the LiDAR of a maker is emulated."""
+
+    twin: Callable[..., LidarTwin]
+    baud: int
+    options: Mapping[str, Any] = {}
+    stops: bool = True
+    """Whether it can be told to stop."""
+    scan: bytes = b""
+    """What makes it measure."""
+
+
+MAKERS = {
+    "rplidar": Maker(RplidarTwin, 115200, {"samples": 360}, scan=b"\xa5\x20"),
+    "rplidar_c1": Maker(RplidarTwin, 460800, {"samples": 500}, scan=b"\xa5\x20"),
+    "ld06": Maker(LdrobotTwin, 230400, {"samples": 450}, stops=False),
+    "ld14p": Maker(LdrobotTwin, 230400, {"samples": 384, "takes_commands": True}),
+    "ydlidar_x4": Maker(YdlidarTwin, 128000, {"samples": 500}, scan=b"\xa5\x60"),
+    "neato": Maker(NeatoTwin, 115200, {"samples": 360}, stops=False),
+}
+"""By the model's name in a URL."""
