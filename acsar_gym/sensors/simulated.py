@@ -56,7 +56,7 @@ class Beams(NamedTuple):
 
 def make_beams(rays: int) -> Beams:
     """Arrays for so many rays."""
-    return Beams(*np.zeros((3, rays)), np.zeros((rays, 2)))
+    return Beams(np.zeros(rays), np.zeros(rays), np.zeros(rays), np.zeros((rays, 2)))
 
 
 class LidarTraits(NamedTuple):
