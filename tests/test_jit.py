@@ -147,16 +147,14 @@ def test_where_no_cache_can_be_written_functions_are_compiled_without(
 
 COMPILE = """
 import sys
-import numpy as np
 from acsar_gym import kinematics
 from acsar_gym import jit as compiled
 from acsar_gym.vector.kernel import layout
 compiled.loop(kinematics.compute_twist)(*range(1, 8))
 print("small", file=sys.stderr)
-state = np.zeros((layout.ROWS, 1))
-compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)
+compiled.loop(layout.robots_of_block)(0, 1)
 compiled.announcer.said = False
-compiled.loop(layout.to_world)(state, 0, 1.0, 2.0)  # as in the next process: from the cache
+compiled.loop(layout.robots_of_block)(0, 1)  # as in the next process: from the cache
 print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
 """
 
@@ -172,7 +170,8 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
     assert small == "small"
     assert said.startswith("acsar_gym: compiling the loops of batches")
     assert (
-        again == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.to_world"
+        again
+        == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.robots_of_block"
     )
 
 

@@ -17,7 +17,6 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors.base import LIDAR, Sensor
 from acsar_gym.sensors.scan import (
-    Floats,
     Revolution,
     Scan,
     Trail,
@@ -116,8 +115,10 @@ class LidarSensor(Sensor):
         self._trail.clear()
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Mark where the robot is. LidarError where the newest scan is too old, or the device is
-        gone.
+        """Mark where the robot is.
+
+        Raises:
+            LidarError: the newest scan is too old, or the device is gone.
         """
         self._trail.mark(now, self._odometry.pose)
         self._revolution = self._scan = None
@@ -188,7 +189,7 @@ class ReplayedLidar:
     def __init__(self, tape: ScannedLink, link: Link) -> None:
         self._tape = tape
         self._link = link
-        self._measured: Floats | None = None
+        self._measured: NDArray[np.float64] | None = None
         self._newest: Revolution | None = None
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:

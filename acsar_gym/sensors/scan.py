@@ -33,7 +33,7 @@ class Revolution(NamedTuple):
     """One turn of a LiDAR's head: n measurements, in any order."""
 
     bearings: Floats
-    """(n,): counter-clockwise from the LiDAR's zero, which points along the robot's x axis [rad]."""
+    """(n,): counter-clockwise from the LiDAR's zero, which is the robot's x axis [rad]."""
     distances: Floats
     """(n,) [m]; 0 where nothing was measured."""
     times: Floats
@@ -235,6 +235,49 @@ def move_measurements(
         lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
 
 
+@subroutine
+def sort_into_rays(
+    places: Floats, lengths: Floats, distances: Floats, reach: float, rays: Rays, ranges: Floats
+) -> None:
+    """Give each ray the measurement that is next to it in direction.
+
+    Args:
+        places: (n,), from `move_measurements`.
+        lengths: (n,), likewise.
+        distances: (n,), of the Revolution: zeros are misses.
+        reach: how far a ray looks for a measurement, if there is none nearer [rad].
+        rays: of the LiDAR.
+        ranges: (rays,) [m]; written.
+    """
+    last, around = len(ranges), FULL_TURN / rays.step
+    whole = abs(around - last) < 1e-6  # the rays go all the way round
+    # Each measurement goes to the ray next to it, if it is the nearest there.
+    taken, off = np.full(last, -1), np.full(last, np.inf)
+    for k in range(len(places)):
+        ray = int(places[k] + 0.5)
+        apart = abs(places[k] - ray) * rays.step
+        apart += 0.0 if distances[k] > 0.0 else MISS_HANDICAP
+        if ray < last and apart < off[ray]:
+            taken[ray], off[ray] = k, apart
+    # A ray that got none takes what is next to it on either side.
+    most = int(reach / rays.step + 0.5)
+    for ray in range(last):
+        found, nearest, far = taken[ray], np.inf, 0
+        while found < 0 and far < most:
+            far += 1
+            for side in (-far, far):
+                other = ray + side
+                if whole:
+                    other += last if other < 0 else -last if other >= last else 0
+                if 0 <= other < last and taken[other] >= 0:
+                    apart = abs(places[taken[other]] - ray)
+                    apart = min(apart, around - apart)
+                    if apart < nearest:
+                        nearest, found = apart, taken[other]
+        length = lengths[found] if found >= 0 else rays.farthest
+        ranges[ray] = min(max(length, rays.nearest), rays.farthest)
+
+
 @loop
 def fill_scan(
     bearings: Floats,
@@ -259,7 +302,7 @@ def fill_scan(
         rays: of the LiDAR.
         ranges: (rays,) [m]; written, within nearest to farthest.
     """
-    count, last = len(bearings), len(ranges)
+    count = len(bearings)
     xs, ys, turns, places, lengths = np.empty((5, count))
     since = until = times[0] if count else 0.0
     for k in range(count):
@@ -269,36 +312,9 @@ def fill_scan(
     for k in range(count):
         xs[k], ys[k], turns[k] = place_at(seen, times[k], rays.period)
         least, most = min(least, turns[k]), max(most, turns[k])
-    around = FULL_TURN / rays.step  # rays in a full turn
     move_measurements(bearings, distances, xs, ys, turns, rays, places, lengths)
-    # Each measurement goes to the ray next to it, if it is the nearest there.
-    taken, off = np.full(last, -1), np.full(last, np.inf)
-    for k in range(count):
-        ray = int(places[k] + 0.5)
-        apart = abs(places[k] - ray) * rays.step
-        apart += 0.0 if distances[k] > 0.0 else MISS_HANDICAP
-        if ray < last and apart < off[ray]:
-            taken[ray], off[ray] = k, apart
-    # A ray that got none takes what is next to it on either side.
-    whole = abs(around - last) < 1e-6
-    reach = int((GAP_STEPS * FULL_TURN / max(count, 1) + most - least) / rays.step + 0.5)
-    for ray in range(last):
-        found, nearest = taken[ray], np.inf
-        for far in range(1, reach + 1 if found < 0 else 1):
-            for other in (ray - far, ray + far):
-                if whole and other < 0:
-                    other += last
-                elif whole and other >= last:
-                    other -= last
-                if 0 <= other < last and taken[other] >= 0:
-                    apart = abs(places[taken[other]] - ray)
-                    apart = min(apart, around - apart)
-                    if apart < nearest:
-                        nearest, found = apart, taken[other]
-            if nearest < far:
-                break
-        length = lengths[found] if found >= 0 else rays.farthest
-        ranges[ray] = min(max(length, rays.nearest), rays.farthest)
+    reach = GAP_STEPS * FULL_TURN / max(count, 1) + most - least
+    sort_into_rays(places, lengths, distances, reach, rays, ranges)
 
 
 @jit

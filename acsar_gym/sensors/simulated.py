@@ -17,19 +17,19 @@ from acsar_gym.links.base import Link
 from acsar_gym.links.faults import hash_sample
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.physics.model import compute_physics
-from acsar_gym.trigonometry import cos_sin
 from acsar_gym.sensors.scan import (
     FULL_TURN,
     Floats,
     Rays,
     Revolution,
     Trail,
-    make_rays,
     look_back,
+    make_rays,
     newest_revolution,
     place_at,
     ray_spec,
 )
+from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, cast_lines, make_surroundings
 
@@ -39,6 +39,24 @@ MAX_MEASUREMENTS = 2**14
 """More than a revolution can have; random numbers are numbered with it."""
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
+
+
+class Beams(NamedTuple):
+    """What is computed for each ray of a LiDAR; the first three are those of a Revolution."""
+
+    bearings: Floats
+    """(rays,) [rad]."""
+    distances: Floats
+    """(rays,) [m]."""
+    times: Floats
+    """(rays,) [s]."""
+    origins: Floats
+    """(rays, 2): where the LiDAR was then, from its place now in the robot's present frame [m]."""
+
+
+def make_beams(rays: int) -> Beams:
+    """Arrays for so many rays."""
+    return Beams(*np.zeros((3, rays)), np.zeros((rays, 2)))
 
 
 class LidarTraits(NamedTuple):
@@ -53,14 +71,7 @@ class LidarTraits(NamedTuple):
 
 @loop
 def aim_beams(
-    trail: Floats,
-    newest: int,
-    ended: float,
-    duration: float,
-    rays: Rays,
-    bearings: Floats,
-    times: Floats,
-    origins: Floats,
+    trail: Floats, newest: int, ended: float, duration: float, rays: Rays, beams: Beams
 ) -> None:
     """Find the measurements of a revolution that point along the robot's present rays.
 
@@ -74,10 +85,7 @@ def aim_beams(
         ended: when the revolution ended [s].
         duration: of the revolution [s].
         rays: of the LiDAR.
-        bearings: (rays,): where the head pointed, as in a Revolution; written [rad].
-        times: (rays,): when it did; written [s].
-        origins: (rays, 2): where the LiDAR was then, from its place now in the robot's present
-            frame; written [m].
+        beams: bearings, times and origins are written.
     """
     begun = ended - duration
     seen = look_back(trail, newest, begun, ended, rays)
@@ -85,15 +93,15 @@ def aim_beams(
     _, _, turned = place_at(seen, begun, rays.period)
     rate = -turned / since_begun / FULL_TURN  # of the robot [turns/s]
     first, full = -(rays.start / FULL_TURN + rate * since_begun), 1.0 / (1.0 / duration - rate)
-    for k in range(len(bearings)):
+    for k in range(len(beams.times)):
         # The head's bearing -FULL_TURN * since / duration, and where the robot still turns until
         # now, make the ray's: that is linear in the time since the revolution began.
         part = first - k * rays.step / FULL_TURN
         since = min((part - np.floor(part)) * full, duration)
-        times[k] = begun + since
-        x, y, turned = place_at(seen, times[k], rays.period)
-        bearings[k] = rays.start + k * rays.step - turned
-        origins[k, 0], origins[k, 1] = x, y
+        beams.times[k] = begun + since
+        x, y, turned = place_at(seen, beams.times[k], rays.period)
+        beams.bearings[k] = rays.start + k * rays.step - turned
+        beams.origins[k, 0], beams.origins[k, 1] = x, y
 
 
 @loop
@@ -150,10 +158,7 @@ def measure_revolution(
     rays: Rays,
     episode: tuple[float, float, float],
     traits: LidarTraits,
-    bearings: Floats,
-    distances: Floats,
-    times: Floats,
-    origins: Floats,
+    beams: Beams,
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
 
@@ -165,20 +170,17 @@ def measure_revolution(
         rays: of the LiDAR.
         episode: when it began [s], phase of the revolution then, and key of its errors.
         traits: of the LiDAR.
-        bearings: of the Revolution; written.
-        distances: likewise.
-        times: likewise.
-        origins: (rays, 2); overwritten.
+        beams: written.
 
     Returns:
         When the revolution ended [s].
     """
     first, phase, key = episode
     number, ended = newest_revolution(trail[newest, 0], first, traits.scan_rate, phase)
-    aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, bearings, times, origins)
-    cos, sin = cos_sin(trail[newest, 3])
-    cast_lines(trail[newest, 1], trail[newest, 2], cos, sin, which, around, origins, distances)
-    add_errors(distances, key, number, traits, around.reach)
+    aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
+    x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
+    cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances)
+    add_errors(beams.distances, key, number, traits, around.reach)
     return ended
 
 
@@ -225,20 +227,18 @@ class SimulatedLidar:
 
     def scan(self) -> Revolution:
         """Measure the newest complete revolution, where the robot's present rays point."""
-        rays = self._config.lidar.rays
-        bearings, distances, times = np.empty((3, rays))
-        measured = bearings, distances, times, np.empty((rays, 2))
+        beams, trail = make_beams(self._config.lidar.rays), self._trail
         ended = measure_revolution(
-            self._trail.rows,
-            self._trail.newest,
+            trail.rows,
+            trail.newest,
             0,
             self._around,
             self._rays,
             self._episode,
             self._traits,
-            *measured,
+            beams,
         )
-        return Revolution(bearings, distances, times, ended)
+        return Revolution(beams.bearings, beams.distances, beams.times, ended)
 
     def close(self) -> None:
         """Do nothing: there is no device."""

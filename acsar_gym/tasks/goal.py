@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Goal,
@@ -25,6 +24,7 @@ from acsar_gym.tasks.base import (
     relative_point,
 )
 from acsar_gym.tasks.factory import check_distances, check_positive
+from acsar_gym.trigonometry import cos_sin
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "goal_distance": (0.0, OBSERVATION_LIMIT),

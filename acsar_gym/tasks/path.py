@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.trigonometry import cos_sin
 from acsar_gym.tasks.base import (
     OBSERVATION_LIMIT,
     Floats,
@@ -19,6 +18,7 @@ from acsar_gym.tasks.base import (
     relative_point,
 )
 from acsar_gym.tasks.factory import check_positive
+from acsar_gym.trigonometry import cos_sin
 
 _SCALED = (-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 LOOKAHEAD = 4

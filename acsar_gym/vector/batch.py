@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -26,7 +25,7 @@ from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors
 from acsar_gym.vector.setup import (
-    ResetRows,
+    ResetOptions,
     command_slots,
     count_slots,
     make_worlds,
@@ -38,14 +37,12 @@ from acsar_gym.vector.task import TaskLoops, make_loops
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
-"""Runs a loop, given as a function of its first and last robot, for a number of robots, which it
+"""Runs a loop, given as a function of its first and last block, for a number of blocks, which it
 splits into slices for several threads."""
 
 
 class Batch:
     """The arrays of all robots of a batch, and what is done with them at a reset and in a step.
-
-    Robots are columns of the state, and rows of all other tables.
 
     Args:
         robots: how many.
@@ -78,7 +75,7 @@ class Batch:
         self._setups, self._rules = record_of(setup), make_rules(config)
         self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in randomization.names}
         self.tables = self._make_tables(randomization)
-        self._view = BatchView(self.tables.state, self.tables.random, setup.dt, worlds)
+        self._view = BatchView(self.tables.numbers, self.tables.random, setup.dt, worlds)
         self.python = BatchSensors(python_sensors(sensors), config, robots, self._view)
         self._first_python = self.tables.observations.shape[1]
         """The first column of the observation that belongs to a sensor written in Python."""
@@ -87,10 +84,11 @@ class Batch:
         self._loops: TaskLoops = make_loops(task, self.tables, setup, self._setups, self._spawns)
         self._together = self._loops.compiled and not len(self.python)
         """Whether a robot's task can run right after its physics, on the same thread."""
-        self._rows = dict(layout.INFO_ROWS)
-        self._rows |= {} if spawn.pool is None else layout.WORLD_INFO
-        self._rows |= layout.SCAN_INFO if sees else {}
-        self._rows |= layout.FAULT_INFO if setup.faults.possible else {}
+        self._info = dict(layout.INFO_FIELDS)
+        """Keys of info, and their fields."""
+        self._info |= {} if spawn.pool is None else {"world": "world"}
+        self._info |= {"scan_age": "scan_age", "scan_stale": "scan_stale"} if sees else {}
+        self._info |= {"fault": "fault"} if setup.faults.possible else {}
         self.seeded = False
         self._new = True
         """Whether there was no reset yet."""
@@ -106,26 +104,29 @@ class Batch:
     def _make_tables(self, randomization: Randomization) -> layout.Tables:
         """Make all arrays. Columns for Python sensors are added to the observations later."""
         robots, setup, rays = self.robots, self._setup, len(self._around.directions)
-        # An odd number of cache lines a row: rows a power of two apart would all fall into the same
-        # few sets of the cache.
-        columns = 8 * (math.ceil(robots / 8) | 1)
+        blocks = layout.make_blocks(robots)
         ranges = randomization.ranges(self._config, setup.ticks * setup.period)
         lines = command_slots(setup, ranges, self._config)
+
+        def make_rings(*shape: int) -> NDArray[np.float64]:
+            return np.zeros((len(blocks), *shape, layout.BLOCK_ROBOTS))
+
         return layout.Tables(
-            state=np.zeros((layout.ROWS, columns)),
-            counts=np.zeros((count_slots(setup, ranges, self._config), 4, columns)),
-            commands=np.zeros((lines, 2, columns if setup.guarded else 0)),
-            arrivals=np.zeros((lines, 3, columns if setup.faults.possible else 0)),
+            blocks=blocks,
+            numbers=layout.view_numbers(blocks),
+            counts=make_rings(count_slots(setup, ranges, self._config), 4),
+            commands=make_rings(lines if setup.guarded else 0, 2),
+            arrivals=make_rings(lines if setup.faults.possible else 0, 3),
             random=np.zeros((robots, 4), np.uint64),
             nominal=record_of(compute_physics(self._config), changes=True),
             low=np.array(ranges.low),
             high=np.array(ranges.high),
             delays=np.array(ranges.delays),
-            drawn=np.zeros((len(ranges.low) if self._drawn else 0, columns)),
+            drawn=np.zeros((robots, len(ranges.low) if self._drawn else 0)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
             idle=np.zeros(robots, np.bool_),
-            kept=np.zeros((layout.COMMAND_LOOPS, columns if setup.falls_silent else 0)),
+            kept=make_rings(layout.EPISODE_ROWS if setup.falls_silent else 0),
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
             trails=np.zeros((2, robots, trail_slots(setup, ranges, self._config), 4)),
@@ -136,10 +137,9 @@ class Batch:
             ring=np.array([0, 0, 0, setup.ticks], np.int64),
         )
 
-    @property
-    def state(self) -> NDArray[np.float64]:
-        """(rows, robots): the state; `layout` names the rows."""
-        return self.tables.state[:, : self.robots]
+    def read(self, *names: str) -> NDArray[np.float64]:
+        """Copy fields of `layout.Robots`, (numbers, robots); those of wheels are four numbers."""
+        return layout.read_fields(self.tables.numbers, names, slice(self.robots))
 
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
         """Make new generators.
@@ -158,10 +158,11 @@ class Batch:
                 self.python.forget(int(robot))
         self.seeded = True
 
-    def set_reset_options(self, options: ResetRows, mask: Mask) -> None:
+    def set_reset_options(self, options: ResetOptions, mask: Mask) -> None:
         """Set the reset options that hold for the next episodes of the robots in the mask."""
-        for row in range(layout.WISHED_WORLD, layout.LAST_RANK + 1):
-            self.state[row, mask] = options[row][mask] if row in options else 0.0
+        places = np.divmod(np.flatnonzero(mask), layout.BLOCK_ROBOTS)
+        for name in layout.OPTIONS:
+            self.tables.blocks[name][places] = options[name][mask] if name in options else 0.0
 
     def reset(self, mask: Mask, share: Share) -> None:
         """Begin new episodes of the robots in the mask."""
@@ -173,7 +174,7 @@ class Batch:
                 drive.step, tables, 0, 1, self._setups, self._rules, self._around
             )
         with another:
-            share(self._begin, self.robots)
+            share(self._begin, len(self.tables.blocks))
         self._new = False
         if not self._together:
             self._sense(driven=False)
@@ -181,7 +182,7 @@ class Batch:
         self._check_observations()
 
     def _begin(self, first: int, last: int) -> None:
-        """Begin new episodes of those robots first to last that are in `tables.over`."""
+        """Begin new episodes of the robots of blocks first to last that are in `tables.over`."""
         setups, rules = self._setups, self._rules
         episode.reset(self.tables, first, last, setups, rules, self._spawns, self._around)
         if self._together:
@@ -194,17 +195,17 @@ class Batch:
             try:
                 for tick in range(setup.ticks):
                     ring[2:] = tick, tick + 1
-                    share(self._drive, self.robots)
+                    share(self._drive, len(tables.blocks))
                     self.python.poll(np.flatnonzero(~tables.idle))
             finally:
                 ring[2:] = 0, setup.ticks
         else:
-            share(self._drive, self.robots)
+            share(self._drive, len(tables.blocks))
         if not self._together:
             self._sense(driven=True)
             self._run_task(share)
-        ring[0] = (ring[0] + setup.ticks * setup.loops) % tables.counts.shape[0]
-        ring[1] = (ring[1] + setup.ticks) % tables.commands.shape[0]
+        ring[0] = (ring[0] + setup.ticks * setup.loops) % tables.counts.shape[1]
+        ring[1] = (ring[1] + setup.ticks) % max(tables.commands.shape[1], 1)
         self._check_observations()
         if not np.isfinite(tables.rewards).all():
             robot = int(np.isfinite(tables.rewards).argmin())
@@ -218,10 +219,11 @@ class Batch:
         check_observation(self._task, self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:
-        """Run the physics of robots first to last, and their task where `_together`."""
+        """Run the physics of blocks first to last, and their task where `_together`."""
         tables = self.tables
         drive.step(tables, first, last, self._setups, self._rules, self._around)
-        if tables.ring[3] == self._setup.ticks and tables.over[first:last].any():
+        begun = tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS]
+        if tables.ring[3] == self._setup.ticks and begun.any():
             self._begin(first, last)
         elif self._together:
             self._loops.run(first, last)
@@ -229,9 +231,9 @@ class Batch:
     def _run_task(self, share: Share) -> None:
         """Run the task for all robots, on several threads if it is compiled."""
         if self._loops.compiled:
-            share(self._loops.run, self.robots)
+            share(self._loops.run, len(self.tables.blocks))
         else:
-            self._loops.run(0, self.robots)
+            self._loops.run(0, len(self.tables.blocks))
 
     def _sense(self, *, driven: bool) -> None:
         """Reset and read Python sensors of robots that have begun.
@@ -239,7 +241,7 @@ class Batch:
         Read the others' too if driven. Those whose board is silent at the reset get zeros.
         """
         if len(self.python):
-            begun, silent = self.tables.over, self.state[layout.SILENT] > 0.0
+            begun, silent = self.tables.over, self.read("silent")[0] > 0.0
             columns = self.tables.observations[:, self._first_python :]
             columns[begun & silent] = 0.0
             self.python.reset(np.flatnonzero(begun & ~silent), columns)
@@ -248,13 +250,13 @@ class Batch:
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """Info with the keys of the single env, each an array with a row for each robot."""
-        info = dict(zip(self._rows, self.state[list(self._rows.values())], strict=True))
+        info = dict(zip(self._info, self.read(*self._info.values()), strict=True))
         if self._pool is not None:
             info["world"] += self._pool.numbers[0]
         info |= self._loops.info()
         for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
-            row = self.tables.drawn[places, : self.robots].T
-            info[name] = row[:, 0] if len(places) == 1 else row
+            numbers = self.tables.drawn[:, places]
+            info[name] = numbers[:, 0] if len(places) == 1 else numbers
         self.python.add_info(info)
         return info
 
@@ -263,9 +265,12 @@ class Batch:
         memory = self._loops.memory
         if memory is None or len(self.python):
             return None
-        return {**self.tables._asdict(), "memory": memory}
+        arrays = self.tables._asdict() | {"memory": memory}
+        del arrays["blocks"]  # the memory of `numbers`
+        return arrays
 
     @property
     def bytes_per_robot(self) -> float:
         """Memory of all arrays, divided by the number of robots [bytes]."""
-        return sum(array.nbytes for array in self.tables) / self.robots
+        used = sum(array.nbytes for array in self.tables) - self.tables.numbers.nbytes
+        return used / self.robots

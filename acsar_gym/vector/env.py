@@ -28,8 +28,7 @@ from acsar_gym.tasks.factory import (
     validate_task,
 )
 from acsar_gym.vector.batch import Batch
-from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.setup import ResetRows, check_faults, make_setup, reset_rows
+from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
 from acsar_gym.vector.threads import Threads
 
 MAX_ROBOTS = 1_000_000
@@ -277,8 +276,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         mask, asked = self._read_options(options)
         self.batch.set_reset_options(asked, mask)
 
-    def _read_options(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetRows]:
-        """Which robots a reset's options are for, and the options as rows of the state.
+    def _read_options(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetOptions]:
+        """Which robots a reset's options are for, and the options as fields of the robots.
 
         Waits for the threads of an interrupted call, because the state is written next.
         """
@@ -289,7 +288,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ConfigError(f"reset_mask: must be a boolean array of shape ({self.num_envs},)")
-        return mask, reset_rows(self._spawn, rest, self.num_envs)
+        return mask, read_reset_options(self._spawn, rest, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Do one env step of every robot.
@@ -343,9 +342,10 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             final[index] = self.batch.tables.observations[index].copy()
-        info, state = self._info(done), self.batch.state
-        info |= {"episode_return": state[layout.RETURN].copy(), "_episode_return": done}
-        info |= {"episode_length": state[layout.STEPS].copy(), "_episode_length": done}
+        returns, lengths = self.batch.read("total_reward", "steps")
+        info = self._info(done)
+        info |= {"episode_return": returns, "_episode_return": done}
+        info |= {"episode_length": lengths, "_episode_length": done}
         return {"final_obs": final, "_final_obs": done, "final_info": info, "_final_info": done}
 
     def _info(self, mask: Array) -> Info:

@@ -37,6 +37,8 @@ Observations = NDArray[np.float32]
 """(robots, numbers): the columns of the observations that these sensors fill."""
 Robots = NDArray[np.int64]
 """Indices of robots in the batch."""
+START = ("start_x", "start_y", "start_theta")
+DIRECTION = ("start_cos", "start_sin")
 
 
 class Truths(NamedTuple):
@@ -54,38 +56,40 @@ class BatchView:
     """What sensors may know of all robots of a batch. `random` are the robots' generators."""
 
     def __init__(
-        self, state: Floats, random: Generators, dt: float, worlds: Sequence[World]
+        self, numbers: Floats, random: Generators, dt: float, worlds: Sequence[World]
     ) -> None:
         self.random = random
-        self._state, self._dt, self._worlds = state, dt, worlds
+        self._numbers, self._dt, self._worlds = numbers, dt, worlds
+
+    def _read(self, robots: Robots, *names: str) -> Floats:
+        """Fields of these robots, (numbers, robots)."""
+        return layout.read_fields(self._numbers, names, robots)
 
     def truths(self, robots: Robots) -> Truths:
         """Ground truth of these robots, in the frames of their worlds."""
-        s = self._state[:, robots]
-        cos, sin = s[layout.START_COS], s[layout.START_SIN]
-        x = s[layout.START_X] + cos * s[layout.X] - sin * s[layout.Y]
-        y = s[layout.START_Y] + sin * s[layout.X] + cos * s[layout.Y]
-        theta = s[layout.START_THETA] + s[layout.THETA]
+        x, y, heading, vx, vy, rate, contact = self._read(
+            robots, "x", "y", "theta", "vx", "vy", "rate", "contact"
+        )
+        start_x, start_y, start_theta, cos, sin = self._read(robots, *START, *DIRECTION)
+        theta = start_theta + heading
         theta -= layout.TURN * np.rint(theta / layout.TURN)
-        ahead = s[layout.VX] * np.cos(s[layout.THETA]) + s[layout.VY] * np.sin(s[layout.THETA])
-        twist = np.column_stack([ahead, s[layout.RATE]])
-        return Truths(np.column_stack([x, y, theta]), twist, s[layout.CONTACT] > 0.0)
+        pose = [start_x + cos * x - sin * y, start_y + sin * x + cos * y, theta]
+        twist = [vx * np.cos(heading) + vy * np.sin(heading), rate]
+        return Truths(np.column_stack(pose), np.column_stack(twist), contact > 0.0)
 
     def now(self, robots: Robots) -> Floats:
         """Simulated time since these robots' links were reset [s], (robots,)."""
-        time: Floats = self._state[layout.LOOPS, robots] * self._dt
+        time: Floats = self._read(robots, "loops")[0] * self._dt
         return time
 
     def scenes(self, robots: Robots) -> list[Scene]:
         """World, start and goal of these robots' episodes, in the frames of the worlds."""
-        s = self._state[:, robots]
-        rows = [layout.START_X, layout.START_Y, layout.START_THETA, layout.GOAL_X, layout.GOAL_Y]
-        worlds = s[layout.WORLD].astype(np.int64).tolist()
+        own = self._read(robots, *START, "goal_x", "goal_y", "world")
         scenes = []
-        for number, (x, y, theta, ahead, left) in zip(worlds, s[rows].T.tolist(), strict=True):
+        for x, y, theta, ahead, left, number in own.T.tolist():
             cos, sin = math.cos(theta), math.sin(theta)
             goal = (x + cos * ahead - sin * left, y + sin * ahead + cos * left)
-            world = self._worlds[number] if self._worlds else None
+            world = self._worlds[int(number)] if self._worlds else None
             scenes.append(Scene((x, y, theta), goal, world))
         return scenes
 

@@ -1,4 +1,4 @@
-"""What compiled loops take: shared numbers, the worlds as arrays, and reset options as rows."""
+"""What compiled loops take: shared numbers, the worlds as arrays, and reset options as fields."""
 
 from __future__ import annotations
 
@@ -29,13 +29,12 @@ from acsar_gym.worlds.search import align_with_path
 from acsar_gym.worlds.world import Floats
 
 Array = NDArray[Any]
-ResetRows = dict[int, Array]
-"""Rows of the state that hold reset options: the row's number -> (robots,). Missing rows are
-zero."""
+ResetOptions = dict[str, Array]
+"""A field of `layout.Options` -> (robots,). Missing ones are zero."""
 
 
-def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRows:
-    """Convert a reset's options "world", "difficulty" and "goal" to rows of the state.
+def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetOptions:
+    """Convert a reset's options "world", "difficulty" and "goal" to fields of the robots.
 
     Args:
         spawn: knows which options the task has.
@@ -46,7 +45,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
         ConfigError, WorldError: for an unknown option, or a bad value; names the robot.
     """
     given = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
-    found: ResetRows = {}
+    found: ResetOptions = {}
     if given.get("goal") is not None:
         goals = _spread_option("goal", given["goal"], robots, 2)
         asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
@@ -57,8 +56,8 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
             if spawn.pool is None:
                 spawn.check_goal((x, y))
         wanted = np.where(asked, goals.T, 0.0)
-        found = dict(zip((layout.WISHED_X, layout.WISHED_Y), wanted, strict=True))
-        found[layout.WISHED_GOAL] = asked.astype(np.float64)
+        found = dict(zip(("wished_x", "wished_y"), wanted, strict=True))
+        found["wished_goal"] = asked.astype(np.float64)
     if spawn.pool is not None and given.get("world") is not None:
         numbers = _spread_option("world", given["world"], robots, 1)[:, 0]
         asked, (first, last) = ~np.isnan(numbers), (spawn.pool.numbers[0], spawn.pool.numbers[-1])
@@ -69,7 +68,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
                 f"world of robot {bad} = {numbers[bad]:g}: must be {first} to {last} "
                 f"({spawn.pool.kind})"
             )
-        found[layout.WISHED_WORLD] = np.where(asked, numbers - first + 1.0, 0.0)
+        found["wished_world"] = np.where(asked, numbers - first + 1.0, 0.0)
     if spawn.pool is not None and given.get("difficulty") is not None:
         ranks, ranges = np.zeros((robots, 2)), given["difficulty"]
         ranges = _spread_option("difficulty", ranges, robots, 2)
@@ -78,7 +77,7 @@ def reset_rows(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetRo
             if not (np.isnan(low) and np.isnan(high)):
                 among = spawn.pool.ranks((low, high))
                 ranks[which.ravel() == number] = among.start, among.stop
-        found |= {layout.FIRST_RANK: ranks[:, 0], layout.LAST_RANK: ranks[:, 1]}
+        found |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
     return found
 
 

@@ -14,18 +14,25 @@ from acsar_gym.jit import COMPILED, NumbaError
 from acsar_gym.tasks.base import Memory, Outcome, State, Task, info_names, is_compiled, new_memory
 from acsar_gym.tasks.episode import ask_outcome, ask_reward
 from acsar_gym.tasks.factory import task_name
-from acsar_gym.vector.kernel import layout as rows
 from acsar_gym.vector.kernel import task as kernel
 from acsar_gym.vector.kernel.episode import update_info
-from acsar_gym.vector.kernel.layout import Records, Setup, Spawns, Tables, TaskTables
+from acsar_gym.vector.kernel.layout import (
+    BLOCK_ROBOTS,
+    Records,
+    Setup,
+    Spawns,
+    Tables,
+    TaskTables,
+    read_fields,
+    view_numbers,
+)
 
-STATE_ROWS = [
-    *(rows.ODOM_X, rows.ODOM_Y, rows.ODOM_THETA, rows.LINEAR, rows.ANGULAR),
-    *range(rows.READ, rows.READ + 4),
-    *(rows.LAST_LINEAR, rows.LAST_ANGULAR, rows.SENT_LINEAR, rows.SENT_ANGULAR, rows.REASON),
-    *(rows.STEPS, rows.AGE, rows.CONTACT, rows.GOAL_X, rows.GOAL_Y, rows.WORLD, rows.GOAL_GIVEN),
-]
-"""The rows that a State is made of."""
+STATE_FIELDS = (
+    *("odom_x", "odom_y", "odom_theta", "linear", "angular", "read_speed"),
+    *("action_linear", "action_angular", "sent_linear", "sent_angular", "reason"),
+    *("steps", "age", "contact", "goal_x", "goal_y", "world", "goal_given"),
+)
+"""The fields that a State is made of."""
 _NAMING = threading.Lock()
 """Two threads may make the first batches of a class at once."""
 
@@ -41,7 +48,7 @@ class TaskLoops(Protocol):
         """What the task remembers of all robots; None where Python objects hold it."""
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last, after their physics.
+        """Write rewards, ends and observations of blocks first to last, after their physics.
 
         Robots in `over` begin anew.
         """
@@ -75,7 +82,7 @@ class CompiledLoops:
         self._loop = kernel.bind_task(task)
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last.
+        """Write rewards, ends and observations of blocks first to last.
 
         ConfigError where numba can't compile the task.
         """
@@ -140,15 +147,15 @@ class PythonLoops:
         self._memory: list[Memory] = [new_memory(task) for _ in tables.rewards]
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of robots first to last."""
+        """Write rewards, ends and observations of blocks first to last."""
         task, tables, setup = self._task, self._tables, self._setup
-        here, state = slice(first, last), tables.state
+        here = slice(first * BLOCK_ROBOTS, last * BLOCK_ROBOTS)
         tables.rewards[here], tables.ends[0, here] = 0.0, False
         tables.ends[1, here] = tables.idle[here] & ~tables.over[here]
-        robots = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + first
+        driven = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + here.start
         observed = []
         with translate_errors(TaskError, lambda: task_name(task)):
-            for robot, seen in zip(robots.tolist(), self._states(robots), strict=True):
+            for robot, seen in zip(driven.tolist(), self._states(driven), strict=True):
                 if tables.over[robot]:
                     self._memory[robot] = memory = new_memory(task)
                     task.begin(seen, memory)
@@ -157,22 +164,23 @@ class PythonLoops:
                     outcome = ask_outcome(task, seen, memory)
                     reward = ask_reward(task, seen, memory, outcome)
                     tables.rewards[robot] = reward
-                    state[rows.RETURN, robot] += reward
-                    state[rows.OUTCOME, robot] = outcome
+                    robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
+                    robots["total_reward"][i] += reward
+                    robots["outcome"][i] = outcome
                     tables.ends[0, robot] = outcome != Outcome.GOING
-                    tables.ends[1, robot] = state[rows.STEPS, robot] >= setup.max_steps
+                    tables.ends[1, robot] = robots["steps"][i] >= setup.max_steps
                 observed.append(task.observe(seen, memory))
         if observed and setup.numbers:
             try:
-                tables.observations[robots, : setup.numbers] = observed
+                tables.observations[driven, : setup.numbers] = observed
             except (TypeError, ValueError) as error:
                 raise TaskError(f"{task_name(task)}.observe: {error}") from None
-        update_info(state, first, last, self._setups)
+        update_info(tables.blocks, first, last, self._setups)
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
         """The State of each of these robots."""
         tables, setup = self._tables, self._setup
-        numbers = tables.state[:, robots][STATE_ROWS].T.tolist()
+        numbers = read_fields(view_numbers(tables.blocks), STATE_FIELDS, robots).T.tolist()
         ranges, sensed = tables.ranges[robots], tables.observations[robots, setup.numbers :]
         max_twist, period = (setup.max_linear, setup.max_angular), setup.ticks * setup.period
         return [

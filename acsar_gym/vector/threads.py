@@ -20,10 +20,6 @@ OrderReport = tuple[int, BaseException | None]
 """Number of the order that is done, and the exception that it raised."""
 
 
-HEAD_START = 48
-"""Items that the calling thread takes on top of its share, because it begins before the others."""
-
-
 class Threads:
     """The calling thread and `count` - 1 others, which end with `close` or when this is freed.
 
@@ -61,8 +57,7 @@ class Threads:
         """
         self.wait()
         threads = len(self._orders) + 1
-        lead = min(HEAD_START, items // 8) if threads > 1 else 0
-        edges = [0, *(lead + (items - lead) * n // threads for n in range(1, threads + 1))]
+        edges = [items * n // threads for n in range(threads + 1)]
         first, *others = itertools.pairwise(edges)
         number = next(self._numbers)
         self._idle = False

@@ -21,7 +21,6 @@ from acsar_gym.physics.bullet import (
 from acsar_gym.physics.model import closed_form_yaw_rate, turn_factor
 from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO, Speeds
-from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
@@ -133,7 +132,7 @@ def test_a_batch_turns_as_commanded_where_its_multiplier_is_the_factor(factor: f
     actions = np.array([[0.0, 1.0], [0.0, -0.4], [0.3, 1.0], [0.6, 0.4], [0.2, -1.0]])
     for _ in range(15):
         env.step(actions)
-    rates = env.batch.state[layout.RATE]
+    (rates,) = env.batch.read("rate")
     assert rates == pytest.approx(actions[:, 1] * config.max_angular, rel=0.01)
     env.close()
 

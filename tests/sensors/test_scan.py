@@ -26,8 +26,8 @@ Pose = tuple[float, float, float]
 
 def drive(twist: tuple[float, float], time: float) -> Pose:
     """Where a robot is that is at the origin at time 0, on an arc."""
-    (linear, angular), turned = twist, twist[1] * time
-    chord = linear * time * float(np.sinc(turned / 2.0 / math.pi))
+    turned = twist[1] * time
+    chord = twist[0] * time * float(np.sinc(turned / 2.0 / math.pi))
     return chord * math.cos(turned / 2.0), chord * math.sin(turned / 2.0), turned
 
 

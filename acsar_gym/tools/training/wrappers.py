@@ -23,7 +23,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Randomization
 from acsar_gym.tools.policies.sb3 import BatchVecEnv, make_batch
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds.search import measure_goal_distances
 
 SINGLE_ENV_ARGUMENTS = (
@@ -119,11 +118,11 @@ class Detours(VecEnvWrapper):
 
     def detours(self) -> NDArray[np.float64]:
         """How much longer than a straight line the ways to the goals are now, (robots,) [m]."""
-        state = self._batch.state
-        cos, sin = state[layout.START_COS], state[layout.START_SIN]
-        x = state[layout.START_X] + cos * state[layout.X] - sin * state[layout.Y]
-        y = state[layout.START_Y] + sin * state[layout.X] + cos * state[layout.Y]
-        worlds = state[layout.WORLD].astype(np.int64)
+        own_x, own_y, start_x, start_y, cos, sin, world = self._batch.read(
+            "x", "y", "start_x", "start_y", "start_cos", "start_sin", "world"
+        )
+        x, y = start_x + cos * own_x - sin * own_y, start_y + sin * own_x + cos * own_y
+        worlds = world.astype(np.int64)
         goals = self._goals[worlds]
         straight = np.hypot(goals[:, 0] - x, goals[:, 1] - y)
         longer: NDArray[np.float64] = self._ways.lengths(worlds, x, y) - straight

@@ -1,111 +1,264 @@
-"""The arrays of a batch: the rows of its state, and the named tuples that compiled loops take.
+"""The arrays of a batch: records of its robots, and the named tuples that compiled loops take.
 
-Robots are columns of one float64 array and their numbers are its rows, so that loops over robots
-run over contiguous memory and can be vectorized.
+The robots of a batch are kept in blocks. A block is one record, and each of its fields an array
+over the block's robots: `robots = blocks[block]`, then `robots.goal_x[i]`. So loops over the
+robots of a block run over contiguous memory and can be vectorized, which they can't where every
+robot is a record of its own.
+
+To add a number of a robot: add a field to `Episode`, or to `Robots` where it outlives episodes.
 """
 
 from __future__ import annotations
 
-import itertools
+import inspect
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import jit
+from acsar_gym.jit import COMPILED, jit
 from acsar_gym.physics import Physics
 from acsar_gym.sensors.scan import Rays
 
 Floats = NDArray[np.float64]
+Number = Annotated[Floats, ()]
+"""A number of each robot of a block, (BLOCK_ROBOTS,)."""
+WheelNumber = Annotated[Floats, (4,)]
+"""A number of each wheel of each robot of a block, (4, BLOCK_ROBOTS), in the order of wheels."""
 
-_NUMBERS = itertools.count()
-
-
-def _rows(count: int, width: int = 1) -> list[int]:
-    """The next rows of the state for `count` names, each with `width` rows; the first of each."""
-    return list(itertools.islice(_NUMBERS, count * width))[::width]
-
-
-# Rows of the state. The body, in the odometry frame:
-X, Y, THETA, VX, VY, RATE = _rows(6)
-WHEEL, POINT, ANGLE = _rows(3, width=4)  # speeds, set points, angles
-# The commands: targets of the right and left side, before and after the newest line.
-OLD_RIGHT, OLD_LEFT, NEW_RIGHT, NEW_LEFT, HEARD = _rows(5)
-# What the driver knows:
-LOOPS, LAST_LINE, AGE = _rows(3)
-(READ,) = _rows(1, width=4)  # wheel speeds [rad/s]
-ODOM_X, ODOM_Y, ODOM_THETA, LINEAR, ANGULAR = _rows(5)
-# The episode:
-GOAL_X, GOAL_Y, LAST_LINEAR, LAST_ANGULAR, STEPS, RETURN, OUTCOME = _rows(7)
-CONTACT, WORLD, START_X, START_Y, START_THETA, START_COS, START_SIN = _rows(7)
-# The LiDAR: phase of its revolution when the episode began, key of its errors, when the newest
-# scan's revolution ended [s]:
-SCAN_PHASE, SCAN_KEY, SCAN_STAMP, SCAN_START = _rows(4)
-# The safety layer: the last two twists sent, and why they differ from those asked for.
-SENT_LINEAR, SENT_ANGULAR, REASON, PAST_LINEAR, PAST_ANGULAR, LATCHED = _rows(6)
-NEW_LINEAR, NEW_ANGULAR = _rows(2)
-# Numbers that only info uses:
-TRUE_THETA, TRUE_DISTANCE, ERROR, SUCCESS, SCAN_AGE, STALE = _rows(6)
-(GOAL_GIVEN,) = _rows(1)
-"""Whether this episode's goal was given as an option, so that the world's path doesn't lead to
-it."""
-# Where lines may be lost or late: the episode's key; the newest command that the wire has passed on
-# or lost, and when [s]; when it passed on the newest feedback [s]; when the board's UART is free
-# [s]; up to which tick the board has taken over commands, and in which loop it got the last one;
-# whether the board is silent; the fault code of info.
-KEY, LAST_COMMAND, COMMAND_RELEASE, FEEDBACK_RELEASE, BOARD_FREE = _rows(5)
-HEARD_TICK, HEARD_LOOP, SILENT, FAULT = _rows(4)
-# Above, an episode begins with zeros. How long this episode's commands and feedback are on their
-# way, in loops of the firmware:
-COMMAND_LOOPS, DELAY_LOOPS = _rows(2)
-# Options of a reset, for this and all later episodes; zero where there are none. WISHED_WORLD is an
-# index from 1; worlds of a range of difficulty have ranks from FIRST_RANK up to LAST_RANK.
-WISHED_WORLD, WISHED_GOAL, WISHED_X, WISHED_Y, FIRST_RANK, LAST_RANK = _rows(6)
-(PHYSICS,) = _rows(1, width=len(Physics._fields))
-"""The first of the rows with the numbers of the robot's `Physics`, drawn for the episode."""
-BLEND = PHYSICS + Physics._fields.index("blend_a")  # four each
-LEFT_RADIUS = PHYSICS + Physics._fields.index("left_radius")
-RIGHT_RADIUS = PHYSICS + Physics._fields.index("right_radius")
-HALF_WHEELBASE = PHYSICS + Physics._fields.index("half_wheelbase")
-HALF_TRACK = PHYSICS + Physics._fields.index("half_track")
-MASS = PHYSICS + Physics._fields.index("mass")
-YAW_INERTIA = PHYSICS + Physics._fields.index("yaw_inertia")
-GRIP = PHYSICS + Physics._fields.index("grip")
-KAPPA = PHYSICS + Physics._fields.index("kappa")
-SLIP_SPEED = PHYSICS + Physics._fields.index("slip_speed")
-MOTOR_GAIN = PHYSICS + Physics._fields.index("gain_a")
-MOTOR_DEADBAND = PHYSICS + Physics._fields.index("deadband_a")
-LATENCY_LOOPS = PHYSICS + Physics._fields.index("latency_loops")
-COMMAND_DELAY = PHYSICS + Physics._fields.index("command_delay")
-FEEDBACK_LOOPS = PHYSICS + Physics._fields.index("feedback_loops")
-SCAN_RATE = PHYSICS + Physics._fields.index("scan_rate")
-ROWS = next(_NUMBERS)
-INFO_ROWS = {
-    "is_success": SUCCESS,
-    "odom_x": ODOM_X,
-    "odom_y": ODOM_Y,
-    "odom_theta": ODOM_THETA,
-    "feedback_age": AGE,
-    "sent_linear": SENT_LINEAR,
-    "sent_angular": SENT_ANGULAR,
-    "sent_reason": REASON,
-    "true_x": X,
-    "true_y": Y,
-    "true_theta": TRUE_THETA,
-    "true_contact": CONTACT,
-    "true_goal_distance": TRUE_DISTANCE,
-    "odometry_error": ERROR,
-}
-"""Rows of info that every task has."""
-WORLD_INFO = {"world": WORLD}
-FAULT_INFO = {"fault": FAULT}
-SCAN_INFO = {"scan_age": SCAN_AGE, "scan_stale": STALE}
-ROBOTS_PER_BLOCK = 128
-"""Robots that go through a whole env step together, so that their state stays in the cache."""
-
-
+BLOCK_ROBOTS = 64
+"""Robots of a block. They go through a whole env step together, so that they stay in the cache."""
 TURN = 2.0 * math.pi
+
+
+class Episode:
+    """Numbers that are zero when an episode begins; flags and codes are numbers, too.
+
+    Where a board falls silent in a step, they become again what they were before it.
+    """
+
+    x: Number
+    """Position of the body [m], in the odometry frame as the next ones."""
+    y: Number
+    theta: Number
+    """Its heading [rad]."""
+    vx: Number
+    """Its velocity [m/s]."""
+    vy: Number
+    rate: Number
+    """Its yaw rate [rad/s]."""
+    wheel_speed: WheelNumber
+    """[rad/s]."""
+    set_point: WheelNumber
+    """Speeds that the board asks of the motors [rad/s]."""
+    wheel_angle: WheelNumber
+    """[rad]."""
+
+    target_right: Number
+    """Speeds of the right and left wheels that the board aims at [rad/s]."""
+    target_left: Number
+    new_right: Number
+    """Those of the newest command, as the next ones where it is the same in all ticks of a step."""
+    new_left: Number
+    heard: Number
+    """From which firmware loop of a step the board knows the newest command."""
+
+    loops: Number
+    """Firmware loops since the reset."""
+    last_line: Number
+    """Number of the newest feedback line that has arrived."""
+    age: Number
+    """Of the newest feedback [s]."""
+    read_speed: WheelNumber
+    """Wheel speeds by the newest feedback [rad/s]."""
+    odom_x: Number
+    """Pose by odometry [m, m, rad]."""
+    odom_y: Number
+    odom_theta: Number
+    linear: Number
+    """Twist by odometry [m/s, rad/s]."""
+    angular: Number
+
+    goal_x: Number
+    """The goal in the odometry frame [m]."""
+    goal_y: Number
+    goal_given: Number
+    """Whether the goal is a reset's option, so that the world's path doesn't lead to it."""
+    action_linear: Number
+    """The newest action, -1 to 1."""
+    action_angular: Number
+    steps: Number
+    """Env steps since the reset."""
+    total_reward: Number
+    outcome: Number
+    """See `tasks.base.Outcome`."""
+    contact: Number
+    """Whether the robot has touched an obstacle."""
+    world: Number
+    """Index of the world."""
+    start_x: Number
+    """The start in the frame of the world [m, m, rad], and cosine and sine of its direction."""
+    start_y: Number
+    start_theta: Number
+    start_cos: Number
+    start_sin: Number
+    scan_start: Number
+    """When the LiDAR's clock began: the time of the reset [s]."""
+    scan_phase: Number
+    """Phase of its revolution at that time, 0 to 1."""
+    scan_key: Number
+    """Key of its errors, 0 to 1."""
+    scan_stamp: Number
+    """When the newest scan's revolution ended [s]."""
+
+    sent_linear: Number
+    """The newest twist that was sent [m/s, rad/s]."""
+    sent_angular: Number
+    reason: Number
+    """Why it isn't the one asked for, see `safety.rules.Reason`."""
+    latched: Number
+    """The reason that holds the robot until the reset."""
+    new_linear: Number
+    """The newest twist by the limits, and the one before it [m/s, rad/s]."""
+    new_angular: Number
+    past_linear: Number
+    past_angular: Number
+
+    true_theta: Number
+    """For info alone, as the next ones: the heading within half a turn [rad]."""
+    goal_distance: Number
+    """[m]."""
+    odom_error: Number
+    """Distance between the position and that by odometry [m]."""
+    success: Number
+    scan_age: Number
+    """[s]."""
+    scan_stale: Number
+
+    key: Number
+    """The episode's, which decides on lost and late lines; negative where none are. This and the
+    next ones are used where lines may be lost or late."""
+    last_command: Number
+    """The newest command that the wire has passed on or lost."""
+    command_release: Number
+    """When it passed on the newest command [s]."""
+    feedback_release: Number
+    """When it passed on the newest feedback [s]."""
+    board_free: Number
+    """When the board's UART is free [s]."""
+    heard_tick: Number
+    """Up to which tick the board has taken over commands."""
+    heard_loop: Number
+    """In which firmware loop the board got the newest command."""
+    silent: Number
+    """Whether the board was silent in the reset."""
+    fault: Number
+    """The code of info."""
+
+
+class Options:
+    """Options of a reset, for this and all later episodes; zero where there are none."""
+
+    wished_world: Number
+    """Index of the world, from 1."""
+    wished_goal: Number
+    """Whether a goal is asked for."""
+    wished_x: Number
+    """That goal in the odometry frame [m]."""
+    wished_y: Number
+    first_rank: Number
+    """Worlds of a range of difficulty have ranks from this one up to the next one."""
+    last_rank: Number
+
+
+class Robots(Episode, Options):
+    """The robots of a block."""
+
+    command_loops: Number
+    """How long this episode's commands are on their way [firmware loops]."""
+    feedback_delay: Number
+    """How long this episode's feedback is on its way [firmware loops]."""
+    physics: Any
+    """The fields of `Physics`, drawn for the episode; numbers of wheels as `gain`, (4, robots)."""
+
+
+def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Fields of a record for the numbers that a class declares."""
+    return [
+        (name, np.float64, (*hint.__metadata__[0], BLOCK_ROBOTS))
+        for name, hint in inspect.get_annotations(kind, eval_str=True).items()
+        if hint is not Any
+    ]
+
+
+def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Fields of a record for `Physics`: those of four wheels, named _a to _d, are one."""
+    found: list[tuple[str, Any, tuple[int, ...]]] = []
+    for name in Physics._fields:
+        stem, _, wheel = name.rpartition("_")
+        if wheel == "a":
+            found.append((stem, np.float64, (4, BLOCK_ROBOTS)))
+        elif wheel not in tuple("bcd"):
+            found.append((name, np.float64, (BLOCK_ROBOTS,)))
+    return found
+
+
+BLOCK = np.dtype(
+    [*_fields(Episode), *_fields(Options), *_fields(Robots), ("physics", _physics_fields())]
+)
+"""The record of a block: `Robots`."""
+ROWS = {
+    name: range(offset // (8 * BLOCK_ROBOTS), (offset + kind.itemsize) // (8 * BLOCK_ROBOTS))
+    for name, (kind, offset, *_) in (BLOCK.fields or {}).items()
+}
+"""Rows of a field where a block is seen as a matrix of numbers and robots, see `Tables.numbers`."""
+EPISODE_ROWS = ROWS[_fields(Episode)[-1][0]].stop
+"""How many rows an episode has; they are the first ones."""
+OPTIONS = tuple(name for name, *_ in _fields(Options))
+PHYSICS_ROW = ROWS["physics"].start
+INFO_FIELDS = {
+    "is_success": "success",
+    "odom_x": "odom_x",
+    "odom_y": "odom_y",
+    "odom_theta": "odom_theta",
+    "feedback_age": "age",
+    "sent_linear": "sent_linear",
+    "sent_angular": "sent_angular",
+    "sent_reason": "reason",
+    "true_x": "x",
+    "true_y": "y",
+    "true_theta": "true_theta",
+    "true_contact": "contact",
+    "true_goal_distance": "goal_distance",
+    "odometry_error": "odom_error",
+}
+"""Keys of info that every task has, and their fields."""
+
+
+def make_blocks(robots: int) -> NDArray[Any]:
+    """Blocks for so many robots, all zero; the last block may have more."""
+    blocks = np.zeros(-(-robots // BLOCK_ROBOTS), BLOCK)
+    return blocks if COMPILED else blocks.view(np.recarray)
+
+
+def view_numbers(blocks: NDArray[Any]) -> Floats:
+    """The same memory as (blocks, rows, BLOCK_ROBOTS)."""
+    return np.asarray(blocks).view(np.float64).reshape(len(blocks), -1, BLOCK_ROBOTS)
+
+
+def read_fields(numbers: Floats, names: Sequence[str], robots: Any) -> Floats:
+    """Copy fields of some robots, (numbers, robots); those of wheels are four numbers.
+
+    Args:
+        numbers: of all blocks, see `view_numbers`.
+        names: of the fields.
+        robots: indices of robots, or a slice.
+    """
+    rows = [row for name in names for row in ROWS[name]]
+    found: Floats = numbers[:, rows].swapaxes(0, 1).reshape(len(rows), -1)[:, robots]
+    return found
 
 
 class LineFaults(NamedTuple):
@@ -228,18 +381,20 @@ class Spawns(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """All arrays of a batch of R robots that change. Columns are at least R."""
+    """All arrays of a batch of R robots that change."""
 
-    state: Floats
-    """(ROWS, columns)."""
+    blocks: Any
+    """(blocks,): records of `Robots`."""
+    numbers: Floats
+    """(blocks, rows, BLOCK_ROBOTS): the same memory, for what treats many fields alike."""
     counts: Floats
-    """(firmware loops, 4, columns): a ring of encoder counts."""
+    """(blocks, firmware loops, 4, BLOCK_ROBOTS): a ring of encoder counts."""
     commands: Floats
-    """(ticks, 2, columns): a ring of command lines, wheel speeds right and left [rad/s]; no
-    columns where nothing limits commands."""
+    """(blocks, ticks, 2, BLOCK_ROBOTS): a ring of command lines, wheel speeds right and left
+    [rad/s]; no ticks where nothing limits commands."""
     arrivals: Floats
-    """(ticks, 3, columns): the firmware loop in which the boards get what the wire passed on in
-    a tick, and its two wheel speeds; no columns where no lines are lost or late."""
+    """(blocks, ticks, 3, BLOCK_ROBOTS): the firmware loop in which the boards get what the wire
+    passed on in a tick, and its two wheel speeds; no ticks where no lines are lost or late."""
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
     nominal: NDArray[Any]
@@ -251,7 +406,7 @@ class Tables(NamedTuple):
     delays: Floats
     """What randomized delays of commands are drawn from [s]."""
     drawn: Floats
-    """(numbers, columns): what the episodes have drawn; no rows where nothing varies."""
+    """(R, numbers): what the episodes have drawn; no numbers where nothing varies."""
     actions: Floats
     """(R, 2): linear and angular, as given to the step."""
     over: NDArray[np.bool_]
@@ -260,10 +415,10 @@ class Tables(NamedTuple):
     """(R,): whether the robot doesn't drive: it begins anew, its board is silent, or this is a
     reset."""
     kept: Floats
-    """(COMMAND_LOOPS, columns): the state before the step; no columns where boards can't fall
-    silent."""
+    """(blocks, EPISODE_ROWS, BLOCK_ROBOTS): the episodes before the step; no rows where boards
+    can't fall silent."""
     kept_rays: NDArray[np.float32]
-    """(R, rays): the observed ranges before the step; no rows where boards can't fall silent."""
+    """(R, rays): the observed ranges before the step; no robots where boards can't fall silent."""
     ranges: Floats
     """(R, rays): the LiDAR's newest scan [m]."""
     trails: Floats
@@ -286,7 +441,7 @@ class Tables(NamedTuple):
 class TaskTables(NamedTuple):
     """The fields of `Tables` that the task's loops need."""
 
-    state: Floats
+    blocks: Any
     over: NDArray[np.bool_]
     idle: NDArray[np.bool_]
     ranges: Floats
@@ -297,16 +452,16 @@ class TaskTables(NamedTuple):
 
 
 @jit
-def row(state: Floats, number: int, first: int, last: int) -> Floats:
-    """View of one number of robots first to last; contiguous."""
-    return state[number, first:last]
+def robots_of_block(block: int, robots: int) -> int:
+    """How many of a batch's robots are in a block."""
+    return min(robots - block * BLOCK_ROBOTS, BLOCK_ROBOTS)
 
 
 @jit
-def to_world(state: Floats, i: int, x: float, y: float) -> tuple[float, float]:
+def to_world(robots: Robots, i: int, x: float, y: float) -> tuple[float, float]:
     """Transform a point of robot i's odometry frame into the frame of its world [m]."""
-    cos, sin = state[START_COS, i], state[START_SIN, i]
+    cos, sin = robots.start_cos[i], robots.start_sin[i]
     return (
-        state[START_X, i] + cos * x - sin * y,
-        state[START_Y, i] + sin * x + cos * y,
+        robots.start_x[i] + cos * x - sin * y,
+        robots.start_y[i] + sin * x + cos * y,
     )

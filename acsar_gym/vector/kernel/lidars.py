@@ -5,87 +5,85 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.trigonometry import sincos
 from acsar_gym.sensors.scan import begin_trail, fill_scan
-from acsar_gym.sensors.simulated import LidarTraits, measure_revolution
-from acsar_gym.vector.kernel import layout as rows
-from acsar_gym.vector.kernel.layout import Floats, Setup, Tables, to_world
+from acsar_gym.sensors.simulated import Beams, LidarTraits, measure_revolution
+from acsar_gym.trigonometry import sincos
+from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Robots, Setup, Tables, to_world
 from acsar_gym.worlds.geometry import Surroundings, footprint_collides
 
 
 @jit
-def true_pose(state: Floats, i: int) -> tuple[float, float, float, float]:
+def true_pose(robots: Robots, i: int) -> tuple[float, float, float, float]:
     """Robot i's pose in the frame of its world: x [m], y [m], cosine and sine of its heading."""
-    x, y = to_world(state, i, state[rows.X, i], state[rows.Y, i])
-    s, c = sincos(state[rows.THETA, i])
-    cos, sin = state[rows.START_COS, i], state[rows.START_SIN, i]
+    x, y = to_world(robots, i, robots.x[i], robots.y[i])
+    s, c = sincos(robots.theta[i])
+    cos, sin = robots.start_cos[i], robots.start_sin[i]
     return x, y, cos * c - sin * s, sin * c + cos * s
 
 
 @subroutine
-def check_contacts(state: Floats, first: int, last: int, around: Surroundings) -> None:
-    """Set CONTACT of robots that touch an obstacle now."""
-    for i in range(first, last):
-        if state[rows.CONTACT, i] == 0.0:
-            x, y, cos, sin = true_pose(state, i)
-            if footprint_collides(x, y, cos, sin, int(state[rows.WORLD, i]), around):
-                state[rows.CONTACT, i] = 1.0
+def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
+    """Set `contact` of robots that touch an obstacle now."""
+    for i in range(count):
+        if robots.contact[i] == 0.0:
+            x, y, cos, sin = true_pose(robots, i)
+            if footprint_collides(x, y, cos, sin, int(robots.world[i]), around):
+                robots.contact[i] = 1.0
 
 
 @jit
-def mark_trails(tables: Tables, i: int, setup: Setup, tick: float) -> None:
-    """Mark where robot i is, so many ticks after its reset, by odometry and in truth."""
-    state = tables.state
-    x, y = to_world(state, i, state[rows.X, i], state[rows.Y, i])
-    true = x, y, state[rows.START_THETA, i] + state[rows.THETA, i]
-    told = state[rows.ODOM_X, i], state[rows.ODOM_Y, i], state[rows.ODOM_THETA, i]
-    now, slots = state[rows.LOOPS, i] * setup.dt, tables.trails.shape[2]
-    for trail, pose in ((tables.trails[0, i], told), (tables.trails[1, i], true)):
-        if tick == 0.0:
-            begin_trail(trail, now, pose, setup.period)
-        row = trail[int(tick) % slots]
-        row[0], (row[1], row[2], row[3]) = now, pose
+def mark_trails(tables: Tables, block: int, i: int, tick: float, setup: Setup) -> None:
+    """Mark where a robot is, so many ticks after its reset, by odometry and in truth."""
+    robots, trails, robot = tables.blocks[block], tables.trails, block * BLOCK_ROBOTS + i
+    x, y = to_world(robots, i, robots.x[i], robots.y[i])
+    true = x, y, robots.start_theta[i] + robots.theta[i]
+    told = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
+    now = robots.loops[i] * setup.dt
+    if tick == 0.0:
+        begin_trail(trails[0, robot], now, told, setup.period)
+        begin_trail(trails[1, robot], now, true, setup.period)
+    row = int(tick) % trails.shape[2]
+    for k in range(3):
+        trails[0, robot, row, 1 + k], trails[1, robot, row, 1 + k] = told[k], true[k]
+    trails[0, robot, row, 0] = trails[1, robot, row, 0] = now
 
 
 @subroutine
 def read_scans(
-    tables: Tables, first: int, last: int, setup: Setup, around: Surroundings, begins: bool
+    tables: Tables, block: int, count: int, setup: Setup, around: Surroundings, begins: bool
 ) -> None:
-    """Read the LiDARs of robots that drive, or of those in `over` that begin an episode.
+    """Read the LiDARs of a block's robots that drive, or of those in `over` that begin an episode.
 
     Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """
-    state, rays = tables.state, tables.ranges.shape[1]
-    bearings, distances, times = np.empty((3, rays))
-    origins = np.empty((rays, 2))
-    for i in range(first, last):
-        if tables.idle[i] if not begins else not tables.over[i] or state[rows.SILENT, i] > 0.0:
+    robots, rays = tables.blocks[block], tables.ranges.shape[1]
+    beams = Beams(np.empty(rays), np.empty(rays), np.empty(rays), np.empty((rays, 2)))
+    for i in range(count):
+        robot = block * BLOCK_ROBOTS + i
+        silent = robots.silent[i] > 0.0
+        if (silent or not tables.over[robot]) if begins else tables.idle[robot]:
             continue
-        tick = 0.0 if begins else (state[rows.STEPS, i] + 1.0) * setup.ticks
-        newest = int(tick) % tables.trails.shape[2]
-        episode = state[rows.SCAN_START, i], state[rows.SCAN_PHASE, i], state[rows.SCAN_KEY, i]
-        own = rows.SCAN_RATE
+        tick = 0.0 if begins else (robots.steps[i] + 1.0) * setup.ticks
+        newest, own = int(tick) % tables.trails.shape[2], robots.physics
         traits = LidarTraits(
-            state[own, i],
-            state[own + 1, i],
-            state[own + 2, i],
-            state[own + 3, i],
-            state[own + 4, i],
+            own.scan_rate[i],
+            own.range_noise[i],
+            own.range_bias[i],
+            own.range_dropouts[i],
+            own.range_outliers[i],
         )
-        state[rows.SCAN_STAMP, i] = measure_revolution(
-            tables.trails[1, i],
+        robots.scan_stamp[i] = measure_revolution(
+            tables.trails[1, robot],
             newest,
-            int(state[rows.WORLD, i]),
+            int(robots.world[i]),
             around,
             setup.rays,
-            episode,
+            (robots.scan_start[i], robots.scan_phase[i], robots.scan_key[i]),
             traits,
-            bearings,
-            distances,
-            times,
-            origins,
+            beams,
         )
-        ranges = tables.ranges[i]
-        fill_scan(bearings, distances, times, tables.trails[0, i], newest, setup.rays, ranges)
+        ranges, told = tables.ranges[robot], tables.trails[0, robot]
+        measured = beams.bearings, beams.distances, beams.times
+        fill_scan(*measured, told, newest, setup.rays, ranges)
         for k in range(rays):
-            tables.observations[i, setup.numbers + k] = ranges[k] / around.reach
+            tables.observations[robot, setup.numbers + k] = ranges[k] / around.reach

@@ -20,9 +20,8 @@ from acsar_gym.jit import COMPILED, WITHIN, jit
 from acsar_gym.jit import loop as compiled
 from acsar_gym.tasks.base import TASK_METHODS, Outcome, State, Task
 from acsar_gym.tasks.factory import task_name
-from acsar_gym.vector.kernel import layout as rows
 from acsar_gym.vector.kernel.episode import update_info
-from acsar_gym.vector.kernel.layout import Records, Setup, Spawns, TaskTables
+from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Records, Setup, Spawns, TaskTables
 from acsar_gym.worlds.registry import hash_modules
 
 OUTCOMES = len(Outcome)
@@ -35,27 +34,27 @@ task_observe: Any = Task.observe
 
 
 @jit
-def make_state(tables: TaskTables, i: int, setup: Setup, spawns: Spawns) -> State:
-    """Make robot i's State."""
-    s, world = tables.state, int(tables.state[rows.WORLD, i])
+def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> State:
+    """Make a robot's State."""
+    robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
+    read, world = robots.read_speed, int(robots.world[i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
     samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
-    known = len(spawns.lengths) > 0 and s[rows.GOAL_GIVEN, i] == 0.0
-    a, b, c, d = rows.READ, rows.READ + 1, rows.READ + 2, rows.READ + 3
+    known = len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0
     return State(
-        (s[rows.ODOM_X, i], s[rows.ODOM_Y, i], s[rows.ODOM_THETA, i]),
-        (s[rows.LINEAR, i], s[rows.ANGULAR, i]),
-        (s[a, i], s[b, i], s[c, i], s[d, i]),
-        (s[rows.LAST_LINEAR, i], s[rows.LAST_ANGULAR, i]),
-        (s[rows.SENT_LINEAR, i], s[rows.SENT_ANGULAR, i]),
-        int(s[rows.REASON, i]),
-        tables.ranges[i],
+        (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
+        (robots.linear[i], robots.angular[i]),
+        (read[0, i], read[1, i], read[2, i], read[3, i]),
+        (robots.action_linear[i], robots.action_angular[i]),
+        (robots.sent_linear[i], robots.sent_angular[i]),
+        int(robots.reason[i]),
+        tables.ranges[robot],
         tables.edges,
-        tables.observations[i, setup.numbers :],
-        s[rows.STEPS, i] * setup.ticks * setup.period,
-        s[rows.AGE, i],
-        s[rows.CONTACT, i] > 0.0,
-        (s[rows.GOAL_X, i], s[rows.GOAL_Y, i]),
+        tables.observations[robot, setup.numbers :],
+        robots.steps[i] * setup.ticks * setup.period,
+        robots.age[i],
+        robots.contact[i] > 0.0,
+        (robots.goal_x[i], robots.goal_y[i]),
         path[:samples],
         spawns.lengths[world] if known else np.nan,
         (setup.max_linear, setup.max_angular),
@@ -72,23 +71,24 @@ def run(
     setups: Records,
     spawns: Spawns,
 ) -> None:
-    """Write reward, end and observation of robots first to last.
+    """Write reward, end and observation of the robots of blocks first to last.
 
     Robots in `over` begin anew; the episodes of others that are idle are truncated, and their
     observations stay as they were. `memory` has a row for each robot, and a last one with the first
     values.
     """
     setup = setups[0]
-    for i in range(first, last):
-        over = tables.over[i]
-        if over or tables.idle[i]:
-            tables.rewards[i] = 0.0
-            tables.ends[0, i], tables.ends[1, i] = False, not over
+    for robot in range(first * BLOCK_ROBOTS, min(last * BLOCK_ROBOTS, len(tables.over))):
+        robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
+        over = tables.over[robot]
+        if over or tables.idle[robot]:
+            tables.rewards[robot] = 0.0
+            tables.ends[0, robot], tables.ends[1, robot] = False, not over
         if over:
-            memory[i] = memory[len(memory) - 1]
-        elif tables.idle[i]:
+            memory[robot] = memory[len(memory) - 1]
+        elif tables.idle[robot]:
             continue
-        state, own = make_state(tables, i, setup, spawns), memory[i]
+        state, own = make_state(tables, robot, setup, spawns), memory[robot]
         if over:
             task_begin(task, state, own)
         else:
@@ -96,13 +96,13 @@ def run(
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
             reward = task_reward(task, state, own, outcome)
-            tables.state[rows.OUTCOME, i] = outcome
-            tables.state[rows.RETURN, i] += reward
-            tables.rewards[i] = reward
-            tables.ends[0, i] = outcome != 0
-            tables.ends[1, i] = tables.state[rows.STEPS, i] >= setup.max_steps
-        store_numbers(tables.observations, i, 0, task_observe(task, state, own))
-    update_info(tables.state, first, last, setups)
+            robots.outcome[i] = outcome
+            robots.total_reward[i] += reward
+            tables.rewards[robot] = reward
+            tables.ends[0, robot] = outcome != 0
+            tables.ends[1, robot] = robots.steps[i] >= setup.max_steps
+        store_numbers(tables.observations, robot, 0, task_observe(task, state, own))
+    update_info(tables.blocks, first, last, setups)
 
 
 def store_numbers(columns: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
