@@ -36,7 +36,7 @@ from acsar_gym.render.top_view import (
     TopView,
     TopViewFrame,
 )
-from acsar_gym.sensors.lidar import ray_spec
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import episodes, runs
 from acsar_gym.tools.evaluation.episodes import DrawnTrack

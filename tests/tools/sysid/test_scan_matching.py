@@ -9,6 +9,7 @@ from sysid_tools import ACSAR
 from acsar_gym.errors import LidarError
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
+from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tools.sysid.calibration_drive import (
     RunPlan,
@@ -41,9 +42,10 @@ def scan(pose: Pose) -> Floats:
     link = open_link("planar", exact)
     scene = Scene(pose, world=World(segments=ROOM))
     link.reset(scene)
-    lidar = SimulatedLidar(link, exact)
+    lidar = LidarSensor(SimulatedLidar(link, exact), exact)
     lidar.reset(scene, np.random.default_rng(0))
-    return scan_points(lidar.scan().ranges, exact)
+    lidar.poll(link.truth, link.now())
+    return scan_points(lidar.scan.ranges, exact)
 
 
 @pytest.mark.parametrize("pose", [ORIGIN, (0.2, -0.1, 0.1), (-0.1, 0.2, -0.25), (0.0, 0.0, 0.3)])
