@@ -152,7 +152,7 @@ def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays
         `place_at` doesn't need for that time have no more than a time.
     """
     slots = len(trail)
-    seen = np.empty((slots, 4))
+    seen = np.zeros((slots, 4))
     cos, sin = cos_sin(trail[newest, 3])
     row, over = newest, False
     for back in range(slots):
