@@ -133,7 +133,7 @@ class LidarSensor(Sensor):
 
     def info(self, now: float) -> dict[str, float]:
         """`scan_age` [s], and `scan_stale`: 1 where the age is over two periods of the LiDAR."""
-        age = now - self.scan.stamp
+        age = max(now - self.scan.stamp, 0.0)  # a recorded link's clock stands still at a reset
         return {"scan_age": age, "scan_stale": float(age > stale_after(self.config))}
 
     def close(self) -> None:

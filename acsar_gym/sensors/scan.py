@@ -24,6 +24,9 @@ FULL_TURN = 2.0 * math.pi
 MISS_HANDICAP = math.radians(0.75)
 """A ray prefers a measured distance to a miss that is nearer in direction by up to this angle: one
 failed measurement among many isn't free space [rad]."""
+MAX_SLOPE = 3.0
+"""Two measurements may lie on one surface where the range changes by no more than this, in parts of
+the range, for each radian: a wall is then seen at an angle of up to 72 degrees from its normal."""
 GAP_STEPS = 2.0
 """A ray takes what is measured within so many steps between two measurements of a robot at rest;
 further away nothing is known."""
@@ -152,7 +155,7 @@ def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays
         `place_at` doesn't need for that time have no more than a time.
     """
     slots = len(trail)
-    seen = np.empty((slots, 4))
+    seen = np.zeros((slots, 4))
     cos, sin = cos_sin(trail[newest, 3])
     row, over = newest, False
     for back in range(slots):
@@ -221,7 +224,7 @@ def move_measurements(
         rays: of the LiDAR.
         places: (n,): directions in parts of the angle between two rays, 0 for the first ray;
             written, from -0.5 to less than a full turn beyond.
-        lengths: (n,) [m]; written, the longest range where nothing was measured.
+        lengths: (n,) [m]; written, infinite where nothing was measured.
     """
     around = FULL_TURN / rays.step
     for k in range(len(bearings)):
@@ -232,50 +235,79 @@ def move_measurements(
         y = distance * sin + (ys[k] if measured else 0.0)
         place = (angle_of(x, y) - rays.start) / rays.step
         places[k] = place - around * np.floor((place + 0.5) / around)
-        lengths[k] = math.sqrt(x * x + y * y) if measured else rays.farthest
+        lengths[k] = math.sqrt(x * x + y * y) if measured else np.inf
 
 
 @subroutine
 def sort_into_rays(
-    places: Floats, lengths: Floats, distances: Floats, reach: float, rays: Rays, ranges: Floats
+    places: Floats, lengths: Floats, reach: float, rays: Rays, ranges: Floats
 ) -> None:
-    """Give each ray the measurement that is next to it in direction.
+    """Give each ray the range between the two measurements that are next to it in direction.
+
+    It is interpolated where both may lie on one surface, and the nearer one's otherwise.
 
     Args:
         places: (n,), from `move_measurements`.
         lengths: (n,), likewise.
-        distances: (n,), of the Revolution: zeros are misses.
-        reach: how far a ray looks for a measurement, if there is none nearer [rad].
+        reach: how far a ray looks for a measurement [rad].
         rays: of the LiDAR.
         ranges: (rays,) [m]; written.
     """
-    last, around = len(ranges), FULL_TURN / rays.step
-    whole = abs(around - last) < 1e-6  # the rays go all the way round
-    # Each measurement goes to the ray next to it, if it is the nearest there.
-    taken, off = np.full(last, -1), np.full(last, np.inf)
+    last = len(ranges)
+    whole = abs(FULL_TURN / rays.step - last) < 1e-6  # the rays go all the way round
+    # For each ray the lengths of the measurements below and above it, and how far off they are.
+    sides, offs = np.full((2, last), np.inf), np.full((2, last), np.inf)
     for k in range(len(places)):
-        ray = int(places[k] + 0.5)
-        apart = abs(places[k] - ray) * rays.step
-        apart += 0.0 if distances[k] > 0.0 else MISS_HANDICAP
-        if ray < last and apart < off[ray]:
-            taken[ray], off[ray] = k, apart
-    # A ray that got none takes what is next to it on either side.
-    most = int(reach / rays.step + 0.5)
+        low = int(np.floor(places[k]))
+        high, off = low + 1, places[k] - low
+        if whole:
+            low, high = (last - 1 if low < 0 else low), (0 if high >= last else high)
+        if 0 <= low < last and off < offs[1, low]:
+            sides[1, low], offs[1, low] = lengths[k], off
+        if 0 <= high < last and 1.0 - off < offs[0, high]:
+            sides[0, high], offs[0, high] = lengths[k], 1.0 - off
+    spread_to_empty(sides[0], offs[0], 0, 1, whole)
+    spread_to_empty(sides[1], offs[1], last - 1, -1, whole)
+    most, miss = reach / rays.step, MISS_HANDICAP / rays.step
     for ray in range(last):
-        found, nearest, far = taken[ray], np.inf, 0
-        while found < 0 and far < most:
-            far += 1
-            for side in (-far, far):
-                other = ray + side
-                if whole:
-                    other += last if other < 0 else -last if other >= last else 0
-                if 0 <= other < last and taken[other] >= 0:
-                    apart = abs(places[taken[other]] - ray)
-                    apart = min(apart, around - apart)
-                    if apart < nearest:
-                        nearest, found = apart, taken[other]
-        length = lengths[found] if found >= 0 else rays.farthest
+        first, second, near, far = sides[0, ray], sides[1, ray], offs[0, ray], offs[1, ray]
+        steep = MAX_SLOPE * min(first, second) * (near + far) * rays.step
+        together = near <= most and far <= most and abs(first - second) <= steep
+        between = (first * far + second * near) / (near + far + 1e-300)
+        near += miss if first == np.inf else 0.0
+        far += miss if second == np.inf else 0.0
+        nearer = first if near <= far else second
+        length = nearer if min(near, far) <= most + miss else np.inf
+        length = between if together else length
         ranges[ray] = min(max(length, rays.nearest), rays.farthest)
+
+
+@jit
+def spread_to_empty(sides: Floats, offs: Floats, first: int, step: int, whole: bool) -> None:
+    """Give rays that have no measurement on one side that of the ray before them.
+
+    Args:
+        sides: (rays,): lengths [m]; changed.
+        offs: (rays,): how far off they are, in rays; infinite where there is none; changed.
+        first: the ray to begin with.
+        step: to the next ray, 1 or -1.
+        whole: whether the last ray is before the first one.
+    """
+    last = len(offs)
+    length, off = np.inf, np.inf
+    if whole and offs[first] == np.inf:
+        for back in range(1, last):
+            other = last - back if step > 0 else back - 1
+            if offs[other] < np.inf:
+                length, off = sides[other], offs[other] + back - 1.0
+                break
+    for number in range(last):
+        ray = first + number * step
+        off += 1.0
+        if offs[ray] == np.inf:
+            sides[ray], offs[ray] = length, off
+        else:
+            length, off = sides[ray], offs[ray]
 
 
 @loop
@@ -290,8 +322,7 @@ def fill_scan(
 ) -> None:
     """Compute what the rays of a robot would measure now from the measurements of a revolution.
 
-    Each is moved by the odometry between its time and now, then each ray takes the one that is
-    next to it.
+    Each is moved by the odometry between its time and now, then each ray takes what is next to it.
 
     Args:
         bearings: of a Revolution.
@@ -303,7 +334,8 @@ def fill_scan(
         ranges: (rays,) [m]; written, within nearest to farthest.
     """
     count = len(bearings)
-    xs, ys, turns, places, lengths = np.empty((5, count))
+    work = np.empty((5, count))  # indexed: loops over unpacked rows aren't vectorized
+    xs, ys, turns, places, lengths = work[0], work[1], work[2], work[3], work[4]
     since = until = times[0] if count else 0.0
     for k in range(count):
         since, until = min(since, times[k]), max(until, times[k])
@@ -314,7 +346,7 @@ def fill_scan(
         least, most = min(least, turns[k]), max(most, turns[k])
     move_measurements(bearings, distances, xs, ys, turns, rays, places, lengths)
     reach = GAP_STEPS * FULL_TURN / max(count, 1) + most - least
-    sort_into_rays(places, lengths, distances, reach, rays, ranges)
+    sort_into_rays(places, lengths, reach, rays, ranges)
 
 
 @jit

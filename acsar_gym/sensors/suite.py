@@ -273,7 +273,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
             )
         return SerialLidar(device, make_driver, config, getattr(link, "clock", link.now))
     made = url
-    if isinstance(url, str) and ":" in url:
+    if isinstance(url, str) and ":" in url and "/" not in url:
         make = import_object("lidar", url)
         with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
             made = make(link, config)

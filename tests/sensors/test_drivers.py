@@ -78,6 +78,7 @@ def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
     [
         ("rplidr:///dev/ttyUSB1", r"unknown model; known: ld06, .*rplidar, .*ydlidar_x4_pro$"),
         ("rplidar://", "names no device: must be like 'rplidar:///dev/ttyUSB1'"),
+        ("ld06:/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class'"),
         ("/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or 'simulated'"),
         (7, "must be like"),
         (f"{__name__}:make_none", "must be like"),

@@ -24,6 +24,7 @@ class NeatoDriver(Driver):
 
     models: ClassVar[Mapping[str, str]] = {
         "neato": "NeatoXV11",
+        "neato_xv11": "NeatoXV11",
         "lds01rr": "LDS01RR",
         "lds02rr": "LDS02RR",
     }

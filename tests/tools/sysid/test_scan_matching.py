@@ -42,10 +42,10 @@ def scan(pose: Pose) -> Floats:
     link = open_link("planar", exact)
     scene = Scene(pose, world=World(segments=ROOM))
     link.reset(scene)
-    sensor = LidarSensor(SimulatedLidar(link, exact), exact)
-    sensor.reset(scene, np.random.default_rng(0))
-    sensor.poll(link.truth, link.now())
-    return scan_points(sensor.scan.ranges, exact)
+    lidar = LidarSensor(SimulatedLidar(link, exact), exact)
+    lidar.reset(scene, np.random.default_rng(0))
+    lidar.poll(link.truth, link.now())
+    return scan_points(lidar.scan.ranges, exact)
 
 
 @pytest.mark.parametrize("pose", [ORIGIN, (0.2, -0.1, 0.1), (-0.1, 0.2, -0.25), (0.0, 0.0, 0.3)])
