@@ -37,9 +37,16 @@ def _make_bullet(config: RobotConfig, window: bool) -> Body:
     return BulletBody(config, window=window)
 
 
+def _make_mujoco(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.mujoco import MujocoBody  # noqa: PLC0415
+
+    return MujocoBody(config)
+
+
 BODIES = {
     "planar": BodyBackend(_make_planar),
     "bullet": BodyBackend(_make_bullet, has_window=True, has_camera=True),
+    "mujoco": BodyBackend(_make_mujoco, has_camera=True),
 }
 """Bodies by name; the links that simulate them have the same names."""
 
