@@ -69,7 +69,8 @@ def identify_robot(
     first which parameters the log can't tell, and which manoeuvre is missing.
 
     Args:
-        sources: serial device, planar, bullet; or recordings of one robot, made with --record.
+        sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
+            --record.
         recording: recording of the manoeuvre.
         robot: preset or config file: what is known so far. Default: the one recorded, or acsar.
         out: write the robot's file with what was found, to be used as --robot.
@@ -187,14 +188,15 @@ def calibrate_robot(
     squares are fitted together, as robots with unequal wheels need.
 
     Args:
-        device: serial device, planar, bullet; or runs that were driven before, to give readings
-            to: a .json file of --runs, or an .mcap file of --record.
+        device: serial device, planar, bullet, mujoco; or runs that were driven before, to give
+            readings to: a .json file of --runs, or an .mcap file of --record.
         manoeuvre: what to drive.
         what: manoeuvres.
         run: driving.
         wire: robot and measuring.
         output: results.
     """
+    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
     check_writable(output.json, output.runs, robot=output.out)
@@ -214,7 +216,7 @@ def calibrate_robot(
         robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, wire.world, recorder)
         for option, value in (("--twin", wire.twin), ("--world", wire.world)):
             if value is not None and not robot.simulated:
-                raise ConfigError(f"{option} is for simulated robots: planar or bullet")
+                raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")
         plans = what.plans(manoeuvre, config, run, given)
         job.drive(robot, plans, run.space, lambda plan: _announce_run(robot, run, plan))
     job.read(manoeuvre)
@@ -340,7 +342,7 @@ def measure_gap(
         outputs: files and limits.
         before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
             first recording; "recorded" is the robot in each recording.
-        body: physics of the twins, planar or bullet.
+        body: physics of the twins, planar, bullet or mujoco.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
     """
     from acsar_gym.tools.sysid import pages, tracks, twin_gap  # noqa: PLC0415
