@@ -25,6 +25,7 @@ from acsar_gym.physics.model import Physics
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
 from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.world import MAX_COORDINATE
 
 if not has_display():  # MuJoCo chooses how to draw when it is imported
     os.environ.setdefault("MUJOCO_GL", "egl")
@@ -39,6 +40,10 @@ IMPEDANCE_RATIO = 10.0
 """How much harder friction is than the contact's normal; with 1, wheels at rest creep."""
 SERVO_TIME = 0.005
 """Time constant of the speed controller of a motor [s]."""
+SETTLING_TIME = 0.3
+"""After which a robot that was put on the floor stands still [s]."""
+ANGLE_DECIMALS = 6
+"""Of a wheel's angle [rad]: the trembling of a wheel at rest mustn't look like an encoder's count."""
 OBSTACLE_HEIGHT = 0.6
 """Height of every obstacle [m]."""
 WALL_THICKNESS = 0.002
@@ -75,10 +80,10 @@ class MujocoBody:
         if own != self._physics or scene.world is not self._world:
             self._compile(own, scene.world)
         mujoco.mj_resetData(self._model, self._data)
-        x, y, theta = scene.start
-        lift = max(own.left_radius, own.right_radius) - self._config.wheel_radius
-        cos, sin = math.cos(theta / 2.0), math.sin(theta / 2.0)
-        self._data.qpos[:7] = (x, y, lift, cos, 0.0, 0.0, sin)
+        (x, y, theta), pose = scene.start, self._data.qpos
+        pose[:3] = x, y, self._rest[2]
+        heading = (math.cos(theta / 2.0), 0.0, 0.0, math.sin(theta / 2.0))
+        mujoco.mju_mulQuat(pose[3:7], heading, self._rest[3:])
         self._data.mocap_pos[0] = (*(scene.goal or (0.0, 0.0)), 0.006 if scene.goal else -1.0)
         mujoco.mj_forward(self._model, self._data)
         self._motors: Speeds = ZERO
@@ -98,6 +103,11 @@ class MujocoBody:
         self._angles = [int(joint.qposadr[0]) for joint in joints]
         self._rates = [int(joint.dofadr[0]) for joint in joints]
         self._world, self._physics = world, own
+        # Let it settle on its wheels, far away from obstacles: every reset begins at rest.
+        self._data.qpos[0] = 3.0 * MAX_COORDINATE
+        self._data.qpos[2] = max(own.left_radius, own.right_radius) - self._config.wheel_radius
+        mujoco.mj_step(self._model, self._data, round(SETTLING_TIME / spec.option.timestep))
+        self._rest = self._data.qpos[:7].copy()
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
@@ -114,7 +124,7 @@ class MujocoBody:
         mujoco.mj_step(self._model, data, self._substeps)
         a, b, c, d = data.qvel[self._rates].tolist()
         self.wheel_speeds = (a, b, c, d)
-        a, b, c, d = data.qpos[self._angles].tolist()
+        a, b, c, d = data.qpos[self._angles].round(ANGLE_DECIMALS).tolist()
         self.wheel_angles = (a, b, c, d)
 
     def feel(self) -> None:
@@ -138,8 +148,8 @@ class MujocoBody:
 
     @property
     def power(self) -> float:
-        """Mechanical power that the motors give now [W]; a motor that brakes recovers nothing."""
-        powers = self._data.qfrc_actuator[self._rates] * self._data.qvel[self._rates]
+        """Mechanical power that the motors give to the ground now [W]; see `model.motor_power`."""
+        powers = -self._data.qfrc_constraint[self._rates] * self._data.qvel[self._rates]
         return float(np.maximum(powers, 0.0).sum())
 
     def image(self, width: int, height: int) -> Image:
