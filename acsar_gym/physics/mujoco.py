@@ -43,7 +43,7 @@ SERVO_TIME = 0.005
 SETTLING_TIME = 0.3
 """After which a robot that was put on the floor stands still [s]."""
 ANGLE_DECIMALS = 6
-"""Of a wheel's angle [rad]: the trembling of a wheel at rest mustn't look like an encoder's count."""
+"""Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
 OBSTACLE_HEIGHT = 0.6
 """Height of every obstacle [m]."""
 WALL_THICKNESS = 0.002
@@ -133,7 +133,7 @@ class MujocoBody:
         if world is not None and world.obstacles and not self._touched:
             contact = self._data.contact
             # Shapes of the world come first: the floor, then the obstacles.
-            others = contact.geom.min(axis=1, initial=0)
+            others = contact.geom.min(axis=1)
             hit = (others > 0) & (others <= world.obstacles) & (contact.dist <= 0.0)
             self._touched = bool(hit.any())
 
@@ -205,6 +205,8 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
         A `mujoco.MjSpec`, to be compiled.
     """
     spec, shape = mujoco.MjSpec.from_file(str(URDF)), mujoco.mjtGeom
+    spec.compiler.discardvisual = False
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = IMPEDANCE_RATIO
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -221,6 +223,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
     goal.add_geom(
         type=shape.mjGEOM_CYLINDER,
         size=(0.15, 0.005, 0.0),
+        mass=0.0,
         contype=0,
         conaffinity=0,
         rgba=GOAL_COLOUR,
@@ -240,7 +243,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
         ((0.0, 0.0, (top + bottom) / 2.0)),
     )
     chassis.contype = chassis.conaffinity = 0
-    chassis.mass, base.explicitinertial = base.mass * heavier, False
+    chassis.mass = base.mass * heavier
     for number, piece in enumerate(convex_pieces(config.outline)):
         mesh = spec.add_mesh(name=f"footprint_{number}")
         mesh.uservert = [at for z in (bottom, top) for x, y in piece for at in (x, y, z)]
@@ -266,7 +269,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
         geom.size = (own.right_radius if y < 0.0 else own.left_radius, tyre / 2.0, 0.0)
         geom.contype, geom.conaffinity, geom.priority = FLOOR, 0, 1
         geom.friction[0] = friction
-        geom.mass, wheel.explicitinertial = wheel.mass * heavier, False
+        geom.mass = wheel.mass * heavier
         joint.actfrclimited = False
         joint.armature = own.mass / 4.0 * radius**2
         damping = joint.armature / SERVO_TIME
