@@ -193,9 +193,14 @@ class MujocoBody:
 def make_robot(config: RobotConfig, own: Physics) -> Any:
     """Make the URDF's robot on a floor, with the sizes, masses and friction of another robot.
 
-    Shapes are placed as the config says, masses and torques are scaled by the URDF's, and inertia
-    follows from shapes; the robot that the URDF describes comes out as it went in. An invisible
-    prism of the footprint is what touches obstacles.
+    Shapes are placed as the config says, masses are shared out as in the URDF, and inertia follows
+    from shapes; the URDF's own robot comes out as it went in. An invisible prism of the footprint is
+    what touches obstacles.
+
+    Each wheel has a geared motor with a proportional and integral speed controller. Seen from the
+    wheel its rotor is as heavy as the load, as gears are chosen for. This matters: MuJoCo solves
+    friction with the inertia that it finds at each contact, and lets the robot turn the slower the
+    lighter its rotors are and the better its tyres grip.
 
     Args:
         config: of the robot.
@@ -240,7 +245,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
     chassis = base.geoms[0]
     chassis.size, chassis.pos = (
         (body.length / 2.0, width / 2.0, (top - bottom) / 2.0),
-        ((0.0, 0.0, (top + bottom) / 2.0)),
+        (0.0, 0.0, (top + bottom) / 2.0),
     )
     chassis.contype = chassis.conaffinity = 0
     chassis.mass = base.mass * heavier
@@ -279,6 +284,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
         )
         proportional.set_to_velocity(kv=damping)
         integral.set_to_intvelocity(kp=damping / (4.0 * SERVO_TIME))
+        integral.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
     return spec
 
 
