@@ -194,8 +194,8 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
     """Make the URDF's robot on a floor, with the sizes, masses and friction of another robot.
 
     Shapes are placed as the config says, masses are shared out as in the URDF, and inertia follows
-    from shapes; the URDF's own robot comes out as it went in. An invisible prism of the footprint is
-    what touches obstacles.
+    from shapes; the URDF's own robot comes out as it went in. An invisible prism of the footprint
+    is what touches obstacles.
 
     Each wheel has a geared motor with a proportional and integral speed controller. Seen from the
     wheel its rotor is as heavy as the load, as gears are chosen for. This matters: MuJoCo solves
