@@ -6,7 +6,8 @@
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
 seeds still draw the same numbers), and its effect to `vary_physics`. If the physics has no such
-number, add a field to `model.Physics` and use it there; batches, planar robots and PyBullet's need no change.
+number, add a field to `model.Physics` and use it there; batches, planar robots and PyBullet's need
+no change.
 """
 
 from __future__ import annotations
