@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from env_tools import make
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import MissingExtraError, RenderError
@@ -159,6 +160,27 @@ def test_an_episode_remembers_nothing_of_the_one_before() -> None:
             drive(used, turn, 60)
         assert (fresh.truth, fresh.wheel_angles) == (used.truth, used.wheel_angles)
         assert fresh._data.qpos.tobytes() == used._data.qpos.tobytes()
+
+
+def test_the_same_seed_gives_the_same_episodes() -> None:
+    """Bytes of observations in two envs; the second one has driven other episodes before."""
+
+    def rollout(env: Any) -> bytes:
+        seen = [env.reset(seed=5)[0]]
+        for turn in (0.5, -1.0, 0.2):
+            for _ in range(4):
+                *told, info = env.step(np.array([0.8, turn], np.float32))
+                seen.append(told[0])
+        return b"".join(one.tobytes() for one in seen) + repr(info["true_x"]).encode()
+
+    envs = [make("acsar_gym/ObstacleGoal-v1", "mujoco", randomization=True) for _ in range(2)]
+    envs[1].reset(seed=9)
+    for _ in range(20):
+        envs[1].step(np.array([1.0, 0.3], np.float32))
+    first = rollout(envs[0])
+    assert first == rollout(envs[1]) == rollout(envs[0])
+    for env in envs:
+        env.close()
 
 
 def test_it_stands_still_on_its_wheels_from_the_first_loop() -> None:
