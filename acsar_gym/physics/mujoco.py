@@ -10,6 +10,8 @@ ground is MuJoCo's. No other file imports MuJoCo.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
 import os
 from typing import Any
@@ -27,8 +29,10 @@ from acsar_gym.resources import ASSETS
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.world import MAX_COORDINATE
 
-if not has_display():  # MuJoCo chooses how to draw when it is imported
-    os.environ.setdefault("MUJOCO_GL", "egl")
+if not has_display():  # MuJoCo chooses how to draw when it is imported, and fails without EGL
+    with contextlib.suppress(OSError):
+        ctypes.CDLL("libEGL.so.1")
+        os.environ.setdefault("MUJOCO_GL", "egl")
 with require_extra("the MuJoCo robot", "mujoco"):
     import mujoco
 
@@ -71,6 +75,7 @@ class MujocoBody:
         self._configured = model.compute_physics(config)
         self._substeps = math.ceil(model.loop_period(config) / MAX_TIME_STEP - 1e-9)
         self._renderer: Any = None
+        self._pictured: tuple[int, int] | None = None
         self._compile(self._configured, None)
         self.reset(Scene())
 
@@ -159,31 +164,28 @@ class MujocoBody:
             RenderError: there is no OpenGL.
         """
         try:
-            if self._renderer is None or (self._renderer.width, self._renderer.height) != (
-                width,
-                height,
-            ):
+            if self._pictured != (width, height):
                 self._free_renderer()
                 self._model.vis.global_.offwidth = width
                 self._model.vis.global_.offheight = height
                 self._renderer = mujoco.Renderer(self._model, height, width)
+                self._pictured = (width, height)
             camera = mujoco.MjvCamera()
             x, y, theta = self.truth.pose
             camera.lookat[:] = (x, y, 0.0)
             camera.distance, camera.elevation, camera.azimuth = 2.2, -38.0, math.degrees(theta)
             self._renderer.update_scene(self._data, camera)
             picture: Image = self._renderer.render()
-        except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError) as error:
+        except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError):
             raise RenderError(
-                f"MuJoCo's camera needs OpenGL ({error}): install EGL or OSMesa and set "
-                "MUJOCO_GL=egl or osmesa"
+                "MuJoCo's camera needs OpenGL: install EGL or OSMesa, and set MUJOCO_GL=egl or osmesa"
             ) from None
         return picture
 
     def _free_renderer(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
-            self._renderer = None
+            self._renderer = self._pictured = None
 
     def close(self) -> None:
         """Free the camera; idempotent."""
