@@ -178,7 +178,7 @@ class MujocoBody:
             picture: Image = self._renderer.render()
         except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError):
             raise RenderError(
-                "MuJoCo's camera needs OpenGL: install EGL or OSMesa, and set MUJOCO_GL=egl or osmesa"
+                "MuJoCo's camera needs OpenGL: install EGL or OSMesa, set MUJOCO_GL=egl or osmesa"
             ) from None
         return picture
 
