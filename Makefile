@@ -53,7 +53,7 @@ firmware-tested: $(READY)
 	$(MAKE) -C tests/firmware/board BUILD=$(FIRMWARE)
 	$(BIN)/pytest tests/firmware
 	for chip in atmega328p atmega2560; do \
-	  $(BIN)/pytest -k 'not (planar or bullet or replay)' $(BOARD_SUITES) \
+	  $(BIN)/pytest -k 'not (planar or bullet or mujoco or replay)' $(BOARD_SUITES) \
 	    --board "$(FIRMWARE)/avr_board $$chip $(FIRMWARE)/$$chip.elf" || exit 1; done
 
 test-browser: $(READY)  ## HTML reports and dashboard in headless Chromium, which apt installs

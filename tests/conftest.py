@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import gc
 import os
 import signal
@@ -16,6 +18,10 @@ from hypothesis import settings
 
 # torch's threads spin while they wait for each other: beside other programs that takes minutes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# MuJoCo chooses how to draw when it is first imported, and tests import it.
+with contextlib.suppress(OSError):
+    ctypes.CDLL("libEGL.so.1")
+    os.environ.setdefault("MUJOCO_GL", "egl")
 sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
 
 from nursery import nursery as programs

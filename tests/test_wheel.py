@@ -24,7 +24,7 @@ HANGS = 900.0
 """A command that takes longer hangs [s]; one may have to compile for minutes."""
 STEP = """
 import gymnasium, pathlib, sys
-for link in ("planar", "bullet"):
+for link in ("planar", "bullet", "mujoco"):
     env = gymnasium.make("acsar_gym:acsar_gym/PointGoal-v0", link=link)
     env.reset(seed=0)
     env.step(env.action_space.sample())

@@ -177,7 +177,7 @@ class BodyConfig(Section):
     """Factor by which the robot turns slower than the differential-drive formula says, at most 100.
     It sets the tyres' sideways friction: (mu_lateral / mu_longitudinal)^2 =
     (turn_factor - 1) (wheel_separation / wheelbase)^2. None: equal friction in all directions, so
-    1 + (wheelbase / wheel_separation)^2."""
+    1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
 
 
 LEAST_RATE = 0.01

@@ -31,7 +31,7 @@ from acsar_gym.errors import (
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.physics import body
-from acsar_gym.physics.bodies import BODIES
+from acsar_gym.physics.bodies import BODIES, LINKS_WITH_CAMERA
 from acsar_gym.physics.body import GroundTruth, Image
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.recording import Recorder
@@ -105,7 +105,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Args:
             task: a task, its class, or "module:Class".
-            link: "bullet", "planar", a serial device, a URL, or a Link; see `open_link`.
+            link: "bullet", "planar", "mujoco", a serial device, a URL, or a Link; see `open_link`.
             robot: its configuration; see `RobotConfig.of`.
             **options: of the env (see `EnvOptions` and the manual of PointGoal), and the task's.
 
@@ -137,7 +137,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         simulator = BODIES.get(link) if isinstance(link, str) else None
         has_camera = simulator.has_camera if simulator else not isinstance(link, str)
         if asked.view == "camera" and not has_camera:
-            raise RenderError(f"link {link!r} has no camera; view='camera' needs link='bullet'")
+            raise RenderError(
+                f"link {link!r} has no camera; view='camera' needs link {LINKS_WITH_CAMERA}"
+            )
         sensors = (*self.task.sensors, *asked.sensors)
         if asked.lidar is not None and LIDAR not in sensors:
             raise ConfigError(

@@ -55,8 +55,8 @@ class PointGoalEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`: "bullet", "planar", a serial device such as "/dev/ttyUSB0", "socket://host:port",
-      "replay:FILE", or a Link.
+    - `link`: "bullet", "planar", "mujoco", a serial device such as "/dev/ttyUSB0",
+      "socket://host:port", "replay:FILE", or a Link.
     - `robot`: a RobotConfig, its fields in a mapping (as in the env's spec), a preset's name, or a
       .yaml or .urdf file; None is the ACSAR robot.
     - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m]. `distance_scale`: what
@@ -64,7 +64,7 @@ class PointGoalEnv(RobotEnv):
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
     - `render_mode`: "rgb_array", or "human" for a live window, in real time; without a display it
       draws off-screen, with a warning.
-    - `view`: "top", drawn from above for every link, or "camera", PyBullet's behind the robot.
+    - `view`: "top", drawn from above for every link, or "camera", the simulator's behind the robot.
     - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
       "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
     - `sensors`: more sensors, such as [ThreeRays] or ["mine.rays:ThreeRays"], subclasses of

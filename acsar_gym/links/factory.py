@@ -76,9 +76,9 @@ def open_link(
     """Return a link, closed; it connects only in `open()` or `Robot.activate()`.
 
     Args:
-        url: "bullet" or "planar" for a simulation; "/dev/ttyUSB0", "COM3", "usb:A50285BI" (USB
-            serial number of an adapter) or "socket://host:port" for a serial device; "serial"
-            for the device that the config names; "replay:FILE" for a recording.
+        url: "bullet", "planar" or "mujoco" for a simulation; "/dev/ttyUSB0", "COM3",
+            "usb:A50285BI" (USB serial number of an adapter) or "socket://host:port" for a serial
+            device; "serial" for the device that the config names; "replay:FILE" for a recording.
         config: configuration, preset or file of the robot; None for the default.
         window: open PyBullet's window; implies `realtime`.
         realtime: run a simulation in real time instead of as fast as possible.

@@ -16,10 +16,12 @@ from acsar_gym.physics.body import Body
 class BodyBackend(NamedTuple):
     """How a kind of body is made.
 
-    Attributes: `make`, makes one for a robot, with the simulator's own window or without;
-    `has_window`, whether the simulator has one; `has_camera`, whether it takes pictures.
+    Attributes: `title`, its name in tables; `make`, makes one for a robot, with the simulator's own
+    window or without; `has_window`, whether the simulator has one; `has_camera`, whether it takes
+    pictures.
     """
 
+    title: str
     make: Callable[[RobotConfig, bool], Body]
     has_window: bool = False
     has_camera: bool = False
@@ -37,11 +39,20 @@ def _make_bullet(config: RobotConfig, window: bool) -> Body:
     return BulletBody(config, window=window)
 
 
+def _make_mujoco(config: RobotConfig, window: bool) -> Body:
+    from acsar_gym.physics.mujoco import MujocoBody  # noqa: PLC0415
+
+    return MujocoBody(config)
+
+
 BODIES = {
-    "planar": BodyBackend(_make_planar),
-    "bullet": BodyBackend(_make_bullet, has_window=True, has_camera=True),
+    "planar": BodyBackend("planar", _make_planar),
+    "bullet": BodyBackend("PyBullet", _make_bullet, has_window=True, has_camera=True),
+    "mujoco": BodyBackend("MuJoCo", _make_mujoco, has_camera=True),
 }
 """Bodies by name; the links that simulate them have the same names."""
+LINKS_WITH_CAMERA = " or ".join(repr(name) for name, body in BODIES.items() if body.has_camera)
+"""For messages."""
 
 
 def make_body(name: str, config: RobotConfig, *, window: bool = False) -> Body:

@@ -6,7 +6,8 @@
 
 To add a parameter: add a field to `Randomization`, one to the end of `Drawn` (so that existing
 seeds still draw the same numbers), and its effect to `vary_physics`. If the physics has no such
-number, add a field to `model.Physics` and use it there; batches and both bodies need no change.
+number, add a field to `model.Physics` and use it there; batches, planar robots and PyBullet's need
+no change.
 """
 
 from __future__ import annotations
@@ -260,7 +261,8 @@ class Randomization(Section):
     right_wheel_radius: Factor = None
     """Factor on the real radius of the right wheels."""
     turn_factor: Factor = None
-    """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground."""
+    """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground. No
+    effect in MuJoCo, whose contacts decide by themselves how a robot turns."""
     command_delay: Annotated[Range | None, _bounded(0.0, 1.0)] = None
     """Time from the last byte of a command to its effect, after the processing time [s]."""
     delay_samples: Annotated[tuple[Delay, ...], Field(min_length=1)] | None = None

@@ -156,7 +156,7 @@ def replay_commands(
         config: of the twin.
         log: the recorded bytes.
         stamps: (n,) times at which the twin's pose is wanted [s], ascending.
-        body: physics, "planar" or "bullet".
+        body: physics, such as "planar".
 
     Raises:
         ConfigError: the log holds no commands, or for another body.

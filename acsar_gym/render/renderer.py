@@ -1,4 +1,4 @@
-"""Shows an environment: top view or PyBullet's camera, as pictures, in a window, or as a video."""
+"""Shows an environment: top view or simulator's camera, as pictures, in a window, or as video."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError, OffScreenWarning, RenderError
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
+from acsar_gym.physics.bodies import LINKS_WITH_CAMERA
 from acsar_gym.physics.body import GroundTruth, Image
 from acsar_gym.sensors.scan import Scan, ray_spec
 from acsar_gym.tasks import Assignment, State
@@ -40,7 +41,7 @@ class Screen:
     Args:
         config: configuration of the robot.
         mode: render mode of the env; None for no rendering.
-        view: "top", or "camera" for PyBullet's camera behind the robot.
+        view: "top", or "camera" for the simulator's camera behind the robot.
     """
 
     def __init__(self, config: RobotConfig, mode: str | None, view: str) -> None:
@@ -107,7 +108,7 @@ class Screen:
             return self._draw_top()
         camera = camera_of(link)
         if camera is None:
-            raise RenderError("this link has no camera; view='camera' needs link='bullet'")
+            raise RenderError(f"this link has no camera; view='camera' needs {LINKS_WITH_CAMERA}")
         return camera.image(*CAMERA_SIZE)
 
     def _draw_top(self) -> Image:

@@ -1,4 +1,4 @@
-"""The physics of a scene, on both simulated links: what each parameter does to the robot."""
+"""The physics of a scene, on all simulated links: what each parameter does to the robot."""
 
 from __future__ import annotations
 
@@ -27,13 +27,17 @@ TICK = CONFIG.period
 FORWARD: Speeds = (8.0, 8.0, 8.0, 8.0)
 
 
-@pytest.fixture(params=["planar", "bullet"], scope="module")
+@pytest.fixture(params=["planar", "bullet", "mujoco"], scope="module")
 def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
     made = open_link(request.param, CONFIG)
     assert isinstance(made, SimulatedLink)
     made.open()
     yield made
     made.close()
+
+
+our_tyres = pytest.mark.parametrize("link", ["planar", "bullet"], indirect=True)
+"""Exact figures of our tyre model; MuJoCo's ground is another one, see test_mujoco."""
 
 
 def physics(**values: float) -> Physics:
@@ -72,6 +76,7 @@ def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink)
     assert link.work == 0.0
 
 
+@our_tyres
 def test_the_work_of_a_turn_goes_into_friction(link: SimulatedLink) -> None:
     """In a steady turn on the spot the motors' power is what the four sliding tyres dissipate."""
     link.metered = True
@@ -98,7 +103,7 @@ def first_motion(link: SimulatedLink, own: Physics | None) -> int:
     for ticks in itertools.count(1):
         link.write(encode(FORWARD))
         link.advance(TICK)
-        if any(wheels(link)):
+        if max(map(abs, wheels(link))) > 1e-3:  # more than settling on the floor
             return ticks
     raise AssertionError
 
@@ -115,6 +120,7 @@ def test_a_slippery_floor_makes_the_robot_slower_to_start(link: SimulatedLink) -
     assert ends[0] < 0.8 * ends[1]
 
 
+@our_tyres
 def test_a_motors_gain_is_its_speed_for_a_set_point(link: SimulatedLink) -> None:
     own = physics(motor_gain=0.9)._replace(gain_b=1.1)
     drive(link, own, 2.0, FORWARD)
@@ -130,9 +136,10 @@ def test_a_motors_lag_delays_its_wheel(link: SimulatedLink) -> None:
 
 def test_set_points_in_the_deadband_turn_nothing(link: SimulatedLink) -> None:
     drive(link, physics(deadband=0.4), 0.5, (0.5, 0.3, 0.5, 0.3))
-    assert [speed > 0.0 for speed in wheels(link)] == [True, False, True, False]
+    assert [speed > 0.2 for speed in wheels(link)] == [True, False, True, False]
 
 
+@our_tyres
 def test_a_larger_wheel_goes_further_than_odometry_knows(link: SimulatedLink) -> None:
     plain = lines(drive(link, None, 1.0, FORWARD)), link.truth.twist[0]
     large = lines(drive(link, physics(wheel_radius=1.1), 1.0, FORWARD)), link.truth.twist[0]
@@ -140,6 +147,7 @@ def test_a_larger_wheel_goes_further_than_odometry_knows(link: SimulatedLink) ->
     assert large[1] == pytest.approx(1.1 * plain[1], rel=1e-3)
 
 
+@our_tyres
 def test_a_wider_track_turns_slower_than_odometry_knows(link: SimulatedLink) -> None:
     turn: Speeds = (8.0, -8.0, -8.0, 8.0)
     plain = lines(drive(link, None, 1.5, turn)), link.truth.twist[1]

@@ -40,7 +40,7 @@ AGENT_COLORS = (
     *("#a0a52a", "#17a2b8", "#5b6ee1", "#c0392b"),
 )
 """Legible on a light and on a dark page."""
-LINK_SYMBOLS = {"planar": "circle-open", "bullet": "circle", "port": "square"}
+LINK_SYMBOLS = {"planar": "circle-open", "bullet": "circle", "mujoco": "diamond", "port": "square"}
 DOT_MARGIN = {"l": 56, "r": 16, "t": 8, "b": 48}
 SHARE_AXIS: Mapping[str, Any] = {"range": [-0.02, 1.02]}
 

@@ -16,6 +16,7 @@ import acsar_gym
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, PolicyError, show_value, suggest_name
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
@@ -259,8 +260,8 @@ footprint. A Husky is wider than the gaps of most BARN worlds: only those of the
 
 
 PLANAR, BULLET, PORT = "planar", "bullet", "port"
-LINK_KINDS = (PLANAR, BULLET, PORT)
-CHUNK_SIZES = {PLANAR: 50, BULLET: 50, PORT: 5}
+LINK_KINDS = (*BODIES, PORT)
+CHUNK_SIZES = dict.fromkeys(BODIES, 50) | {PORT: 5}
 """Scenes of a job, at most: what is lost when a benchmark is interrupted."""
 
 

@@ -60,7 +60,7 @@ class Cell:
     id: str
     """Id of the env without its namespace, such as "Barn-v1"."""
     link: str
-    """ "planar", "bullet" or "port"."""
+    """Name of a simulated body, or "port"."""
     condition: str
     """ "nominal", or another name of `conditions.CONDITIONS`."""
     scenes: str = "test"

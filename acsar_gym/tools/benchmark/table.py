@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from acsar_gym.errors import escape_unprintable
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools.benchmark.plan import NOMINAL
 
 Told = Mapping[str, Any]
@@ -19,7 +20,7 @@ speed over the time that it took (success weighted by completion time, Yokoyama 
 PathFollow 1 - mean cross-track error / 10 cm. BARN scores have k = 2. Clearance, jerk and drift are
 means over episodes, time and energy over successful ones.
 """
-LINK_NAMES = {"planar": "planar", "bullet": "PyBullet", "port": "emulated port"}
+LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {"port": "emulated port"}
 
 
 def format_tables(told: Told) -> str:

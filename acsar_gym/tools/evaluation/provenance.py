@@ -5,7 +5,7 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | key | content |
 |---|---|
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
-| | onnxruntime, torch and pybullet |
+| | onnxruntime, torch, pybullet and mujoco |
 | `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
 | | a Python file (else null), the `env` that it was made for, and the `differences` between |
 | | the robot and those of its training |
@@ -45,7 +45,7 @@ from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds.cache import hash_source
 from acsar_gym.worlds.pool import Pool
 
-DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet")
+DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "mujoco")
 """Libraries that the results of episodes depend on, where they are installed."""
 HIDDEN_ARGUMENTS = ("link", "record")
 """Arguments of an env that say nothing about its episodes."""

@@ -258,7 +258,7 @@ class DrivenRobot:
     """The robot to be driven."""
 
     url: str
-    """planar, bullet, or a serial device."""
+    """A simulated body, such as planar, or a serial device."""
     config: RobotConfig
     """What is known of the robot."""
     twin: RobotConfig
@@ -289,7 +289,7 @@ class DrivenRobot:
         if self.world is None:
             return Scene()
         if not self.simulated:
-            raise ConfigError("--world is for simulated robots: planar or bullet")
+            raise ConfigError(f"--world is for simulated robots: {' or '.join(BODIES)}")
         pool = Pool.of(self.world, None, footprint_radius(self.config), 1)
         world = next(iter(pool)) if pool else None
         if world is None:

@@ -179,7 +179,7 @@ def make_twin_track(
         episode: whose commands are replayed.
         config: of the robot, for decoding and odometry.
         of: config of the twin.
-        body: physics of the twin, "planar" or "bullet".
+        body: physics of the twin, such as "planar".
     """
     done = replay_commands(of, episode.wire, episode.stamps, body=body)
     return _make_track(done.wire, episode.stamps, done.poses, config)

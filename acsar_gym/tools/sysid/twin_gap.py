@@ -237,7 +237,7 @@ def measure_gap(
         logs: names and recordings.
         robot: name and config of the fitted twin.
         before: name and config of the unfitted one; None for the config in each recording.
-        body: physics of both, "planar" or "bullet".
+        body: physics of both, such as "planar".
 
     Raises:
         ConfigError: the logs are of different robots, or hold nothing that can be compared.

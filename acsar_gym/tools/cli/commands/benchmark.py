@@ -30,7 +30,7 @@ class BenchmarkChoice:
     seeds: int = 5
     """Most training seeds of each trained agent."""
     links: Names = ("planar", "bullet")
-    """planar, bullet, port: the emulated board in real time."""
+    """planar, bullet, mujoco, port: the emulated board in real time."""
     scenes: int = 200
     """Scenes of every cell, at most 1,000."""
     port_scenes: int = 40

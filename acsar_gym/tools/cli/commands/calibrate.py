@@ -89,8 +89,8 @@ def calibrate_robot(
     squares are fitted together, as robots with unequal wheels need.
 
     Args:
-        device: serial device, planar, bullet; or runs that were driven before, to give readings
-            to: a .json file of --runs, or an .mcap file of --record.
+        device: serial device, planar, bullet, mujoco; or runs that were driven before, to give
+            readings to: a .json file of --runs, or an .mcap file of --record.
         manoeuvre: what to drive.
         what: manoeuvres.
         run: driving.
@@ -98,6 +98,7 @@ def calibrate_robot(
         output: results.
     """
     from acsar_gym.recording import read  # noqa: PLC0415
+    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
     check_writable(output.json, output.runs, robot=output.out)
@@ -122,7 +123,7 @@ def calibrate_robot(
         robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, wire.world, recorder)
         for option, value in (("--twin", wire.twin), ("--world", wire.world)):
             if value is not None and not robot.simulated:
-                raise ConfigError(f"{option} is for simulated robots: planar or bullet")
+                raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")
         plans = what.plans(manoeuvre, config, run, given)
         job.drive(robot, plans, run.space, lambda plan: _announce_run(robot, run, plan))
     job.read(manoeuvre)

@@ -32,7 +32,7 @@ def drive_robot(
     Args:
         host: process priority and cores.
         recording: recording of what the robot does.
-        link: bullet, planar, or a serial device.
+        link: bullet, planar, mujoco, or a serial device.
         robot: preset or config file.
         linear: fixed linear speed, at most the robot's max_linear [m/s].
         angular: fixed angular speed, at most the robot's max_angular [rad/s].

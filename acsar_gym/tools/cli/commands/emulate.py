@@ -49,7 +49,7 @@ def emulate_board(
     Args:
         board: how the board behaves.
         robot: preset or config file of the emulated robot.
-        body: physics, planar or bullet.
+        body: physics, planar, bullet or mujoco.
         log: write commands and true poses to this file, one JSON line each.
         duration: seconds to run; default: until Ctrl-C.
         world: world with the robot at its start: a file, or a generated world like clutter:7-7.

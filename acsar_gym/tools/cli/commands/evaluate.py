@@ -47,7 +47,7 @@ class RobotOptions(RecordOptions):
     """The robot and its devices, and recording."""
 
     link: str = "bullet"
-    """bullet, planar, or a serial device."""
+    """bullet, planar, mujoco, or a serial device."""
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None

@@ -85,7 +85,7 @@ def measure_gap(
         outputs: files and limits.
         before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
             first recording; "recorded" is the robot in each recording.
-        body: physics of the twins, planar or bullet.
+        body: physics of the twins, planar, bullet or mujoco.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
     """
     from acsar_gym.tools.sysid import pages, tracks, twin_gap  # noqa: PLC0415

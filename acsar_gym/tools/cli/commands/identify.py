@@ -46,7 +46,8 @@ def identify_robot(
     first which parameters the log can't tell, and which manoeuvre is missing.
 
     Args:
-        sources: serial device, planar, bullet; or recordings of one robot, made with --record.
+        sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
+            --record.
         recording: recording of the manoeuvre.
         robot: preset or config file: what is known so far. Default: the one recorded, or acsar.
         out: write the robot's file with what was found, to be used as --robot.
