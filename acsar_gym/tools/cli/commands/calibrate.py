@@ -97,8 +97,8 @@ def calibrate_robot(
         wire: robot and measuring.
         output: results.
     """
-    from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
+    from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
     check_writable(output.json, output.runs, robot=output.out)
