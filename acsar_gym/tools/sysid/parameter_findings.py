@@ -49,6 +49,10 @@ VAGUE_WHEEL = {
 """Half widths of intervals above which a number isn't told: shares, but for deadbands [rad/s]."""
 VAGUE_TIME = 0.03
 """Half width above which a time isn't told [s]."""
+LEAST_WINDOW_INTERVAL = 0.015
+"""Least half width where only the answers' shape tells a window, as a lag has nearly the same [s]."""
+SHORTEST_WINDOW = 0.001
+"""Of an encoder that doesn't average [s]."""
 NEGATIVE_DELAY = 0.01
 """A delay that is negative by more than this contradicts the baud rate [s]."""
 DELAY_QUANTILES = np.linspace(0.05, 0.95, 10)
@@ -194,7 +198,8 @@ def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[P
         common = spread / np.outer(shares, shares)
         half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     half *= max(1.0, math.sqrt(away / (len(four) - 1)))
-    return [replace(every, value=mean, low=max(0.0, mean - half), high=mean + half)]
+    low, high = min(mean - half, float(values.min())), max(mean + half, float(values.max()))
+    return [replace(every, value=mean, low=max(0.0, low), high=high)]
 
 
 def find_board(
@@ -242,6 +247,7 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The delay of commands; the phase of the board's loops adds up to one to its interval."""
     value = fit.times.delay
     half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
+    half += 0.0 if fit.counted else LEAST_WINDOW_INTERVAL / 2.0
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
         return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
@@ -283,13 +289,14 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     dt, value, half = fit.problem.dt, fit.times.window, _half_width(fit, (-2, 1.0))
     if value > 0.95 * LONGEST_WINDOW:
         return unknown.explain("the fit ended at its bound")
-    if not fit.solution.free[-2] and not fit.window_held:
+    if not fit.solution.free[-2] and not fit.counted:
         return unknown.explain("too vague: record more steps at a higher line rate")
-    if half > VAGUE_TIME:
-        return unknown.explain("too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
-    low, high = min(whole, max(dt, value - half - dt)), max(whole, value + half + dt)
-    return unknown.tell(whole, low, high, "by encoder counts" if fit.window_held else "")
+    if fit.counted:
+        return unknown.tell(whole, max(dt, whole - dt), whole + dt, "by encoder counts")
+    half += LEAST_WINDOW_INTERVAL
+    low, high = max(SHORTEST_WINDOW, value - half), max(whole, value + half)
+    return unknown.tell(whole, low, high, "" if low > SHORTEST_WINDOW else f"below {1e3*high:.0f} ms")
 
 
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
@@ -298,7 +305,7 @@ def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> 
     found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
     if found is None:
         return unknown.explain("too few different speeds: record slow and fast driving")
-    counted = fit is not None and fit.window_held and not fit.rounding.step
+    counted = fit is not None and fit.counted and not fit.rounding.step
     if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
     if found.step <= feedback_lines.PRINTED_STEP:
