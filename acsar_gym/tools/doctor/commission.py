@@ -482,6 +482,20 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         return REVERSED_FIX
     if answer.stopped:
         return "check the plugs of motor and encoder, and the motor's driver"
+    fast = ratio * answer.asked > HIGHEST_SPEED
+    return likely_units(ratio, config, fast=fast) + (
+        ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
+    )
+
+
+def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
+    """Say in which other unit a board may measure, or take its commands.
+
+    Args:
+        ratio: of measured to commanded speed.
+        config: of the robot.
+        fast: whether the measured speed has more digits than a line holds.
+    """
     units = [
         f"likely {unit} (x {factor:.3g})"
         for unit, factor in (
@@ -493,10 +507,9 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         )
         if math.isclose(ratio, factor, rel_tol=RATIO_TOLERANCE)
     ]
-    if ratio * answer.asked > HIGHEST_SPEED:
+    if fast:
         before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
         units.insert(0, before_gears)
     if units:
         return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways"
-    weak = ", or a motor that is too weak" if ratio < 1.0 else ""
-    return f"likely counts per turn or gear ratio {IN_PROGRAM}{weak}"
+    return f"likely counts per turn or gear ratio {IN_PROGRAM}"

@@ -32,8 +32,8 @@ Bools = NDArray[np.bool_]
 
 SMOOTH_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
-WHEEL_LOW = np.array([2e-3, 0.2, 0.0])
-WHEEL_HIGH = np.array([3.0, 5.0, 1.0])
+WHEEL_LOW = np.array([2e-3, 0.01, 0.0])
+WHEEL_HIGH = np.array([3.0, 100.0, 1.0])
 """Bounds of lag [s], gain and slowness [s^2/rad]."""
 DELAY_BOUNDS = (-0.03, 0.5)
 """Bounds of the delay to the middle of the window [s]."""
