@@ -389,8 +389,7 @@ def find_rounding(
         if feedback_lines.is_explained_by_counts(speeds, config, n * problem.dt, own):
             counts, step, window = coarse, own, n * problem.dt
             break
-    wheels, times = problem.split(solution.x, solution.deadbands)
-    measured = np.concatenate([problem.measured(k) for k in range(len(wheels))])
+    measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
     answer = problem.residuals(solution.x, solution.deadbands) + measured
     fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)
     if coarse > feedback_lines.FINEST_QUANTUM and fast.sum() > feedback_lines.FEWEST_SPEEDS:

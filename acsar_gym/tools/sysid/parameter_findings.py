@@ -50,7 +50,7 @@ VAGUE_WHEEL = {
 VAGUE_TIME = 0.03
 """Half width above which a time isn't told [s]."""
 LEAST_WINDOW_INTERVAL = 0.015
-"""Least half width where only the answers' shape tells a window, as a lag has nearly the same [s]."""
+"""Least half width where only the answers' shape tells a window: a lag's is nearly the same [s]."""
 SHORTEST_WINDOW = 0.001
 """Of an encoder that doesn't average [s]."""
 NEGATIVE_DELAY = 0.01
@@ -296,7 +296,9 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
         return unknown.tell(whole, max(dt, whole - dt), whole + dt, "by encoder counts")
     half += LEAST_WINDOW_INTERVAL
     low, high = max(SHORTEST_WINDOW, value - half), max(whole, value + half)
-    return unknown.tell(whole, low, high, "" if low > SHORTEST_WINDOW else f"below {1e3*high:.0f} ms")
+    return unknown.tell(
+        whole, low, high, "" if low > SHORTEST_WINDOW else f"below {1e3 * high:.0f} ms"
+    )
 
 
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
