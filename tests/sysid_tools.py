@@ -124,6 +124,23 @@ def score_findings(found: Identification, truth: RobotConfig) -> Iterator[Score]
         yield Score(name, max(errors), all(holds), max(shares))
 
 
+def find_missed_truths(found: Identification, truth: RobotConfig) -> list[str]:
+    """List the intervals that don't hold the truth, and what is told to be missing but isn't."""
+    missed = []
+    for one in (each for each in found.findings if each.told):
+        section, field = one.name.split(".")
+        values = [getattr(getattr(truth, section), field)]
+        if section == "motor":
+            wheels = ["abcd".index(one.wheel)] if one.wheel else range(4)
+            values = [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
+        for value in values:
+            told = one.value is not None and one.low is not None and one.high is not None
+            holds = one.low <= value <= one.high if told and value is not None else not told
+            if not holds or (value is None) != (one.value is None):
+                missed.append(f"{one.name}.{one.wheel} {one.low} to {one.high}, truth {value}")
+    return missed
+
+
 def score_finding(one: ParameterFinding, value: float | None) -> tuple[float, bool, float]:
     """Error as a share of the tolerance, whether the interval holds it, share of the half width."""
     if value is None or one.value is None:

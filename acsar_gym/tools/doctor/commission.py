@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
@@ -162,15 +163,15 @@ class Commission:
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
-        if (delays := response.measure_delays(probe.rate)) is None:
+        if not (delays := response.measure_delays(probe.rate)):
             yield Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
         else:
-            shortest, longest = delays
+            latest = delays[math.ceil(0.95 * len(delays)) - 1]
             yield warn_if(
-                shortest > SLOW_RESPONSE,
+                delays[0] > SLOW_RESPONSE,
                 DELAY_CHECK,
-                f"{shortest * 1000.0:.1f} ms from a command's last byte to the first that shows "
-                f"it; {longest * 1000.0:.1f} ms with the wait for a line",
+                f"{1e3 * median(delays):.0f} ms from a command's last byte to the first that shows "
+                f"it, the median of {len(delays)}; 95 % within {1e3 * latest:.0f} ms",
                 "raise the baud rate; set the USB adapter's latency timer to 1 ms",
             )
         yield self._check_timeout(response, config)

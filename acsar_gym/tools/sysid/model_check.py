@@ -140,7 +140,7 @@ def simulate_habits(targets: Floats, dt: float, own: Habits) -> Floats:
     brake = 1.0 - math.exp(-dt / max(lag * own.braking, 1e-3))
     log = math.log(min(max(own.overshoot, 1e-6), 0.9))
     damping = -log / math.sqrt(math.pi**2 + log * log)
-    natural = min(1.0 / (2.0 * damping * lag), 1.0 / dt)
+    natural = min(1.0 / (2.0 * damping * lag), 0.5 / dt)  # stable
     speeds = np.empty(len(targets))
     set_point, speed, rate, moving = 0.0, 0.0, 0.0, False
     sign, held, way, halted = 0.0, 1e9, 0.0, 1e9
@@ -234,7 +234,8 @@ def _collect_lines(fit: MotorFit, index: int) -> WheelLines:
     """Collect what is known of the lines of one wheel, and their noise."""
     problem, times, model = fit.problem, fit.times, fit.wheels[index]
     wheel = problem.wheels[index]
-    late = times._replace(delay=times.delay + problem.dt + measure_line_rate(problem.tracks).jitter)
+    rate = measure_line_rate(problem.tracks)
+    late = times._replace(delay=times.delay + problem.dt + rate.jitter)
     columns, jumps = [], []
     for track in problem.tracks:
         answer = problem.answer(track, wheel, model, times)
@@ -257,7 +258,7 @@ def _collect_lines(fit: MotorFit, index: int) -> WheelLines:
     scatter = np.sort(np.concatenate(jumps) ** 2)
     if len(scatter) >= FEWEST_LINES:  # what lines scatter where nothing happens
         usual = scatter[: math.ceil((1.0 - CALM_OUTLIERS) * len(scatter))]
-        apart = max(LEAST_APART, min(1.0, 1.0 / (lines.rate * times.window)))
+        apart = max(LEAST_APART, min(1.0, 1.0 / (rate.rate * times.window)))
         square = max(square, float(usual.mean()) / 2.0 / apart)
     return WheelLines(rest, answer, np.sqrt(square + blur**2), since, held_out.astype(bool))
 
