@@ -168,8 +168,8 @@ def test_twists_have_floors_for_resolution_slip_and_lag() -> None:
     config = RobotConfig.of(None).with_(
         measured={"wheel_separation_multiplier": measured, "wheel_radius": measured}
     )
-    stamps = 0.01 * np.arange(60)
-    twists = np.repeat([(0.0, 0.0), (0.4, 1.0), (0.4, 1.0)], 20, axis=0)
+    stamps = np.linspace(0.0, 0.59, 60)
+    twists = np.repeat(np.array([(0.0, 0.0), (0.4, 1.0), (0.4, 1.0)], np.float64), 20, axis=0)
     _, twist = OdometryCovariance(config).update(stamps, twists)
     still, started, steady = (twist[place, [0, 35]] for place in (10, 21, 59))
     assert (still > 1e-7).all()

@@ -379,16 +379,20 @@ def find_rounding(
     if solution.free[-2]:
         near = COUNTED_SIGMAS * math.sqrt(estimate_covariance(problem, solution)[-2, -2])
         near += 2.0 * problem.dt
-    counts, window = feedback_lines.count_speed(config, fitted), None
-    counts = counts if counts < step else 0.0
-    for n in range(1, LONGEST_COUNT_WINDOW + 1):  # the coarsest: finer ones explain multiples, too
-        if abs(n * problem.dt - fitted) > near:
-            continue
+    explained = []
+    for n in range(1, LONGEST_COUNT_WINDOW + 1):
         coarse = feedback_lines.count_speed(config, n * problem.dt)
         own = 0.0 if abs(coarse - step) < feedback_lines.SAME_QUANTUM * step else step
-        if feedback_lines.is_explained_by_counts(speeds, config, n * problem.dt, own):
-            counts, step, window = coarse, own, n * problem.dt
-            break
+        if abs(n * problem.dt - fitted) <= near and feedback_lines.is_explained_by_counts(
+            speeds, config, n * problem.dt, own
+        ):
+            explained.append((n, coarse, own))
+    counts, window = feedback_lines.count_speed(config, fitted), None
+    counts = counts if counts < step else 0.0
+    # Finer counts explain multiples of coarse ones, too; where others do, a coarse step hides them.
+    if explained and all(n % explained[0][0] == 0 for n, _, _ in explained):
+        n, counts, step = explained[0]
+        window = n * problem.dt
     measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
     answer = problem.residuals(solution.x, solution.deadbands) + measured
     fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)

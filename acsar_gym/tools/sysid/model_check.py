@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,7 +308,7 @@ def _find_habit(fit: MotorFit, worst: int) -> str:
         how = "weaker" if best.backward < 1.0 else "stronger"
         return f"backward {how} than forward, {', '.join(parts)}"
     lags = f"{1e3 * best.lag * best.braking:.0f} ms) than it speeds up ({1e3 * best.lag:.0f} ms"
-    start = best.deadband + best.stiction
+    begin = best.deadband + best.stiction
     return {
         "top": f"saturates at {best.top:.1f} rad/s",
         "hold": f"holds for {best.hold:.2g} s at reversals",
@@ -317,7 +317,7 @@ def _find_habit(fit: MotorFit, worst: int) -> str:
         "control loop",
         "braking": f"slows down with another lag ({lags})",
         "bend": f"gain falls with speed, by {best.bend:.0%} up to 10 rad/s",
-        "stiction": f"starts at {start:.2f} rad/s, and turns on down to {best.deadband:.2f}",
+        "stiction": f"starts at {begin:.2f} rad/s, and turns on down to {best.deadband:.2f}",
     }[habit]
 
 
@@ -342,8 +342,12 @@ def _fit_habits(
 
     first = np.array([getattr(start, name) for name in names], np.float64)
     simplex = np.vstack((first, first + np.diag(0.2 * first + 0.005)))
-    options = {"maxfev": EVALUATIONS, "initial_simplex": simplex}
-    found = optimize.minimize(cost, first, method="Nelder-Mead", options=options)
+    found: Any = optimize.minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={"maxfev": EVALUATIONS, "initial_simplex": simplex},
+    )
     return float(found.fun), complete(found.x)
 
 
@@ -357,4 +361,4 @@ def _answer_with_habits(track: BoardTrack, wheel: int, own: Habits, fit: MotorFi
     ends = np.append(edges, edges[-1] + dt)
     angles = np.append(0.0, np.cumsum(speeds) * dt)
     turned = np.interp(track.stamps, ends, angles)
-    return (turned - np.interp(track.stamps - window, ends, angles)) / window
+    return np.asarray((turned - np.interp(track.stamps - window, ends, angles)) / window)
