@@ -58,7 +58,7 @@ SOLVER_OPTIONS: dict[str, Any] = {
 LEAST_LOSS_SCALE = 0.1
 """Least residual at which the loss becomes linear [rad/s]: an encoder count, so that a fit finds
 the mean of two counts and not the more frequent one."""
-COUNTED_SIGMAS = 4.0
+COUNTED_SIGMAS = 2.0
 """A window that counts tell lies within so many standard errors of the fitted one."""
 CUT_SPEED = 1.0
 """Wheels faster than this show whether a board cuts speeds, whatever its deadband [rad/s]."""
@@ -378,7 +378,7 @@ def find_rounding(
     fitted, near = float(solution.x[-2]), math.inf
     if solution.free[-2]:
         near = COUNTED_SIGMAS * math.sqrt(estimate_covariance(problem, solution)[-2, -2])
-        near += 2.0 * problem.dt
+        near += problem.dt
     explained = []
     for n in range(1, LONGEST_COUNT_WINDOW + 1):
         coarse = feedback_lines.count_speed(config, n * problem.dt)
