@@ -39,8 +39,10 @@ HELD_OUT_LIMIT, PART_LIMIT = 2.2, 1.7
 of a log. For simulated robots that it describes these were at most 1.6 and 1.3."""
 FEWEST_LINES = 40
 """Fewest lines of a wheel in a part that is judged."""
-WORST_SHARE = 0.01
+WORST_SHARE = 0.03
 """Share of lines, the worst, that may be damaged and don't count."""
+STALL_TIME = 0.5
+"""Lines don't count for so long after a stall [s]: commands were taken late."""
 CALM_TIME = 0.5
 """Lines show their noise so long after a jump of the command [s]."""
 CALM_OUTLIERS = 0.05
@@ -247,7 +249,10 @@ def _collect_lines(fit: MotorFit, index: int) -> WheelLines:
         last = np.searchsorted(steps, track.stamps, side="right") - 1
         since = np.full(len(last), np.inf)
         since[last >= 0] = (track.stamps - np.append(steps, 0.0)[last])[last >= 0]
-        columns.append((rest, answer, blur, since, track.held_out))
+        recently = (track.stamps - STALL_TIME, track.stamps)
+        passed = np.searchsorted(track.stalls, recently, side="right")
+        even = passed[0] == passed[1]
+        columns.append([one[even] for one in (rest, answer, blur, since, track.held_out)])
         calm = (since > CALM_TIME) & (np.abs(answer) > PRINTED_STEP)
         jumps.append(np.diff(rest)[calm[1:] & calm[:-1]])
     rest, answer, blur, since, held_out = (
