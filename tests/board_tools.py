@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from acsar_gym import RobotConfig
-from acsar_gym.links.simulated import SimulatedLink
-from acsar_gym.physics.planar import PlanarBody
+from acsar_gym import RobotConfig, open_link
 from acsar_gym.tools.doctor import wire
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
@@ -17,9 +13,7 @@ def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:
     """A board in simulated time that behaves so, with the robot's own parameters."""
     found = quirks.parse_quirks(names)
     config = quirks.apply_to_config(found, robot or RobotConfig())
-    link = SimulatedLink(config, partial(PlanarBody, config))
-    link.open()
-    return quirks.QuirkyLink(link, config, found)
+    return quirks.QuirkyLink(open_link("planar", config), config, found)
 
 
 def commissioned(

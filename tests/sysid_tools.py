@@ -65,6 +65,34 @@ def draw_motors(seed: int) -> RobotConfig:
     )
 
 
+MISFITS: dict[str, tuple[str, float, float]] = {
+    "backward-gain": ("backward weaker than forward", 0.75, 0.92),
+    "overshoot": ("control loop", 0.1, 0.4),
+    "reversal-hold": ("at reversals", 0.1, 0.3),
+    "feedback-factor": ("times too large", 1.5, 2.0),
+    "rpm": ("rpm", 0.0, 0.0),
+    "top-speed": ("saturates at", 5.0, 7.0),
+}
+"""Habits of boards that the model doesn't have: what names them, and from where to where they are
+drawn."""
+
+
+def draw_misfit(seed: int) -> tuple[RobotConfig, tuple[str, ...], str]:
+    """Draw a board that the model doesn't describe.
+
+    Returns:
+        The robot, its quirks, and what has to be said.
+    """
+    rng = np.random.default_rng([seed, 1])
+    name = tuple(MISFITS)[seed % len(MISFITS)]
+    said, low, high = MISFITS[name]
+    size, hidden = float(rng.uniform(low, high)), draw_motors(seed)
+    if name == "top-speed":
+        return hidden.with_(motor={"max_speed": size}), (), said
+    quirk = f"feedback-factor={30.0 / math.pi}" if name == "rpm" else f"{name}={size}"
+    return hidden, (quirk,), said
+
+
 @dataclass(frozen=True)
 class Score:
     """How one parameter of one robot was found."""
@@ -94,6 +122,23 @@ def score_findings(found: Identification, truth: RobotConfig) -> Iterator[Score]
             parts += [score_finding(one, value) for value in values]
         errors, holds, shares = zip(*parts, strict=True)
         yield Score(name, max(errors), all(holds), max(shares))
+
+
+def find_missed_truths(found: Identification, truth: RobotConfig) -> list[str]:
+    """List the intervals that don't hold the truth, and what is told to be missing but isn't."""
+    missed = []
+    for one in (each for each in found.findings if each.told):
+        section, field = one.name.split(".")
+        values = [getattr(getattr(truth, section), field)]
+        if section == "motor":
+            wheels = ["abcd".index(one.wheel)] if one.wheel else range(4)
+            values = [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
+        for value in values:
+            told = one.value is not None and one.low is not None and one.high is not None
+            holds = one.low <= value <= one.high if told and value is not None else not told
+            if not holds or (value is None) != (one.value is None):
+                missed.append(f"{one.name}.{one.wheel} {one.low} to {one.high}, truth {value}")
+    return missed
 
 
 def score_finding(one: ParameterFinding, value: float | None) -> tuple[float, bool, float]:

@@ -180,6 +180,8 @@ class BodyConfig(Section):
     1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
 
 
+MISFIT = "doesn't fit: "
+"""Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
 LEAST_RATE = 0.01
 """Lowest rate of ticks and policy steps [Hz], which bounds the simulated time of a step."""
 
@@ -351,7 +353,7 @@ CONTACT_PATCH = 0.01
 """Size of the contact patch of a wheel, which the default footprint contains [m]."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that error messages suggest [Hz]."""
-SIMULATION_SECTIONS = ("motor", "encoder", "firmware", "body", "measured")
+SIMULATION_SECTIONS = ("motor", "encoder", "firmware", "body", "measured", "motor_fit")
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
@@ -448,6 +450,9 @@ class RobotConfig(Section):
     """95 % intervals of measured fields, by dotted name, such as "wheel_separation_multiplier",
     "motor.time_constant.a" or "firmware.command_delay". Randomization can take its ranges from
     them."""
+    motor_fit: Name = ""
+    """Whether motors and board answer as simulated: "fits", or "doesn't fit: " and in which way, as
+    `acsar-gym identify` found; empty: nobody looked."""
 
     def __hash__(self) -> int:
         fields = [getattr(self, name) for name in type(self).model_fields if name != "measured"]
@@ -501,6 +506,12 @@ class RobotConfig(Section):
                 f"{MAX_ENCODER_SAMPLES:,} periods of firmware.loop_rate ({1.0 / loop:g} s)"
             )
         return self
+
+    @property
+    def misfit(self) -> str:
+        """One line that says how motors or board answer otherwise than simulated; empty if not."""
+        found = self.motor_fit
+        return f"this robot's simulation {found}" if found.startswith(MISFIT) else ""
 
     @property
     def feedback_rate(self) -> float:

@@ -50,12 +50,20 @@ INTERVAL_DEVIATIONS = 2.0 * 1.959964
 """Width of a 95 % interval of a normal distribution, in standard deviations."""
 TURNING_FIELDS = ("wheel_separation_multiplier", "body.turn_factor")
 ROLLING_FIELDS = ("wheel_radius", "left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
-LEAST_VARIANCE = 1e-9
-"""Variance at the start of an episode, as zero would mean that nothing can be wrong."""
+LEAST_DEVIATION = 0.005
+"""Standard deviation of each part of a pose at the start [m], [rad]: a tyre and a gear give."""
+SLIP_SHARE = 0.02
+"""Share of a way or a turn by which tyres slip otherwise than where they were calibrated."""
 UNKNOWN_VARIANCE = 0.01
 """Variance that the robot's own driver publishes [m^2], [rad^2]."""
+UNMEASURED_VARIANCE = 1e3
+"""Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
+takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
 X, Y, YAW = 0, 7, 35
 """Places of the variances in a row-major 6 x 6 matrix."""
+DIAGONAL = np.arange(0, 36, 7)
+UNMEASURED = DIAGONAL[2:5]
+"""Places of z, roll and pitch, or of their rates."""
 
 
 class Began(NamedTuple):
@@ -163,11 +171,12 @@ class OdometryCovariance:
     """Covariances of /odom during an episode, from the intervals of what was measured.
 
     An error of the turning factor (multiplier, or the body's turn_factor) is a share of every turn,
-    and an error of the wheels' radii a share of every distance. Both last, so the standard
-    deviations grow in proportion to the path: sigma_theta = s_turn * integral |omega| dt,
-    sigma_along = s_roll * integral |v| dt, and across the path sigma_across = integral sigma_theta
-    |v| dt. x and y each get the sum of both variances, as the direction of the path changes. What
-    wasn't measured keeps the constant variance that the robot's own driver publishes.
+    and an error of the wheels' radii a share of every distance; slip adds `SLIP_SHARE` to either.
+    Both last, so the standard deviations grow in proportion to the path: sigma_theta = s_turn *
+    integral |omega| dt, sigma_along = s_roll * integral |v| dt, and across the path sigma_across =
+    integral sigma_theta |v| dt. x and y each get the sum of both variances, as the direction of the
+    path changes. A twist also has the encoders' resolution, and what it changed within their lag.
+    What wasn't measured keeps the constant variance that the robot's own driver publishes.
 
     Args:
         config: of the robot; `measured` has the intervals.
@@ -176,12 +185,20 @@ class OdometryCovariance:
     def __init__(self, config: RobotConfig) -> None:
         self._turn = relative_deviation(config, TURNING_FIELDS)
         self._roll = relative_deviation(config, ROLLING_FIELDS)
+        encoder = config.encoder
+        step = 2.0 * math.pi / (encoder.counts_per_revolution * encoder.window)
+        wheel = math.hypot(step / math.sqrt(6.0), (encoder.quantum or 0.0) / math.sqrt(12.0))
+        rim = wheel * config.wheel_radius  # of each wheel; a twist is a mean of four
+        self._resolution = np.array([rim / 2.0, rim / config.effective_separation])
+        lag = encoder.window / 2.0 + 1.0 / config.feedback_rate
+        self._lag = max(1, math.ceil(lag / config.period))
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode: the pose is known."""
         self._rolled = self._turned = self._across = 0.0
         self._last: float | None = None
+        self._recent = np.zeros((self._lag, 2))
 
     def update(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
         """Continue with the next ticks.
@@ -200,22 +217,30 @@ class OdometryCovariance:
         across = self._across + np.cumsum((self._turn or 0.0) * turned * way)
         self._rolled, self._turned = float(rolled[-1]), float(turned[-1])
         self._across = float(across[-1])
+        recent = np.concatenate((self._recent, twists))
+        self._recent = recent[-self._lag :]
+        floor = self._resolution**2 + (twists - recent[: len(twists)]) ** 2
         pose = np.tile(POSE_COVARIANCE, (len(stamps), 1))
         twist = np.tile(TWIST_COVARIANCE, (len(stamps), 1))
+        pose[:, UNMEASURED] = twist[:, UNMEASURED] = UNMEASURED_VARIANCE
+        twist[:, Y] = UNKNOWN_VARIANCE  # sideways slip
         pose[:, X] = UNKNOWN_VARIANCE
         if self._roll is not None:
-            pose[:, X] = LEAST_VARIANCE + (self._roll * rolled) ** 2
-            twist[:, X] = LEAST_VARIANCE + (self._roll * twists[:, 0]) ** 2
+            pose[:, X] = LEAST_DEVIATION**2 + (self._roll * rolled) ** 2
+            twist[:, X] = floor[:, 0] + (self._roll * twists[:, 0]) ** 2
         pose[:, X] += across**2
         pose[:, Y] = pose[:, X]
         if self._turn is not None:
-            pose[:, YAW] = LEAST_VARIANCE + (self._turn * turned) ** 2
-            twist[:, YAW] = LEAST_VARIANCE + (self._turn * twists[:, 1]) ** 2
+            pose[:, YAW] = LEAST_DEVIATION**2 + (self._turn * turned) ** 2
+            twist[:, YAW] = floor[:, 1] + (self._turn * twists[:, 1]) ** 2
         return pose, twist
 
 
 def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | None:
-    """Return the relative standard deviation of a product of fields; None if none was measured."""
+    """Return the relative standard deviation of a way or turn, from the intervals of its factors.
+
+    None if none of these fields was measured.
+    """
     measured: Any = getattr(config, "measured", {})
     found = [measured[name] for name in names if name in measured]
     if not found:
@@ -225,7 +250,7 @@ def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | N
         abs(one.high - one.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
         for one, middle in zip(found, middles, strict=True)
     ]
-    return math.sqrt(sum(share**2 for share in shares) / len(shares))
+    return math.hypot(math.sqrt(sum(share**2 for share in shares) / len(shares)), SLIP_SHARE)
 
 
 class Diagnostics:

@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from acsar_gym import RobotConfig
 from acsar_gym.config.measured import Measured
 from acsar_gym.recording import read
+from acsar_gym.recording.encoder import LEAST_DEVIATION, SLIP_SHARE, OdometryCovariance
 from acsar_gym.recording.messages import TICK_COLUMNS, TOPICS
 
 TICKS = 120
@@ -165,8 +166,11 @@ def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, l
 def test_an_unknown_robot_has_the_driver_s_constant_covariance(
     messages: dict[str, list[Any]],
 ) -> None:
-    expected = [0.01 if place in (0, 7, 35) else 0.0 for place in range(36)]
-    assert messages["/odom"][-1].pose.covariance.tolist() == expected
+    newest = messages["/odom"][-1]
+    for found in (newest.pose.covariance, newest.twist.covariance):
+        matrix = found.reshape(6, 6)
+        assert matrix.diagonal().tolist() == [0.01, 0.01, 1e3, 1e3, 1e3, 0.01]
+        assert np.count_nonzero(matrix) == 6
 
 
 def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
@@ -175,9 +179,26 @@ def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
     config = RobotConfig.of(None).with_(measured={"wheel_separation_multiplier": known})
     odometry = by_rosbags(drive(tmp_path / "tape.mcap", config))["/odom"]
     first, last = (odometry[place].pose.covariance for place in (0, -1))
-    assert first[35] < 1e-8
+    assert first[35] == pytest.approx(LEAST_DEVIATION**2, rel=0.01)
     (episode,) = read(tmp_path / "tape.mcap").episodes
     dt = np.diff(episode.stamps, prepend=episode.stamps[0])
     turned = float(np.sum(np.abs(episode.twists[:, 1]) * dt))
-    assert math.sqrt(last[35]) == pytest.approx(0.02 / 1.96 * turned, rel=1e-3)
+    grown = math.hypot(0.02 / 1.96, SLIP_SHARE) * turned
+    assert math.sqrt(last[35]) == pytest.approx(math.hypot(LEAST_DEVIATION, grown), rel=1e-3)
     assert last[0] == last[7] > first[0] >= 0.01  # the radius is unknown
+
+
+def test_twists_have_floors_for_resolution_slip_and_lag() -> None:
+    """With less than a gyroscope's variance of some 1e-5, a filter would ignore it."""
+    measured = {"low": 1.0, "high": 1.0, "method": "tape"}
+    config = RobotConfig.of(None).with_(
+        measured={"wheel_separation_multiplier": measured, "wheel_radius": measured}
+    )
+    stamps = np.linspace(0.0, 0.59, 60)
+    twists = np.repeat(np.array([(0.0, 0.0), (0.4, 1.0), (0.4, 1.0)], np.float64), 20, axis=0)
+    _, twist = OdometryCovariance(config).update(stamps, twists)
+    still, started, steady = (twist[place, [0, 35]] for place in (10, 21, 59))
+    assert (still > 1e-7).all()
+    assert still[1] > 1e-5
+    assert steady - still == pytest.approx([(0.02 * 0.4) ** 2, 0.02**2], rel=1e-6)
+    assert started - steady == pytest.approx([0.4**2, 1.0], rel=1e-6)

@@ -419,7 +419,7 @@ def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: boo
 
 # All wheels together: from a command to its first effect, and the command time-out
 
-RESPONSE_TRIALS = 5
+RESPONSE_TRIALS = 9
 """Commands whose first effect is timed, at different phases of the board's clock."""
 NOISE_SHARE = 0.05
 """Smallest speed that shows an effect, as a share of the commanded one."""
@@ -464,7 +464,7 @@ class StepResponse:
     def _exceeds(self, level: float, lines: Sequence[FeedbackLine]) -> bool:
         return bool(lines) and self._mean(lines[-1]) > level
 
-    def measure_delays(self, rate: float) -> tuple[float, float] | None:
+    def measure_delays(self, rate: float) -> list[float]:
         """Time a few commands, the first one only to warm up.
 
         Args:
@@ -472,8 +472,8 @@ class StepResponse:
 
         Returns:
             Times from a command's last byte to the first byte of the line that shows its effect,
-            without the wait for the next line and with all of it [s]; None where a command had no
-            effect.
+            with more or less of the wait for the next line [s], ascending; none where a command had
+            no effect.
         """
         probe, found = self._probe, []
 
@@ -496,13 +496,12 @@ class StepResponse:
             shows = partial(self._exceeds, level)
             lines = probe.hear(None, shows, EFFECT_TIMEOUT)
             if not shows(lines):
-                return None
+                return []
             found.append(max(lines[-1].begin - sent, 0.0))
         stop_wheels(probe, self._speed)
         # Leave out wheels that still crept from an earlier command: all others lie in one period.
         usual = median_low(found[1:])  # one of them, so that it is near itself
-        near = [delay for delay in found[1:] if abs(delay - usual) <= 1.0 / rate + DELAY_JITTER]
-        return min(near), max(near)
+        return sorted(d for d in found[1:] if abs(d - usual) <= 1.0 / rate + DELAY_JITTER)
 
     def measure_timeout(self) -> tuple[float, float | None] | None:
         """Let the wheels turn steadily, stop commanding, and compare with a commanded stop.

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
@@ -162,15 +163,15 @@ class Commission:
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
-        if (delays := response.measure_delays(probe.rate)) is None:
+        if not (delays := response.measure_delays(probe.rate)):
             yield Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
         else:
-            shortest, longest = delays
+            latest = delays[math.ceil(0.95 * len(delays)) - 1]
             yield warn_if(
-                shortest > SLOW_RESPONSE,
+                delays[0] > SLOW_RESPONSE,
                 DELAY_CHECK,
-                f"{shortest * 1000.0:.1f} ms from a command's last byte to the first that shows "
-                f"it; {longest * 1000.0:.1f} ms with the wait for a line",
+                f"{1e3 * median(delays):.0f} ms from a command's last byte to the first that shows "
+                f"it, the median of {len(delays)}; 95 % within {1e3 * latest:.0f} ms",
                 "raise the baud rate; set the USB adapter's latency timer to 1 ms",
             )
         yield self._check_timeout(response, config)
@@ -482,6 +483,20 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         return REVERSED_FIX
     if answer.stopped:
         return "check the plugs of motor and encoder, and the motor's driver"
+    fast = ratio * answer.asked > HIGHEST_SPEED
+    return likely_units(ratio, config, fast=fast) + (
+        ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
+    )
+
+
+def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
+    """Say in which other unit a board may measure, or take its commands.
+
+    Args:
+        ratio: of measured to commanded speed.
+        config: of the robot.
+        fast: whether the measured speed has more digits than a line holds.
+    """
     units = [
         f"likely {unit} (x {factor:.3g})"
         for unit, factor in (
@@ -493,10 +508,9 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         )
         if math.isclose(ratio, factor, rel_tol=RATIO_TOLERANCE)
     ]
-    if ratio * answer.asked > HIGHEST_SPEED:
+    if fast:
         before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
         units.insert(0, before_gears)
     if units:
         return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways"
-    weak = ", or a motor that is too weak" if ratio < 1.0 else ""
-    return f"likely counts per turn or gear ratio {IN_PROGRAM}{weak}"
+    return f"likely counts per turn or gear ratio {IN_PROGRAM}"

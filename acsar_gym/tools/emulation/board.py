@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.links import Link, open_link
+from acsar_gym.links import Link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
 from acsar_gym.tools.emulation.lidar import LidarEmulator
-from acsar_gym.tools.emulation.quirks import QuirkyLink, apply_to_config, parse_quirks
+from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.emulation.rplidar import RplidarTwin
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
@@ -87,14 +87,12 @@ class Emulator:
         self.lost = 0.0
         """Time that wasn't simulated, because the process was delayed for too long [s]."""
         with contextlib.ExitStack() as ours:
-            self._link: Link = open_link(body, config)
+            self._link: Link = make_link(body, config, odd)
             ours.callback(self._link.close)
             # Compile what moves a robot, which would silence the board for a second at first.
             self._link.reset(Scene())
             self._link.write(encode((1.0, 1.0, 1.0, 1.0)))
             self._link.advance(WARM_UP_TIME)
-            if odd:
-                self._link = QuirkyLink(self._link, config, odd)
             scene = Scene()
             if world is not None:
                 start = world.start.x, world.start.y, world.start.theta or 0.0

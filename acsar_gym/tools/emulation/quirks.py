@@ -1,7 +1,9 @@
 """Boards that behave differently: ways in which real ones have been wired and programmed.
 
 A quirk is a name such as `at-comma`, or a name and a value such as `dead-wheel=c`. Those of wiring
-and timing change the emulated robot's config; the others change the bytes at the board's connector.
+and timing change the emulated robot's config, those of motors lie between firmware and body, and
+the others change the bytes at the board's connector. What a config says already needs no quirk: an
+instant encoder is `encoder.window` of one loop, saturation is `motor.max_speed`.
 """
 
 from __future__ import annotations
@@ -12,7 +14,11 @@ from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
-from acsar_gym.links.base import Arrivals, ForwardingLink, Link
+from acsar_gym.links import open_link
+from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.physics.bodies import make_body
+from acsar_gym.physics.body import Body
 from acsar_gym.protocol import MOTORS, ZERO, Decoder, Speeds, encode
 from acsar_gym.worlds import Scene
 
@@ -30,8 +36,13 @@ NUMBER_QUIRKS = {
     "resets": "1",
     "command-timeout": "",
     "feedback-rate": "",
+    "backward-gain": "",
+    "overshoot": "",
+    "reversal-hold": "",
 }
 """Quirks whose value is a number, and their default; "" where there is none."""
+MOTOR_QUIRKS = ("backward-gain", "overshoot", "reversal-hold")
+"""Quirks of motors, outside the model that `identify` fits."""
 PLAIN_QUIRKS = (
     "at-comma",
     "no-comma",
@@ -101,6 +112,83 @@ def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
     return config.with_(firmware=firmware, wheels=wheels)
 
 
+def make_link(name: str, config: RobotConfig, quirks: Quirks) -> Link:
+    """Make a simulated robot with these quirks.
+
+    Args:
+        name: of a simulated body, such as "planar".
+        config: of the robot, with its quirks of wiring and timing.
+        quirks: names and values.
+    """
+    if quirks.keys().isdisjoint(MOTOR_QUIRKS):
+        link = open_link(name, config)
+    else:
+        link = SimulatedLink(config, lambda: QuirkyMotors(make_body(name, config), config, quirks))
+    return QuirkyLink(link, config, quirks) if quirks.keys() - MOTOR_QUIRKS else link
+
+
+class QuirkyMotors:
+    """A body whose motors don't follow the firmware's set points as the model says.
+
+    `backward-gain`: wheels turn by this factor slower (or faster) backward than forward.
+    `overshoot`: an integrating controller drives the motor's lag T, so that a small step overshoots
+    by this share M: u = integral of (set point - speed) / (4 zeta^2 T) with the damping
+    zeta = -ln M / sqrt(pi^2 + ln^2 M) of a second-order system.
+    `reversal-hold`: a wheel stands for this time whenever its set point changes sign [s].
+
+    Args:
+        body: with motors as modelled.
+        config: of the robot.
+        quirks: names and values.
+    """
+
+    def __init__(self, body: Body, config: RobotConfig, quirks: Quirks) -> None:
+        self._body = body
+        self._dt = 1.0 / config.firmware.loop_rate
+        self._backward = float(quirks.get("backward-gain", "1"))
+        self._hold = float(quirks.get("reversal-hold", "0"))
+        self._rates: list[float] | None = None
+        if "overshoot" in quirks:
+            log = math.log(min(float(quirks["overshoot"]), 0.9))
+            damping = -log / math.hypot(math.pi, log)
+            lags = [max(config.motor.of_wheel(wheel).time_constant, self._dt) for wheel in range(4)]
+            self._rates = [self._dt / (4.0 * damping**2 * lag) for lag in lags]
+        self.reset(Scene())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._body, name)  # all but the motors
+
+    def reset(self, scene: Scene) -> None:
+        """Reset the body and its motors."""
+        self._body.reset(scene)
+        self._signs = [0.0] * 4
+        self._held = [math.inf] * 4
+        self._controls = [0.0] * 4
+
+    def step(self, set_points: Speeds) -> None:
+        """Simulate one firmware loop with these set points [rad/s]."""
+        a, b, c, d = (self._distort(wheel, aim) for wheel, aim in enumerate(set_points))
+        self._body.step((a, b, c, d))
+
+    def _distort(self, wheel: int, aim: float) -> float:
+        """Return what a wheel's motor makes of a set point [rad/s]."""
+        self._held[wheel] += self._dt
+        if aim != 0.0:
+            sign = math.copysign(1.0, aim)
+            if sign == -self._signs[wheel]:
+                self._held[wheel] = 0.0
+            self._signs[wheel] = sign
+        if self._held[wheel] < self._hold:
+            aim = 0.0
+        if aim < 0.0:
+            aim *= self._backward
+        if self._rates is not None:
+            missing = aim - self._body.wheel_speeds[wheel]
+            self._controls[wheel] += self._rates[wheel] * missing
+            aim = self._controls[wheel]
+        return aim
+
+
 class QuirkyLink(ForwardingLink):
     """A simulated robot whose board differs in the bytes that it takes and sends.
 
@@ -144,14 +232,15 @@ class QuirkyLink(ForwardingLink):
         self._input = b""
         self._decoder = Decoder()
         self._speeds: Speeds = ZERO
+        self._arrived: Arrivals = []
         self._begun = self._off = False
         self._elapsed = 0.0
         self._stops_at, self._wakes_at = self._pause, math.inf
 
     @property
     def arrivals(self) -> Arrivals:
-        """Nothing: the board's own bytes differ."""
-        return []
+        """When the lines of the newest period arrived [s]."""
+        return self._arrived
 
     def write(self, data: bytes) -> None:
         """Take bytes, unless the board hangs or boots."""
@@ -184,7 +273,9 @@ class QuirkyLink(ForwardingLink):
 
     def advance(self, period: float) -> bytes:
         """Let time pass, and return what the board sends meanwhile."""
-        lines = [self._send(line) for line in self.link.advance(period).splitlines(keepends=True)]
+        heard = self.link.advance(period).splitlines(keepends=True)
+        lines = [self._send(line) for line in heard]
+        self._arrived = []
         self._elapsed += period if self._begun else 0.0
         if self._elapsed >= self._wakes_at:
             self._off, self._stops_at = False, self._elapsed + self._pause
@@ -197,6 +288,8 @@ class QuirkyLink(ForwardingLink):
             if "resets" in self._quirks:
                 self._wakes_at = self._elapsed + BOOT_TIME
             return lines[0][: len(lines[0]) // 2]
+        stamps = [stamp for stamp, _ in arrivals_of(self.link)]
+        self._arrived = list(zip(stamps, lines, strict=False))
         return b"".join(lines)
 
     def _send(self, line: bytes) -> bytes:

@@ -195,6 +195,14 @@ def _format_late(summary: Summary) -> str:
     return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
 
 
+def _format_round_trip(summary: Summary) -> str:
+    """Format median, 95th percentile and number of round trips."""
+    if not summary.round_trips:
+        return ""
+    median, longest = (1e3 * one for one in (summary.round_trip, summary.round_trip_p95))
+    return f"{median:.0f} ms, 95 % {longest:.0f} ms, of {summary.round_trips}"
+
+
 SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
     "success": lambda summary: (
         f"{round(summary.success_rate * summary.episodes)}/{summary.episodes} "
@@ -212,7 +220,7 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
     "beside path": lambda summary: _format_number(summary.cross_track * 100.0, "cm"),
     "odometry error": lambda summary: _format_number(summary.odometry_error * 100.0, "cm"),
     "late ticks": _format_late,
-    "round trip": lambda summary: _format_number(summary.round_trip * 1000.0, "ms"),
+    "round trip": _format_round_trip,
     "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }
 """Functions that format the cells of each column; empty text means no value."""

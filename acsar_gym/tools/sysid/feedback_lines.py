@@ -144,20 +144,29 @@ def is_explained_by_counts(speeds: Floats, config: RobotConfig, window: float, s
     return bool(hit.mean() >= 1.0 - OUTLIER_SHARE and chance ** len(values) < CHANCE_LIMIT)
 
 
-def mean_printed_speeds(speeds: Floats, counts: float, step: float) -> Floats:
+def mean_printed_speeds(speeds: Floats, counts: float, step: float, cut: float = 0.0) -> Floats:
     """Mean of what is printed for true speeds, given the encoder's counts and the step.
 
     Args:
         speeds: true mean speeds of windows [rad/s].
         counts: speed of one encoder count [rad/s]; 0 for an encoder without counts.
         step: of the printed numbers [rad/s]; 0 for none.
+        cut: step to which speeds are cut towards zero, which `add_cut_half` mends [rad/s]; 0 for
+            none.
     """
+    if cut > 0.0:
+        return add_cut_half(np.trunc(speeds / cut) * cut, cut)
     if counts <= 0.0:
         return _round_to_step(speeds, step)
     whole = np.floor(speeds / counts)
     share = speeds / counts - whole
     low, high = _round_to_step(whole * counts, step), _round_to_step((whole + 1.0) * counts, step)
     return (1.0 - share) * low + share * high
+
+
+def add_cut_half(speeds: Floats, cut: float) -> Floats:
+    """Add the half step that a board which cuts speeds to whole steps loses on average [rad/s]."""
+    return speeds + np.sign(speeds) * cut / 2.0
 
 
 def _round_to_step(speeds: Floats, step: float) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
 from acsar_gym.tools.sysid import feedback_lines, response
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import Quantum
+from acsar_gym.tools.sysid.feedback_lines import Quantum, add_cut_half
 from acsar_gym.tools.sysid.identifiability import TURNING_SPEED, Identifiability
 from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
 from acsar_gym.tools.sysid.tracks import BoardTrack
@@ -32,8 +32,8 @@ Bools = NDArray[np.bool_]
 
 SMOOTH_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration")
 """Parameters of a wheel in the problem's order."""
-WHEEL_LOW = np.array([2e-3, 0.2, 0.0])
-WHEEL_HIGH = np.array([3.0, 5.0, 1.0])
+WHEEL_LOW = np.array([2e-3, 0.01, 0.0])
+WHEEL_HIGH = np.array([3.0, 100.0, 1.0])
 """Bounds of lag [s], gain and slowness [s^2/rad]."""
 DELAY_BOUNDS = (-0.03, 0.5)
 """Bounds of the delay to the middle of the window [s]."""
@@ -58,10 +58,12 @@ SOLVER_OPTIONS: dict[str, Any] = {
 LEAST_LOSS_SCALE = 0.1
 """Least residual at which the loss becomes linear [rad/s]: an encoder count, so that a fit finds
 the mean of two counts and not the more frequent one."""
-WINDOW_SIGMAS = 2.5
-"""A window as configured is given up for one that differs by so many standard errors."""
-VAGUE_WINDOW = 0.006
-"""A window with a larger standard error stays as configured [s]."""
+COUNTED_SIGMAS = 2.0
+"""A window that counts tell lies within so many standard errors of the fitted one."""
+CUT_SPEED = 1.0
+"""Wheels faster than this show whether a board cuts speeds, whatever its deadband [rad/s]."""
+CUT_OFFSETS = (0.3, 0.7)
+"""Boards that cut report speeds that are too slow by half a step: by such parts of one."""
 LONGEST_COUNT_WINDOW = 60
 """Longest window that is compared with the printed counts [loops]."""
 DEADBAND_GRID = 0.01
@@ -100,6 +102,7 @@ class SpeedRounding(NamedTuple):
 
     counts: float
     step: float
+    cut: float = 0.0
 
 
 class DeadbandEstimate(NamedTuple):
@@ -126,8 +129,8 @@ class MotorFit:
     quantum: Quantum | None
     """Step of the printed numbers; None where the log can't tell."""
     rounding: SpeedRounding
-    window_held: bool
-    """Whether whole encoder counts, or else the config, tell the window better than the fit."""
+    counted: bool
+    """Whether whole encoder counts tell the window, better than the fit."""
 
     @property
     def wheels(self) -> list[WheelModel]:
@@ -185,16 +188,14 @@ def fit_motors(
 
     x, bands = _find_start(problem, config, free, usual)
     solution = search_window(problem, x, bands, free)
-    rounding, window = find_rounding(problem, config, solution.x[-2], quantum)
-    if window is None and free[-2]:  # the config's window, unless the fit is sure of another one
-        sigma = math.sqrt(estimate_covariance(problem, solution)[-2, -2])
-        away = abs(solution.x[-2] - config.encoder.window)
-        if sigma > VAGUE_WINDOW or away < max(WINDOW_SIGMAS * sigma, problem.dt):
-            window = config.encoder.window
+    rounding, window = find_rounding(problem, config, solution, quantum)
     x, free = solution.x.copy(), solution.free.copy()
-    held = window is not None and bool(free[-2])
-    if held:
+    counted = window is not None and bool(free[-2])
+    if counted:
         x[-2], free[-2] = window, False
+    if rounding.cut:
+        tracks = [replace(one, speeds=add_cut_half(one.speeds, rounding.cut)) for one in tracks]
+        problem = FitProblem.of(tracks, wheels, config)
     solution = solve_problem(problem, x, solution.deadbands, free)
     found: list[DeadbandEstimate] = []
     for _ in range(2):  # deadbands with the rest given, and the rest with the deadbands given
@@ -212,7 +213,7 @@ def fit_motors(
         tuple(one if own is None else None for one, own in zip(found, usual, strict=True)),
         quantum,
         rounding,
-        held,
+        counted,
     )
 
 
@@ -365,7 +366,7 @@ def search_window(
 
 
 def find_rounding(
-    problem: FitProblem, config: RobotConfig, window: float, quantum: Quantum | None
+    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Quantum | None
 ) -> tuple[SpeedRounding, float | None]:
     """How a board rounds its speeds: by its encoder's counts, a step of its own, or both.
 
@@ -374,13 +375,32 @@ def find_rounding(
     """
     step = quantum.step if quantum else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
-    for n in range(1, LONGEST_COUNT_WINDOW + 1):  # the coarsest: finer ones explain multiples, too
-        counts = feedback_lines.count_speed(config, n * problem.dt)
-        own = 0.0 if abs(counts - step) < feedback_lines.SAME_QUANTUM * step else step
-        if feedback_lines.is_explained_by_counts(speeds, config, n * problem.dt, own):
-            return SpeedRounding(counts, own), n * problem.dt
-    counts = feedback_lines.count_speed(config, window)
-    return SpeedRounding(counts if counts < step else 0.0, step), None
+    fitted, near = float(solution.x[-2]), math.inf
+    if solution.free[-2]:
+        near = COUNTED_SIGMAS * math.sqrt(estimate_covariance(problem, solution)[-2, -2])
+        near += problem.dt
+    explained = []
+    for n in range(1, LONGEST_COUNT_WINDOW + 1):
+        coarse = feedback_lines.count_speed(config, n * problem.dt)
+        own = 0.0 if abs(coarse - step) < feedback_lines.SAME_QUANTUM * step else step
+        if abs(n * problem.dt - fitted) <= near and feedback_lines.is_explained_by_counts(
+            speeds, config, n * problem.dt, own
+        ):
+            explained.append((n, coarse, own))
+    counts, window = feedback_lines.count_speed(config, fitted), None
+    counts = counts if counts < step else 0.0
+    # Finer counts explain multiples of coarse ones, too; where others do, a coarse step hides them.
+    if explained and all(n % explained[0][0] == 0 for n, _, _ in explained):
+        n, counts, step = explained[0]
+        window = n * problem.dt
+    measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
+    answer = problem.residuals(solution.x, solution.deadbands) + measured
+    fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)
+    if coarse > feedback_lines.FINEST_QUANTUM and fast.sum() > feedback_lines.FEWEST_SPEEDS:
+        offset = -float(np.polyfit(np.abs(answer[fast]), np.abs(measured[fast]), 1)[1])
+        if CUT_OFFSETS[0] < offset / coarse < CUT_OFFSETS[1]:
+            return SpeedRounding(counts, step, coarse), window
+    return SpeedRounding(counts, step), window
 
 
 def fit_deadband(
@@ -405,9 +425,7 @@ def fit_deadband(
     measured, costs = problem.measured(index), []
     for band in bands.tolist():
         rest = problem.residuals_of(index, model._replace(deadband=band), times)
-        expected = feedback_lines.mean_printed_speeds(
-            rest + measured, rounding.counts, rounding.step
-        )
+        expected = feedback_lines.mean_printed_speeds(rest + measured, *rounding)
         rest = np.abs(expected - measured)
         costs.append(np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04))  # linear for large ones
     total = np.array(costs).sum(1)

@@ -23,6 +23,7 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import identifiability, parameter_findings
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel, fit_motors
+from acsar_gym.tools.sysid.model_check import ModelCheck, check_model
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 from acsar_gym.tools.sysid.tracks import decode_track
 
@@ -30,8 +31,6 @@ IDENTIFY_METHOD = "identify"
 COUNTS_FIELD = "counts_per_revolution"
 SAME_RATE = 0.05
 """A feedback rate is as configured within this share."""
-POOR_FIT_SHARE = 0.3
-"""A fit with a larger error than this share of the wheel speeds isn't written."""
 COUNT_SHARE = 0.1
 """Where counts must be made up, one count is this share of the printed step."""
 SHOWN_UNITS = {
@@ -106,6 +105,7 @@ def identify_logs(
         parameter_findings.sample_delays(fit) if fit and delayed else (),
         sum(one.duration for one in tracks),
         tuple(hashes),
+        None if fit is None else check_model(fit, config),
     )
 
 
@@ -148,6 +148,7 @@ class Identification:
         delays: quantiles of delays of single steps, on top of the fitted one [s].
         duration: of the logs [s].
         logs: hashes of the logs.
+        model: whether the model describes the board; None where too little was fitted.
     """
 
     config: RobotConfig
@@ -156,6 +157,7 @@ class Identification:
     delays: tuple[float, ...]
     duration: float
     logs: tuple[str, ...] = ()
+    model: ModelCheck | None = None
 
     @property
     def dead(self) -> tuple[str, ...]:
@@ -163,8 +165,15 @@ class Identification:
         never = {one.wheel for one in self.findings if one.note == identifiability.NEVER_TURNED}
         return tuple(WHEELS[MOTORS.index(letter)] for letter in sorted(never))
 
-    def check(self) -> None:
-        """Check that this is worth a robot's file; IdentificationError says why it isn't."""
+    def check(self, *, anyway: bool = False) -> None:
+        """Check that this is worth a robot's file.
+
+        Args:
+            anyway: also where the model doesn't fit.
+
+        Raises:
+            IdentificationError: it isn't, and why.
+        """
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
         told = {one.name: one for one in self.findings if one.told}
         rate = told.pop(parameter_findings.RATE_NAME, None)
@@ -175,22 +184,23 @@ class Identification:
             raise IdentificationError(
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
             )
-        error = self.held_out
-        if error is not None and error.after > POOR_FIT_SHARE * error.signal:
+        if self.model is not None and self.model.pattern and not anyway:
             raise IdentificationError(
-                f"nothing to write: the fit misses {error.after:.2f} of "
-                f"{error.signal:.2f} rad/s (RMS) on what it didn't see: check that the "
-                "wheels turn freely, and the wiring with 'acsar-gym doctor DEVICE --spin'"
+                f"nothing to write: the model {self.model.verdict}; a twin would answer otherwise "
+                "than this board; --anyway writes the file"
             )
 
     def robot(self) -> RobotConfig:
         """Make the robot with what was found; the rest stays as it was.
 
+        Where the model doesn't fit, values have no intervals, and the robot's file says so.
+
         Raises:
             ConfigError: what was found contradicts another field, and the message says which.
         """
-        changes: dict[str, dict[str, Any]] = {"motor": {}, "firmware": {}, "encoder": {}}
+        changes: dict[str, Any] = {"motor": {}, "firmware": {}, "encoder": {}}
         measured: dict[str, Measured | None] = {}
+        misfit = self.model is not None and bool(self.model.pattern)
         for one in self.findings:
             if not one.told:
                 continue
@@ -203,7 +213,7 @@ class Identification:
             else:
                 changes[section][field] = value
             interval = None
-            if one.low is not None and one.high is not None:
+            if one.low is not None and one.high is not None and not misfit:
                 low, high = round_digits(one.low), round_digits(one.high)
                 interval = Measured(low=low, high=high, method=IDENTIFY_METHOD, logs=self.logs)
             measured[f"{one.name}.{one.wheel}" if one.wheel else one.name] = interval
@@ -213,6 +223,8 @@ class Identification:
         if counts is not None:
             changes["encoder"][COUNTS_FIELD] = counts
             measured[f"encoder.{COUNTS_FIELD}"] = None
+        if self.model is not None:
+            changes["motor_fit"] = self.model.verdict
         return self.config.with_(
             **changes, measured=update_measured(self.config.measured, measured)
         )
@@ -236,6 +248,7 @@ class Identification:
         return {
             "findings": [asdict(one) for one in self.findings],
             "held_out": asdict(self.held_out) if self.held_out else None,
+            "model": self.model._asdict() | {"verdict": self.model.verdict} if self.model else None,
             "delays": list(self.delays),
             "duration": self.duration,
             "logs": list(self.logs),
@@ -255,6 +268,11 @@ def identification_table(found: Identification) -> Table:
             f"; wheel speeds on the {error.share:.0%} that the fit didn't see: "
             f"{error.after:.3f} rad/s RMS, {error.before:.3f} as configured before"
         )
+    if (model := found.model) is not None:
+        caption += (
+            f"\nthe model {model.verdict} ({model.place}: {model.error:.3f} rad/s RMS, where the "
+            f"noise is {model.noise:.3f})"
+        )
     drawn = Table(title="acsar-gym identify", title_justify="left", caption=caption)
     drawn.caption_justify = "left"
     for column in ("parameter", "wheel", "value", "95 % interval", "before", "note"):
@@ -262,7 +280,7 @@ def identification_table(found: Identification) -> Table:
     for one in found.findings:
         factor, unit = SHOWN_UNITS[one.name]
         known = one.value is not None and one.value != parameter_findings.NO_RAMP
-        value = "none" if one.told else "-"
+        value = "none" if one.told else "kept"
         interval = ""
         if known:
             value = f"{_format_number(one.value, factor)} {unit}".strip()

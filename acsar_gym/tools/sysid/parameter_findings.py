@@ -32,10 +32,18 @@ NORMAL_QUANTILE = 1.96
 INTERVAL_FACTOR = 2.5
 """Factor on intervals, so that those of four wheels hold together in 19 of 20 simulated robots: the
 twin's answer is a mean over phases."""
-LEAST_INTERVAL_SHARE = 0.002
-"""Least half width of an interval of a lag or gain, as a share."""
+LEAST_INTERVALS = {
+    "motor.time_constant": (0.0, 3e-3),
+    "motor.gain": (0.008, 0.0),
+    "motor.acceleration": (0.025, 0.0),
+    "motor.deadband": (0.0, 0.02),
+}
+"""Least half widths of intervals, as a share and on top of it: the phases of the board's loops move
+values by so much, whatever a log's length."""
 UNLIKE_PROBABILITY = 0.01
 """Wheels differ if the probability that they don't is below this."""
+LIKENESS_FACTOR = 1.5
+"""Factor on differences of wheels in that test: `INTERVAL_FACTOR` isn't of random errors."""
 NO_RAMP = 1e6
 """Acceleration of a board without a ramp [rad/s^2]; the largest of the field."""
 BOUND_EDGE = 0.02
@@ -49,6 +57,10 @@ VAGUE_WHEEL = {
 """Half widths of intervals above which a number isn't told: shares, but for deadbands [rad/s]."""
 VAGUE_TIME = 0.03
 """Half width above which a time isn't told [s]."""
+LEAST_WINDOW_INTERVAL = 0.015
+"""Least half width where only the answers' shape tells a window: a lag's is nearly the same [s]."""
+SHORTEST_WINDOW = 0.001
+"""Of an encoder that doesn't average [s]."""
 NEGATIVE_DELAY = 0.01
 """A delay that is negative by more than this contradicts the baud rate [s]."""
 DELAY_QUANTILES = np.linspace(0.05, 0.95, 10)
@@ -125,8 +137,19 @@ def find_wheels(
             rows = np.arange(len(fit.problem.wheels)) * PARAMETERS_PER_WHEEL
             rows += SMOOTH_PARAMETERS.index(name)
             spread = np.asarray(fit.spread[np.ix_(rows, rows)])
-        found += _merge_wheels(four, spread)
+        found += [_widen(one) for one in _merge_wheels(four, spread)]
     return found
+
+
+def _widen(one: ParameterFinding) -> ParameterFinding:
+    """Make an interval as wide as it is at least."""
+    if one.value is None or one.low is None or one.high is None or one.value == NO_RAMP:
+        return one
+    share, fixed = LEAST_INTERVALS[one.name]
+    least = share * one.value + fixed
+    low, high = min(one.low, max(0.0, one.value - least)), max(one.high, one.value + least)
+    note = one.note or (f"below {high:.2f} rad/s" if low <= 0.0 < one.value else "")
+    return replace(one, low=low, high=high, note=note)
 
 
 def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> ParameterFinding:
@@ -148,7 +171,6 @@ def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> Parame
             return unknown.explain("the fit ended at its bound" if at_bound else why)
         high = min(NO_RAMP, 1.0 / (value - half))
         return unknown.tell(1.0 / value, 1.0 / (value + half), high)
-    half = max(half, LEAST_INTERVAL_SHARE * value)
     if at_bound or value < WHEEL_LOW[p] * (1.0 + BOUND_EDGE):
         return unknown.explain(f"the fit ended at its bound of {value:.3g}")
     if vague:
@@ -185,7 +207,7 @@ def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[P
     sigmas = np.maximum((ends[:, 1] - ends[:, 0]) / 2.0 / NORMAL_QUANTILE, 1e-9)
     weights = sigmas**-2 / (sigmas**-2).sum()
     mean = float(weights @ values)
-    away = float((((values - mean) / sigmas) ** 2).sum())
+    away = float((((values - mean) / sigmas * LIKENESS_FACTOR) ** 2).sum())
     if away > stats.chi2.ppf(1.0 - UNLIKE_PROBABILITY, len(four) - 1):
         return four
     half = NORMAL_QUANTILE * float(weights @ sigmas)  # of errors that wheels have in common
@@ -193,8 +215,8 @@ def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[P
         shares = np.sqrt(np.maximum(np.diag(spread), 1e-18))
         common = spread / np.outer(shares, shares)
         half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
-    half *= max(1.0, math.sqrt(away / (len(four) - 1)))
-    return [replace(every, value=mean, low=max(0.0, mean - half), high=mean + half)]
+    low, high = float(values.min()) - half, float(values.max()) + half
+    return [replace(every, value=mean, low=max(0.0, low), high=high)]
 
 
 def find_board(
@@ -242,6 +264,7 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     """The delay of commands; the phase of the board's loops adds up to one to its interval."""
     value = fit.times.delay
     half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
+    half += 0.0 if fit.counted else LEAST_WINDOW_INTERVAL / 2.0
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
         return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
@@ -283,13 +306,16 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     dt, value, half = fit.problem.dt, fit.times.window, _half_width(fit, (-2, 1.0))
     if value > 0.95 * LONGEST_WINDOW:
         return unknown.explain("the fit ended at its bound")
-    if not fit.solution.free[-2] and not fit.window_held:
+    if not fit.solution.free[-2] and not fit.counted:
         return unknown.explain("too vague: record more steps at a higher line rate")
-    if half > VAGUE_TIME:
-        return unknown.explain("too vague: record more steps")
     whole = max(1, round(value / dt)) * dt
-    low, high = min(whole, max(dt, value - half - dt)), max(whole, value + half + dt)
-    return unknown.tell(whole, low, high, "by encoder counts" if fit.window_held else "")
+    if fit.counted:
+        return unknown.tell(whole, max(dt, whole - dt), whole + dt, "by encoder counts")
+    half += LEAST_WINDOW_INTERVAL
+    low, high = max(SHORTEST_WINDOW, value - half), max(whole, value + half)
+    return unknown.tell(
+        whole, low, high, "" if low > SHORTEST_WINDOW else f"below {1e3 * high:.0f} ms"
+    )
 
 
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
@@ -298,7 +324,7 @@ def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> 
     found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
     if found is None:
         return unknown.explain("too few different speeds: record slow and fast driving")
-    counted = fit is not None and fit.window_held and not fit.rounding.step
+    counted = fit is not None and fit.counted and not fit.rounding.step
     if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
     if found.step <= feedback_lines.PRINTED_STEP:

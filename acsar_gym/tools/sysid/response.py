@@ -171,8 +171,13 @@ class FitProblem:
     def of(
         cls, tracks: Sequence[BoardTrack], wheels: Sequence[int], config: RobotConfig
     ) -> FitProblem:
-        """Make the problem of a robot with this loop rate and top speed."""
-        return cls(tracks, tuple(wheels), 1.0 / config.firmware.loop_rate, config.motor.max_speed)
+        """Make the problem of a robot with this loop rate and top speed.
+
+        Feedback in another unit may exceed the top speed.
+        """
+        fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
+        top = max(config.motor.max_speed, 1.1 * fastest)
+        return cls(tracks, tuple(wheels), 1.0 / config.firmware.loop_rate, top)
 
     @property
     def size(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ HELD_OUT_EVERY = 5
 """One block of so many is held out."""
 LATE_LINE = 0.006
 """Lines that this computer saw later than this after their time don't count [s]."""
+LONGEST_GAP = 0.05
+"""See `BoardTrack.stalls` [s]."""
 REST_LEAD = 0.5
 """Time at rest before the first command and reading; longer than encoders average [s]."""
 PAUSE_MARGIN = 0.3
@@ -44,6 +46,8 @@ class BoardTrack:
         speeds: of the four wheels, (m, 4) [rad/s].
         held_out: which lines a fit may not see, (m,).
         numbers: of these lines among all that came, (m,); late ones are left out.
+        stalls: when lines came again after none did for longer than `LONGEST_GAP` and two periods,
+            (k,) [s]: the computer, or an emulated board, stood still.
     """
 
     arrivals: Floats
@@ -52,6 +56,7 @@ class BoardTrack:
     speeds: Floats
     held_out: NDArray[np.bool_]
     numbers: NDArray[np.intp]
+    stalls: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def duration(self) -> float:
@@ -102,7 +107,8 @@ def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
     for k in np.flatnonzero(np.diff(arrivals) > PAUSE_GAP):
         begin, end = arrivals[k] - PAUSE_MARGIN, arrivals[k + 1] + PAUSE_MARGIN
         held_out &= (stamps < begin) | (stamps > end)
-    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen])
+    stalls = got[1:][np.diff(got) > LONGEST_GAP + 2.0 * float(np.median(np.diff(got)))]
+    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen], stalls)
 
 
 @dataclass(frozen=True, eq=False)

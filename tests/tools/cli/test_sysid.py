@@ -54,6 +54,27 @@ def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("inside")
+def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path: Path) -> None:
+    out, figures = tmp_path / "mine.yaml", tmp_path / "found.json"
+    asked = ("identify", "planar", "--quirk", "feedback-factor=1.5", "--duration", "12")
+    code, said, error = call(*asked, "--out", out, "--json", figures)
+    assert code == 1
+    assert_one_line(error, "doesn't fit: feedback is 1.50 times too large")
+    assert "doesn't fit: feedback is 1.50 times" in " ".join(said.split())
+    assert json.loads(figures.read_text())["model"]["pattern"].startswith("feedback is 1.50")
+    assert not out.exists()
+    assert call(*asked, "--out", out, "--anyway")[0] == 0
+    written = RobotConfig.load(out)
+    assert written.motor_fit.startswith("doesn't fit: feedback is 1.50")
+    assert not written.measured
+    again = "mine.yaml: this robot's simulation doesn't fit: "
+    assert again + "feedback is 1.50 times" in call("gap", "log0.mcap", "--robot", out)[1]
+    RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
+    drive = ("run", "0.6", "0.2", "--link", "planar", "--robot", out)
+    assert again + "holds at reversals" in call(*drive)[1]
+
+
 QUICK = ("--distance", "0.6", "--turns", "1", "--size", "0.4", "--repeats", "1")
 
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from board_tools import board
+from numpy.typing import NDArray
 from serial_tools import StartEmulator, cli
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError
+from acsar_gym.links import Link
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.protocol import Decoder, Speeds, encode
-from acsar_gym.tools.emulation.quirks import QuirkyLink, parse_quirks
+from acsar_gym.tools.emulation.quirks import QuirkyLink, make_link, parse_quirks
 
+Floats = NDArray[np.float64]
 SPEEDS = (4.0, 1.0, 2.0, 3.0)
 """A left turn, with another speed for each wheel [rad/s]."""
 LOOP = 0.005
@@ -38,11 +42,12 @@ def newest(heard: bytes) -> Speeds:
     return a, b, c, d
 
 
-def turning(link: QuirkyLink) -> Speeds:
+def turning(link: Link) -> Speeds:
     """The speeds of the wheels."""
-    assert isinstance(link.link, SimulatedLink)
-    assert link.link.body is not None
-    return link.link.body.wheel_speeds
+    inner = link.link if isinstance(link, QuirkyLink) else link
+    assert isinstance(inner, SimulatedLink)
+    assert inner.body is not None
+    return inner.body.wheel_speeds
 
 
 @pytest.mark.parametrize(
@@ -68,6 +73,32 @@ def test_what_a_board_reports_and_what_the_wheels_do(
     link = board(quirk)
     assert newest(drive(link)) == pytest.approx(reported, abs=0.15)  # of a count
     assert turning(link) == pytest.approx(real, abs=0.01)
+
+
+def answer(quirk: str, speeds: list[float], lag: float = 0.1) -> Floats:
+    """Speed of the first wheel in each loop, where each command holds for a second [rad/s]."""
+    config = RobotConfig(motor={"time_constant": lag, "acceleration": 1e4})
+    link = make_link("planar", config, parse_quirks([quirk]))
+    link.open()
+    turned = []
+    for speed in np.repeat(speeds, round(1.0 / LOOP)).tolist():
+        link.write(encode((speed,) * 4))
+        link.advance(LOOP)
+        turned.append(turning(link)[0])
+    return np.array(turned).reshape(len(speeds), -1)
+
+
+def test_motors_that_no_config_describes() -> None:
+    forward, backward = answer("backward-gain=0.85", [4.0, -4.0])[:, -1]
+    assert (forward, backward) == pytest.approx((4.0, -3.4), abs=1e-3)
+    (swings,) = answer("overshoot=0.2", [4.0], lag=0.05)
+    assert swings.max() == pytest.approx(4.8, abs=0.15)
+    assert swings[-1] == pytest.approx(4.0, abs=0.01)
+    up, down, more = answer("reversal-hold=0.3", [4.0, -4.0, -6.0], lag=0.01)
+    assert np.flatnonzero(np.abs(down) > 1.0)[[0, -1]].tolist() == [0, 199]
+    assert np.abs(down[20:58]).max() < 0.01
+    assert down[80] == pytest.approx(-4.0, abs=0.01)
+    assert min(up[20], -more[20]) > 3.9
 
 
 def test_numbers_and_rates_of_its_own() -> None:

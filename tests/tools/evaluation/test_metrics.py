@@ -13,6 +13,7 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.config.footprint import make_rectangle
+from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
 from acsar_gym.tools.evaluation.episodes import (
     EpisodeResult,
     footprint_clearance,
@@ -25,6 +26,7 @@ from acsar_gym.tools.evaluation.metrics import (
     summarise_episodes,
     wilson_interval,
 )
+from acsar_gym.tools.evaluation.report import SUMMARY_COLUMNS
 from acsar_gym.worlds import Region, World
 
 FORWARD = np.array([1.0, 0.0], np.float32)
@@ -111,6 +113,20 @@ def test_means_have_intervals_and_json_is_clean() -> None:
     assert math.isnan(summarise_episodes([]).success_rate)
     low, high = data["intervals"]["success_rate"]
     assert low < 2.0 / 3.0 < high
+
+
+def test_round_trips_are_a_distribution() -> None:
+    nothing = TickTiming(0, 0, 0, math.nan, math.nan, math.nan)
+    never = DurationSpread(0, math.nan, math.nan, math.nan)
+    timings = [
+        EpisodeTiming(nothing, never, DurationSpread(1, trip, trip, trip))
+        for trip in (0.04, 0.05, 0.09)
+    ]
+    found = summarise_episodes([result(timing=timing) for timing in timings])
+    assert (found.round_trip, found.round_trips) == (0.05, 3)
+    assert found.round_trip_p95 == pytest.approx(0.086)
+    assert SUMMARY_COLUMNS["round trip"](found) == "50 ms, 95 % 86 ms, of 3"
+    assert not SUMMARY_COLUMNS["round trip"](summarise_episodes([result()]))
 
 
 def test_barn_scores_are_averaged_over_all_runs() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sysid_tools import ACSAR, drive_wire, score_findings
+from sysid_tools import ACSAR, draw_motors, drive_wire, score_findings
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError, IdentificationError
@@ -19,10 +19,12 @@ from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.sysid.excitation import drive_excitation, plan_excitation
 from acsar_gym.tools.sysid.identify import (
     Identification,
     identification_table,
+    identify_device,
     identify_files,
     identify_logs,
 )
@@ -120,12 +122,63 @@ def test_a_log_without_commands_is_an_error() -> None:
         identify_logs([nothing], ACSAR)
 
 
-def test_a_fit_that_explains_little_is_not_written(found: Identification) -> None:
+@pytest.mark.parametrize(
+    ("quirk", "motor", "said"),
+    [
+        ("backward-gain=0.85", {}, "backward weaker than forward, wheel a by 1"),
+        ("feedback-factor=9.55", {}, "times too large: likely feedback in rpm"),
+        pytest.param("feedback-factor=1.5", {}, "feedback is 1.4", marks=pytest.mark.slow),
+        pytest.param("overshoot=0.2", {}, "overshoots by 2", marks=pytest.mark.slow),
+        pytest.param("reversal-hold=0.2", {}, "holds for 0.2 s at", marks=pytest.mark.slow),
+        pytest.param("", {"max_speed": 6.0}, "saturates at 5.", marks=pytest.mark.slow),
+    ],
+)
+def test_a_board_outside_the_model_is_named_and_not_written(
+    quirk: str, motor: dict[str, float], said: str
+) -> None:
+    found = identify_quirky(HIDDEN.with_(motor=motor), *([quirk] if quirk else []))
+    assert found.model is not None
+    assert said in found.model.pattern
+    with pytest.raises(IdentificationError, match="--anyway"):
+        found.check()
+    found.check(anyway=True)
+    robot = found.robot()
+    assert robot.motor_fit == found.model.verdict
+    assert said in robot.misfit
+    assert not robot.measured
+
+
+def test_a_model_that_fits_says_so_in_the_robots_file(found: Identification) -> None:
     found.check()
-    assert found.held_out is not None
-    poor = replace(found, held_out=replace(found.held_out, after=0.4 * found.held_out.signal))
-    with pytest.raises(IdentificationError, match="the fit misses"):
-        poor.check()
+    assert found.model is not None
+    assert found.model.error < 1.3 * found.model.noise
+    assert (found.robot().motor_fit, found.robot().misfit) == ("fits", "")
+
+
+@pytest.mark.parametrize("window", [0.005, 0.1])
+def test_what_was_only_configured_is_not_measured(window: float) -> None:
+    """The config says 50 ms, and counts that the board doesn't have."""
+    encoder = {"window": window, "counts_per_revolution": 1_000_000, "quantum": None}
+    hidden = HIDDEN.with_(encoder=encoder, motor={"deadband": 0.0})
+    findings = identify_quirky(hidden).findings
+    true = {
+        "encoder.window": window,
+        "motor.deadband": 0.0,
+        "firmware.command_delay": hidden.firmware.command_delay,
+    }
+    for one in findings:
+        if one.name in true:
+            assert holds(one, true[one.name]), one
+            assert "counts" not in one.note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 104))
+def test_intervals_of_drawn_boards_hold_the_truth(seed: int) -> None:
+    hidden = draw_motors(seed)
+    found = identify_quirky(hidden)
+    found.check()
+    assert [one for one in score_findings(found, hidden) if not one.holds] == []
 
 
 @pytest.mark.parametrize("duration", [0.3, 2.0])
@@ -141,6 +194,13 @@ def test_what_cannot_be_told_has_no_number(duration: float) -> None:
     assert found.robot().motor == found.config.motor
 
 
+def identify_quirky(hidden: RobotConfig, *names: str) -> Identification:
+    """Identify a hidden robot with these quirks in simulated time."""
+    odd = parse_quirks(names)
+    link = make_link("planar", apply_to_config(odd, hidden), odd)
+    return identify_device(link, ACSAR, 14.0)
+
+
 def tell(speeds: Callable[[float], float | None], **true: object) -> dict[str, ParameterFinding]:
     """What is told of a hidden robot that is driven for 12 s; the resolution, told or not."""
     found = identify_logs([drive_wire(speeds, ACSAR.with_(**true), 12.0)], ACSAR).findings
@@ -149,7 +209,9 @@ def tell(speeds: Callable[[float], float | None], **true: object) -> dict[str, P
 
 def holds(one: ParameterFinding | None, value: float) -> bool:
     """Whether an interval holds the truth, if there is one."""
-    return one is None or (one.low or math.nan) <= value <= (one.high or math.nan)
+    if one is None or one.low is None or one.high is None:
+        return True
+    return one.low <= value <= one.high
 
 
 def slowly(time: float) -> float:

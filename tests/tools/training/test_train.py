@@ -92,12 +92,16 @@ def test_a_training_says_which_ranges_were_measured(
         motor={"time_constant": 0.11},
         firmware={"delay_samples": [0.001, 0.004]},
         measured={"motor.time_constant": lag},
+        motor_fit="doesn't fit: saturates at 6.0 rad/s",
     )
     robot.save(tmp_path / "robot.yaml")
     options = ["--steps", "1", "--robots", "4", "--no-progress", "--out", str(tmp_path)]
     options += ["--threads", "1", "--robot", str(tmp_path / "robot.yaml")]
     assert seeds.main(options) == 0
-    told = capsys.readouterr().out.splitlines()[0]
+    told, misfit, *_ = capsys.readouterr().out.splitlines()
+    assert misfit.endswith(
+        "robot.yaml: this robot's simulation doesn't fit: saturates at 6.0 rad/s"
+    )
     found = "motor_lag 0.909 to 1.09, delay_samples (2 delays up to 0.004 s)"
     assert f"seed 0; randomized as measured: {found}; by default widths: friction" in told
     assert seeds.main([*options, "--no-randomize"]) == 0

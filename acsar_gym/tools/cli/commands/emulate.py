@@ -28,7 +28,7 @@ class BoardOptions:
     """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
     reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
     runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
-    feedback-rate=HZ."""
+    feedback-rate=HZ, backward-gain=NUMBER, overshoot=SHARE, reversal-hold=SECONDS."""
 
 
 @command("emulate", "robots")

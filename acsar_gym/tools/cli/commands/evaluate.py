@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LateTicksError, LinkError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
@@ -201,6 +202,8 @@ def run_policy(
         if is_device(robot.link):
             countdown(f"the robot on {robot.link} will drive", yes=yes)
 
+    if misfit := RobotConfig.of(robot.robot).misfit:
+        say(f"{robot.robot}: {misfit}")
     recorder = robot.recorder("run", link=robot.link, policy=loaded.about)
     options = {"lidar": robot.lidar, "record": recorder, "goal_distance": goal_distance}
     done = runs.drive_to_goal(loaded, robot.link, robot.robot, goal, ready, **options)

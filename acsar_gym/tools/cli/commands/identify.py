@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -28,43 +29,63 @@ LATE_MANOEUVRE = 1.1
 """A manoeuvre that takes longer than this, as a share of its length, is worth a warning."""
 
 
+@dataclass(frozen=True)
+class IdentifySetup(RecordOptions):
+    """The robot, and recording of the manoeuvre."""
+
+    robot: RobotArg = None
+    """Preset or config file: what is known so far. Default: the one recorded, or acsar."""
+    twin: RobotArg = None
+    """Simulation: the robot that is driven, a hidden one to be found."""
+    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
+    """Simulation: how its board differs, as for emulate, such as backward-gain=0.85."""
+
+
+@dataclass(frozen=True)
+class IdentifyOutputs:
+    """Results."""
+
+    out: File = None
+    """Write the robot's file with what was found, to be used as --robot."""
+    anyway: bool = False
+    """Write it even where the model doesn't fit: without intervals, and the file says so."""
+    json: File = None
+    """Also write the findings to this file."""
+
+
 @command("identify", "robots", drives=True)
 def identify_robot(
     sources: Sources,
-    recording: RecordOptions,
-    robot: RobotArg = None,
-    out: File = None,
+    setup: IdentifySetup,
+    output: IdentifyOutputs,
     duration: float = 20.0,
     yes: bool = False,
-    twin: RobotArg = None,
-    json: File = None,
 ) -> int:
     """Find how motors and board answer, from what the wire carries, and write it to a robot's file.
 
     With a device, the wheels turn for 20 s with steps, slow staircases and a pause without
     commands: lift the robot! With recordings, whatever they hold is used. Either way it says
-    first which parameters the log can't tell, and which manoeuvre is missing.
+    first which parameters the log can't tell, and which manoeuvre is missing. Where the model of
+    motors and board doesn't describe what was recorded, it says in which way, and writes no file.
 
     Args:
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
             --record.
-        recording: recording of the manoeuvre.
-        robot: preset or config file: what is known so far. Default: the one recorded, or acsar.
-        out: write the robot's file with what was found, to be used as --robot.
+        setup: robot and recording.
+        output: results.
         duration: of the manoeuvre [s].
         yes: don't ask before the wheels turn.
-        twin: simulation only: the robot that is driven, a hidden one to be found.
-        json: also write the findings to this file.
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
+    from acsar_gym.tools.emulation import quirks  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
-    check_writable(json, robot=out)
+    check_writable(output.json, robot=output.out)
     if not sources:
         raise ConfigError("identify needs a device, or recordings made with --record")
     files = [Path(source).suffix == ".mcap" or Path(source).is_file() for source in sources]
-    device = sources[0]
+    device, robot = sources[0], setup.robot
     if any(files) or len(sources) > 1:
         if not all(files):
             other = sources[files.index(False)]
@@ -73,13 +94,17 @@ def identify_robot(
         found = identify.identify_files([Path(source) for source in sources], known)
     else:
         config, simulated = RobotConfig.of(robot), device in BODIES
-        if twin is not None and not simulated:
-            raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
-        link = open_link(device, config if twin is None else RobotConfig.of(twin))
-        if not simulated:
+        if (setup.twin is not None or setup.quirk) and not simulated:
+            raise ConfigError(f"--twin and --quirk are for simulated robots: {' or '.join(BODIES)}")
+        if simulated:
+            odd = quirks.parse_quirks(setup.quirk)
+            twin = config if setup.twin is None else RobotConfig.of(setup.twin)
+            link = quirks.make_link(device, quirks.apply_to_config(odd, twin), odd)
+        else:
+            link = open_link(device, config)
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
-        recorder = recording.recorder("identify")
+        recorder = setup.recorder("identify")
         found = identify.identify_device(link, config, duration, recorder)
         if found.duration > LATE_MANOEUVRE * duration:
             late = (
@@ -88,12 +113,15 @@ def identify_robot(
                 f"see 'acsar-gym doctor {device} --timing', and drive again"
             )
             print(escape_unprintable(late), file=sys.stderr)
-    print_results(identify.identification_table(found), json=json, data=found.as_dict())
-    found.check()
+    print_results(identify.identification_table(found), json=output.json, data=found.as_dict())
+    found.check(anyway=output.anyway)
     if found.dead:
         names = ", ".join(found.dead)
         say(f"{names} never turned: nothing of it was found; check motor and encoder")
-    if out is not None:
-        found.robot().save(out)
-        say(f"written: {out}; use it with --robot {out}")
+    if output.out is not None:
+        written = found.robot()
+        written.save(output.out)
+        say(f"written: {output.out}; use it with --robot {output.out}")
+        if written.misfit:
+            say(written.misfit)
     return 0

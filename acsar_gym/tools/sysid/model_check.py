@@ -1,0 +1,369 @@
+"""Whether a fitted model describes a board, and what it misses where it doesn't.
+
+The error is compared with the noise (the steps of the printed numbers, and what the phases of the
+board's loops do to the time of an answer): on lines that the fit didn't see, and by direction,
+speed and time since a step. Where it is larger, freer models are fitted to the wheel that is missed
+most, each with one habit more (another gain backward, a hold at reversals, an overshoot ...). The
+habit that explains most of the error is named.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.config.robot import MISFIT
+from acsar_gym.errors import require_extra
+from acsar_gym.jit import loop
+from acsar_gym.protocol import MOTORS
+from acsar_gym.tools.doctor.board import HIGHEST_RATIO, LOWEST_RATIO
+from acsar_gym.tools.doctor.commission import likely_units
+from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.feedback_lines import PRINTED_STEP, measure_line_rate
+from acsar_gym.tools.sysid.fit import MotorFit
+from acsar_gym.tools.sysid.response import sample_commands
+from acsar_gym.tools.sysid.tracks import BoardTrack
+
+with require_extra("identification", "scipy"):
+    from scipy import optimize
+
+FITS = "fits"
+"""What a robot's file says of a model that fits; otherwise `MISFIT` and the pattern."""
+HELD_OUT_LIMIT, PART_LIMIT = 2.2, 1.7
+"""A model doesn't fit where its error is larger, in noises: on the held-out lines, or on any part
+of a log. For simulated robots that it describes these were at most 1.6 and 1.3."""
+FEWEST_LINES = 40
+"""Fewest lines of a wheel in a part that is judged."""
+WORST_SHARE = 0.03
+"""Share of lines, the worst, that may be damaged and don't count."""
+STALL_TIME = 0.5
+"""Lines don't count for so long after a stall [s]: commands were taken late."""
+CALM_TIME = 0.5
+"""Lines show their noise so long after a jump of the command [s]."""
+CALM_OUTLIERS = 0.05
+"""Share of these, the worst, that don't count."""
+LEAST_APART = 0.5
+"""Least part of its window that a line doesn't share with the one before: where windows overlap,
+lines scatter less from one to the next."""
+SLOW_SPEED = 1.5
+"""Below it a speed is low [rad/s]; the excitation's staircase ends there."""
+HELD_OUT = "on what the fit didn't see"
+EXPLAINED_SHARE = 0.4
+"""A habit is named that explains this share of the loss."""
+LEAST_CHANGE = 0.02
+"""Wheels whose backward gain differs by less than this are alike forward and backward."""
+EVALUATIONS = 400
+"""Evaluations of a freer model, at most."""
+LEAST_LOSS_SCALE = 0.05
+"""Least error at which a freer model's loss becomes linear [rad/s]."""
+STEP_TIME = 0.5
+"""Lines so soon after a jump of the command are of its answer [s]."""
+STEP_JUMP = 1.0
+"""Smallest change of a command from line to line that counts as a jump [rad/s]."""
+
+
+class ModelCheck(NamedTuple):
+    """The error of a model against the noise, where it is largest in noises."""
+
+    error: float
+    """RMS [rad/s]."""
+    noise: float
+    """Of the same lines, RMS [rad/s]."""
+    place: str
+    """Which lines: a wheel, and what it did."""
+    pattern: str = ""
+    """What the model misses; empty where it fits."""
+
+    @property
+    def verdict(self) -> str:
+        """What the robot's file says."""
+        return MISFIT + self.pattern if self.pattern else FITS
+
+
+class Habits(NamedTuple):
+    """A wheel's answer, with habits that the twin's motors don't have."""
+
+    lag: float
+    gain: float
+    slowness: float
+    deadband: float
+    delay: float
+    window: float
+    backward: float = 1.0
+    """Factor on the gain backward."""
+    top: float = 1e3
+    """Speed at which it saturates [rad/s]."""
+    hold: float = 0.0
+    """Time for which it takes a command of the other sign for zero [s]."""
+    halt: float = 0.0
+    """The same, of the set point behind the ramp [s]."""
+    overshoot: float = 0.0
+    """Share of a step by which it overshoots."""
+    braking: float = 1.0
+    """Factor on the lag where it slows down."""
+    bend: float = 0.0
+    """Share of the gain that is lost at 10 rad/s, in proportion to the speed."""
+    stiction: float = 0.0
+    """By how much more set point it needs to start than to go on [rad/s]."""
+
+
+PLAIN_PARAMETERS = 6
+"""Parameters of a wheel without habits."""
+HABIT_STARTS: dict[str, tuple[float, ...]] = {
+    "backward": (0.85, 1.15),
+    "top": (0.9, 0.6),
+    "hold": (0.1, 0.25),
+    "halt": (0.1, 0.25),
+    "overshoot": (0.1, 0.3),
+    "braking": (0.4, 2.5),
+    "bend": (0.15,),
+    "stiction": (0.4,),
+}
+"""Values from which the fit of each habit starts; that of `top` is a share of the fastest line."""
+
+
+@loop
+def simulate_habits(targets: Floats, dt: float, own: Habits) -> Floats:
+    """Compute a wheel's speed after each loop, with its habits.
+
+    Args:
+        targets: commanded in each loop [rad/s].
+        dt: period of the loop [s].
+        own: the wheel's answer.
+    """
+    step = dt / max(own.slowness, 1e-6)
+    lag = max(own.lag, 1e-3)
+    blend = 1.0 - math.exp(-dt / lag)
+    brake = 1.0 - math.exp(-dt / max(lag * own.braking, 1e-3))
+    log = math.log(min(max(own.overshoot, 1e-6), 0.9))
+    damping = -log / math.sqrt(math.pi**2 + log * log)
+    natural = min(1.0 / (2.0 * damping * lag), 0.5 / dt)  # stable
+    speeds = np.empty(len(targets))
+    set_point, speed, rate, moving = 0.0, 0.0, 0.0, False
+    sign, held, way, halted = 0.0, 1e9, 0.0, 1e9
+    for k in range(len(targets)):
+        target = targets[k]
+        held = 0.0 if target * sign < 0.0 else held + dt
+        sign = sign if target == 0.0 else math.copysign(1.0, target)
+        target = 0.0 if held < own.hold else target
+        set_point = min(max(target, set_point - step), set_point + step)
+        aim = set_point * own.gain
+        halted = 0.0 if aim * way < 0.0 else halted + dt
+        way = way if aim == 0.0 else math.copysign(1.0, aim)
+        aim = 0.0 if halted < own.halt else aim
+        aim *= own.backward if aim < 0.0 else 1.0
+        aim *= 1.0 - min(0.9, own.bend * abs(aim) / 10.0)
+        if abs(aim) < own.deadband + (0.0 if moving else own.stiction):
+            aim = 0.0
+        moving = aim != 0.0
+        aim = min(max(aim, -own.top), own.top)
+        if own.overshoot > 1e-3:
+            rate += (natural * (aim - speed) - 2.0 * damping * rate) * natural * dt
+            speed += rate * dt
+        else:
+            speed += (brake if abs(aim) < abs(speed) else blend) * (aim - speed)
+        speeds[k] = speed
+    return speeds
+
+
+def check_model(fit: MotorFit, config: RobotConfig) -> ModelCheck | None:
+    """Check whether a fitted model describes the board.
+
+    Args:
+        fit: of the motors.
+        config: of the robot, as it was.
+
+    Returns:
+        The check; None where there are too few lines.
+    """
+    found = []
+    for index, wheel in enumerate(fit.problem.wheels):
+        lines = _collect_lines(fit, index)
+        for name, chosen in _split_lines(lines).items():
+            rest, noise = lines.rest[chosen], lines.noise[chosen]
+            if len(rest) < FEWEST_LINES:
+                continue
+            usual = np.argsort(np.abs(rest) / noise)[: math.ceil((1.0 - WORST_SHARE) * len(rest))]
+            error, least = (math.sqrt(np.mean(part[usual] ** 2)) for part in (rest, noise))
+            limit = HELD_OUT_LIMIT if name == HELD_OUT else PART_LIMIT
+            place = f"wheel {MOTORS[wheel]} {name}"
+            found.append((error / least / limit, index, ModelCheck(error, least, place)))
+    if not found:
+        return None
+    excess, worst, check = max(found)
+    pattern = _describe_scale(fit, config)
+    if not pattern and excess > 1.0:
+        pattern = _find_habit(fit, worst) or (
+            f"{check.place} is missed by {check.error:.2f} rad/s, where the noise is "
+            f"{check.noise:.2f}"
+        )
+    return check._replace(pattern=pattern or _describe_odd_wheel(fit))
+
+
+class WheelLines(NamedTuple):
+    """All lines of a wheel: (n,) each."""
+
+    rest: Floats
+    """The model's answer, less what was printed [rad/s]."""
+    answer: Floats
+    """The model's answer [rad/s]."""
+    noise: Floats
+    """Standard deviation that is expected of `rest` [rad/s]."""
+    since: Floats
+    """Time since a jump of the command [s]."""
+    held_out: NDArray[np.bool_]
+
+
+def _split_lines(lines: WheelLines) -> dict[str, NDArray[np.bool_]]:
+    """Name parts of the lines of a wheel."""
+    settled, fast = lines.since > STEP_TIME, np.abs(lines.answer) >= SLOW_SPEED
+    return {
+        HELD_OUT: lines.held_out,
+        "forward": lines.answer > SLOW_SPEED / 2.0,
+        "backward": lines.answer < -SLOW_SPEED / 2.0,
+        "soon after a step": ~settled,
+        "at a steady low speed": settled & ~fast,
+        "at a steady high speed": settled & fast,
+    }
+
+
+def _collect_lines(fit: MotorFit, index: int) -> WheelLines:
+    """Collect what is known of the lines of one wheel, and their noise."""
+    problem, times, model = fit.problem, fit.times, fit.wheels[index]
+    wheel = problem.wheels[index]
+    rate = measure_line_rate(problem.tracks)
+    late = times._replace(delay=times.delay + problem.dt + rate.jitter)
+    columns, jumps = [], []
+    for track in problem.tracks:
+        answer = problem.answer(track, wheel, model, times)
+        rest = answer - track.speeds[:, wheel]
+        blur = problem.answer(track, wheel, model, late) - answer
+        newest = np.searchsorted(track.arrivals, track.stamps, side="right") - 1
+        asked = track.commands[np.maximum(newest, 0), wheel]
+        steps = track.stamps[1:][np.abs(np.diff(asked)) > STEP_JUMP]
+        last = np.searchsorted(steps, track.stamps, side="right") - 1
+        since = np.full(len(last), np.inf)
+        since[last >= 0] = (track.stamps - np.append(steps, 0.0)[last])[last >= 0]
+        recently = (track.stamps - STALL_TIME, track.stamps)
+        passed = np.searchsorted(track.stalls, recently, side="right")
+        even = passed[0] == passed[1]
+        columns.append([one[even] for one in (rest, answer, blur, since, track.held_out)])
+        calm = (since > CALM_TIME) & (np.abs(answer) > PRINTED_STEP)
+        jumps.append(np.diff(rest)[calm[1:] & calm[:-1]])
+    rest, answer, blur, since, held_out = (
+        np.concatenate(one) for one in zip(*columns, strict=True)
+    )
+    counts, step, cut = fit.rounding
+    square = counts**2 / 6.0 + (step**2 + cut**2 + PRINTED_STEP**2) / 12.0
+    scatter = np.sort(np.concatenate(jumps) ** 2)
+    if len(scatter) >= FEWEST_LINES:  # what lines scatter where nothing happens
+        usual = scatter[: math.ceil((1.0 - CALM_OUTLIERS) * len(scatter))]
+        apart = max(LEAST_APART, min(1.0, 1.0 / (rate.rate * times.window)))
+        square = max(square, float(usual.mean()) / 2.0 / apart)
+    return WheelLines(rest, answer, np.sqrt(square + blur**2), since, held_out.astype(bool))
+
+
+def _describe_scale(fit: MotorFit, config: RobotConfig) -> str:
+    """Say that gains are those of another unit, if they are."""
+    middle = float(np.median([wheel.gain for wheel in fit.wheels]))
+    if LOWEST_RATIO <= middle <= HIGHEST_RATIO:
+        return ""
+    size = f"{middle:.2f} times too large" if middle > 1.0 else f"{middle:.2f} of what it should be"
+    return f"feedback is {size}: {likely_units(middle, config)}"
+
+
+def _describe_odd_wheel(fit: MotorFit) -> str:
+    """Name a wheel whose gain is far from that of the others, if there is one."""
+    for wheel, model in zip(fit.problem.wheels, fit.wheels, strict=True):
+        if not LOWEST_RATIO <= model.gain <= HIGHEST_RATIO:
+            return f"wheel {MOTORS[wheel]} turns at {model.gain:.2f} of its command"
+    return ""
+
+
+def _find_habit(fit: MotorFit, worst: int) -> str:
+    """Name the habit that explains most of a wheel's error; empty where none explains enough."""
+    wheel, delay = fit.wheels[worst], max(0.0, fit.times.delay)
+    scale = max(LEAST_LOSS_SCALE, float(np.median(_collect_lines(fit, worst).noise)))
+    column = fit.problem.wheels[worst]
+    fastest = max(float(np.abs(track.speeds[:, column]).max()) for track in fit.problem.tracks)
+    window = fit.times.window
+    fitted = Habits(wheel.lag, wheel.gain, wheel.slowness, wheel.deadband, delay, window)
+    usual = Habits(0.1, 1.0, 0.015, wheel.deadband, 0.01, min(window, 0.05))
+    base = min(_fit_habits(fit, worst, start, "", scale) for start in (fitted, usual))
+    least, best, habit = base[0], base[1], ""
+    for name, values in HABIT_STARTS.items():
+        for value, start in product(values, (base[1], usual)):
+            other = start._replace(**{name: value * fastest if name == "top" else value})
+            cost, found = _fit_habits(fit, worst, other, name, scale)
+            if cost < least:
+                least, best, habit = cost, found, name
+    if least > (1.0 - EXPLAINED_SHARE) * base[0]:
+        return ""
+    if habit == "backward":
+        parts = []
+        for k, column in enumerate(fit.problem.wheels):
+            change = abs(1.0 - _fit_habits(fit, k, best, habit, scale)[1].backward)
+            if change > LEAST_CHANGE:
+                parts.append(f"wheel {MOTORS[column]} by {change:.0%}")
+        how = "weaker" if best.backward < 1.0 else "stronger"
+        return f"backward {how} than forward, {', '.join(parts)}"
+    lags = f"{1e3 * best.lag * best.braking:.0f} ms) than it speeds up ({1e3 * best.lag:.0f} ms"
+    begin = best.deadband + best.stiction
+    return {
+        "top": f"saturates at {best.top:.1f} rad/s",
+        "hold": f"holds for {best.hold:.2g} s at reversals",
+        "halt": f"holds for {best.halt:.2g} s at reversals",
+        "overshoot": f"overshoots by {best.overshoot:.0%} after a step: the board runs its own "
+        "control loop",
+        "braking": f"slows down with another lag ({lags})",
+        "bend": f"gain falls with speed, by {best.bend:.0%} up to 10 rad/s",
+        "stiction": f"starts at {begin:.2f} rad/s, and turns on down to {best.deadband:.2f}",
+    }[habit]
+
+
+def _fit_habits(
+    fit: MotorFit, index: int, start: Habits, habit: str, scale: float
+) -> tuple[float, Habits]:
+    """Fit a wheel's answer with one habit, or none (""), by Nelder and Mead's simplex.
+
+    Returns:
+        The mean loss, and the answer.
+    """
+    names = (*Habits._fields[:PLAIN_PARAMETERS], *([habit] if habit else []))
+    wheel, tracks = fit.problem.wheels[index], fit.problem.tracks
+
+    def complete(x: Floats) -> Habits:
+        return start._replace(**{n: max(v, 0.0) for n, v in zip(names, x.tolist(), strict=True)})
+
+    def cost(x: Floats) -> float:
+        own = complete(x)
+        rest = [_answer_with_habits(t, wheel, own, fit) - t.speeds[:, wheel] for t in tracks]
+        return float(np.mean(np.sqrt(1.0 + (np.concatenate(rest) / scale) ** 2) - 1.0))
+
+    first = np.array([getattr(start, name) for name in names], np.float64)
+    simplex = np.vstack((first, first + np.diag(0.2 * first + 0.005)))
+    found: Any = optimize.minimize(
+        cost,
+        first,
+        method="Nelder-Mead",
+        options={"maxfev": EVALUATIONS, "initial_simplex": simplex},
+    )
+    return float(found.fun), complete(found.x)
+
+
+def _answer_with_habits(track: BoardTrack, wheel: int, own: Habits, fit: MotorFit) -> Floats:
+    """Speeds of a wheel with habits, at a track's stamps [rad/s]."""
+    edges, dt = track.loop_edges(fit.problem.dt), fit.problem.dt
+    window = max(own.window, dt)
+    stamps, commands = track.apply_timeout(fit.times.timeout)
+    before, after, share = sample_commands(edges, stamps + own.delay, commands[:, wheel])
+    speeds = simulate_habits(before + share * (after - before), dt, own)
+    ends = np.append(edges, edges[-1] + dt)
+    angles = np.append(0.0, np.cumsum(speeds) * dt)
+    turned = np.interp(track.stamps, ends, angles)
+    return np.asarray((turned - np.interp(track.stamps - window, ends, angles)) / window)
