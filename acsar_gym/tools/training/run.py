@@ -43,9 +43,9 @@ def train(options: TrainingOptions) -> int:
         plan, state = TrainingPlan.of(start.options), start.state
         env = batches.enter_context(contextlib.closing(plan.make_training_batch()))
         apart = batches.enter_context(contextlib.closing(plan.make_held_out_batch(env)))
-        print(escape_unprintable(f"{held_out.describe_worlds(env, apart)}; {plan}"), flush=True)
-        if plan.robot.misfit:
-            print(escape_unprintable(f"{options.robot}: {plan.robot.misfit}"), flush=True)
+        about = f"{held_out.describe_worlds(env, apart)}; {plan}", plan.robot.misfit
+        print(escape_unprintable("\n".join(filter(None, about))), flush=True)
+
         from acsar_gym.tools.policies import sb3  # noqa: PLC0415
         from acsar_gym.tools.training import callbacks, models  # noqa: PLC0415
 
