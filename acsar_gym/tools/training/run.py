@@ -29,6 +29,13 @@ if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
 CURVE_NAME = "learning_curve"
 
 
+def announce_training(plan: TrainingPlan, worlds: str) -> None:
+    """Print what begins, and whether the robot's file says that its motors don't fit the model."""
+    print(escape_unprintable(f"{worlds}; {plan}"), flush=True)
+    if plan.robot.misfit:
+        print(escape_unprintable(f"{plan.options.robot}: {plan.robot.misfit}"), flush=True)
+
+
 def train(options: TrainingOptions) -> int:
     """Train, save, export, and print the success rate.
 
@@ -43,9 +50,7 @@ def train(options: TrainingOptions) -> int:
         plan, state = TrainingPlan.of(start.options), start.state
         env = batches.enter_context(contextlib.closing(plan.make_training_batch()))
         apart = batches.enter_context(contextlib.closing(plan.make_held_out_batch(env)))
-        about = f"{held_out.describe_worlds(env, apart)}; {plan}", plan.robot.misfit
-        print(escape_unprintable("\n".join(filter(None, about))), flush=True)
-
+        announce_training(plan, held_out.describe_worlds(env, apart))
         from acsar_gym.tools.policies import sb3  # noqa: PLC0415
         from acsar_gym.tools.training import callbacks, models  # noqa: PLC0415
 
