@@ -133,7 +133,7 @@ def test_a_demo_checks_its_counts_first(
     monkeypatch.setattr(demo, "run_demo", None)
     for count in ("-1", "0", "9" * 400):
         code, _, error = call("demo", option, count)
-        assert_one_line(code, error, f"{option} = ")
+        assert_one_line(code, error, f"demo.{option.strip('-').replace('-', '_')} = ")
 
 
 @pytest.mark.parametrize("name", ["\x1b]0;title\x07\x9b31m\r", "a\u202eb"])

@@ -32,6 +32,10 @@ GAP_STEPS = 2.0
 further away nothing is known."""
 
 
+NOTHING = 1e9
+"""Length of a miss, and how many rays away a measurement is that isn't there."""
+
+
 class Revolution(NamedTuple):
     """One turn of a LiDAR's head: n measurements, in any order."""
 
@@ -224,7 +228,7 @@ def move_measurements(
         rays: of the LiDAR.
         places: (n,): directions in parts of the angle between two rays, 0 for the first ray;
             written, from -0.5 to less than a full turn beyond.
-        lengths: (n,) [m]; written, infinite where nothing was measured.
+        lengths: (n,) [m]; written, NOTHING where nothing was measured.
     """
     around = FULL_TURN / rays.step
     for k in range(len(bearings)):
@@ -235,7 +239,7 @@ def move_measurements(
         y = distance * sin + (ys[k] if measured else 0.0)
         place = (angle_of(x, y) - rays.start) / rays.step
         places[k] = place - around * np.floor((place + 0.5) / around)
-        lengths[k] = math.sqrt(x * x + y * y) if measured else np.inf
+        lengths[k] = math.sqrt(x * x + y * y) if measured else NOTHING
 
 
 @subroutine
@@ -256,7 +260,7 @@ def sort_into_rays(
     last = len(ranges)
     whole = abs(FULL_TURN / rays.step - last) < 1e-6  # the rays go all the way round
     # For each ray the lengths of the measurements below and above it, and how far off they are.
-    sides, offs = np.full((2, last), np.inf), np.full((2, last), np.inf)
+    sides, offs = np.full((2, last), NOTHING), np.full((2, last), NOTHING)
     for k in range(len(places)):
         low = int(np.floor(places[k]))
         high, off = low + 1, places[k] - low
@@ -274,10 +278,10 @@ def sort_into_rays(
         steep = MAX_SLOPE * min(first, second) * (near + far) * rays.step
         together = near <= most and far <= most and abs(first - second) <= steep
         between = (first * far + second * near) / (near + far + 1e-300)
-        near += miss if first == np.inf else 0.0
-        far += miss if second == np.inf else 0.0
+        near += miss if first == NOTHING else 0.0
+        far += miss if second == NOTHING else 0.0
         nearer = first if near <= far else second
-        length = nearer if min(near, far) <= most + miss else np.inf
+        length = nearer if min(near, far) <= most + miss else NOTHING
         length = between if together else length
         ranges[ray] = min(max(length, rays.nearest), rays.farthest)
 
@@ -288,23 +292,23 @@ def spread_to_empty(sides: Floats, offs: Floats, first: int, step: int, whole: b
 
     Args:
         sides: (rays,): lengths [m]; changed.
-        offs: (rays,): how far off they are, in rays; infinite where there is none; changed.
+        offs: (rays,): how far off they are, in rays; NOTHING where there is none; changed.
         first: the ray to begin with.
         step: to the next ray, 1 or -1.
         whole: whether the last ray is before the first one.
     """
     last = len(offs)
-    length, off = np.inf, np.inf
-    if whole and offs[first] == np.inf:
+    length, off = NOTHING, NOTHING
+    if whole and offs[first] >= NOTHING:
         for back in range(1, last):
             other = last - back if step > 0 else back - 1
-            if offs[other] < np.inf:
+            if offs[other] < NOTHING:
                 length, off = sides[other], offs[other] + back - 1.0
                 break
     for number in range(last):
         ray = first + number * step
         off += 1.0
-        if offs[ray] == np.inf:
+        if offs[ray] >= NOTHING:
             sides[ray], offs[ray] = length, off
         else:
             length, off = sides[ray], offs[ray]

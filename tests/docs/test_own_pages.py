@@ -23,7 +23,7 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LidarError, LinkError
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.scan import Scan
+from acsar_gym.sensors.scan import Revolution
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
 
@@ -110,8 +110,8 @@ class Still:
     def reset(self, scene: Any, rng: Any) -> None:
         pass
 
-    def scan(self) -> Scan:
-        return Scan(np.full(64, 2.0), 0.0)
+    def scan(self) -> Revolution:
+        return Revolution(np.linspace(-3.0, 3.0, 64), np.full(64, 2.0), np.zeros(64), 0.0)
 
     def close(self) -> None:
         pass

@@ -454,7 +454,8 @@ class TaskTables(NamedTuple):
 @jit
 def robots_of_block(block: int, robots: int) -> int:
     """How many of a batch's robots are in a block."""
-    return min(robots - block * BLOCK_ROBOTS, BLOCK_ROBOTS)
+    left = robots - block * BLOCK_ROBOTS
+    return left if left < BLOCK_ROBOTS else BLOCK_ROBOTS
 
 
 @jit
