@@ -25,6 +25,7 @@ from typing import IO, Any
 
 import pytest
 
+from acsar_gym.links.shutdown import install_handlers
 from acsar_gym.protocol import ZERO, Decoder
 
 TIMEOUT = 30.0
@@ -343,6 +344,7 @@ def open_files() -> int:
 @contextlib.contextmanager
 def no_leak() -> Iterator[None]:
     """Fails where the block leaves a descriptor open."""
+    install_handlers()  # which opens a pipe, once in a process
     before = open_files()
     yield
     assert open_files() == before, "a descriptor was left open"
