@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.sensors import Sensor
+from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds.geometry import measure_ranges
@@ -71,12 +73,71 @@ class AtOnce(Sensor):
             row[:] = np.clip(ranges + rng.normal(0.0, 0.01, 3), 0.0, REACH) / REACH
 
 
+class Gyro(Sensor):
+    """Yaw rate with a bias that walks, and drop-outs, in which it holds its last value [krad/s].
+
+    The unit makes numbers so small that float32 keeps them to 1e-9.
+    """
+
+    name, size, low, high = "gyro", 2, -10.0, 10.0
+    memory: ClassVar[Mapping[str, float]] = {"bias": 0.5, "time": 0.0, "held": 0.0}
+    compiled = True
+    walk = 0.02
+    """[rad/s per root of a second]"""
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        for i in range(len(rngs)):
+            memory.bias[i] += 0.1 * draw_normal(rngs, i)
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        for i in range(len(out)):
+            memory.bias[i] += (
+                self.walk * math.sqrt(max(now[i] - memory.time[i], 0.0)) * draw_normal(rngs, i)
+            )
+            memory.time[i] = now[i]
+            if draw_uniform(rngs, i) > 0.3:
+                memory.held[i] = truths.twist[i, 1] + memory.bias[i] + 0.01 * draw_normal(rngs, i)
+            out[i, 0], out[i, 1] = 0.001 * memory.held[i], 0.001 * math.cos(truths.pose[i, 2])
+
+
+class PlainGyro(Gyro):
+    """As it is, but not compiled."""
+
+    name, compiled = "plain_gyro", False
+
+
+class Drifted(Sensor):
+    """Remembers, sees the scene, and isn't compiled."""
+
+    name, size = "drifted", 2
+    memory: ClassVar[Mapping[str, float]] = {"x": 0.0, "readings": 0.0}
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.x[:] = [
+            scene.start[0] + rng.normal() for scene, rng in zip(scenes, rngs, strict=True)
+        ]
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        memory.readings[:] += 1.0
+        out[:] = np.column_stack([truths.pose[:, 0] - memory.x, memory.readings])
+
+
 CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
     "noisy": (ENV_ID, (ThreeRays,), {"worlds": "clutter:6"}),
     "with a clock": (ENV_ID, (Drifting,), {"worlds": "clutter:6"}),
     "several": (ENV_ID, (Coin, ThreeRays, Drifting), {"worlds": "clutter:6"}),
     "at once": (ENV_ID, (AtOnce, Coin), {"worlds": "clutter:6"}),
     "no LiDAR": ("acsar_gym/PointGoal-v0", (ThreeRays, Coin), {}),
+    "that remembers, compiled": (ENV_ID, (Coin, ThreeRays, Gyro), {"worlds": "clutter:6"}),
+    "that remembers": (
+        "acsar_gym/PointGoal-v0",
+        (PlainGyro, Drifted, Coin, Gyro),
+        {"max_episode_steps": 5},
+    ),
     "on a path": ("acsar_gym/PathFollow-v0", (ThreeRays,), {"worlds": "smooth_path:3"}),
     "a LiDAR of the user's choice": ("acsar_gym/PointGoal-v0", ("lidar", Coin), {}),
 }
@@ -99,6 +160,8 @@ def test_robots_of_a_batch_sense_what_single_ones_do(name: str, mode: str) -> No
     for _ in range(30):
         for i, (observation, info) in enumerate(expected):
             assert seen[i] == pytest.approx(observation, abs=1e-6)
+            if sensors[-1] is Gyro:
+                assert seen[i, -2:] == pytest.approx(observation[-2:], rel=0.0, abs=1e-9)
             got = {key: infos[key][i] for key in info}
             assert got == pytest.approx(info, abs=1e-9)
             assert all(infos[f"_{key}"][i] for key in info)
