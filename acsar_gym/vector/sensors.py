@@ -34,7 +34,7 @@ from acsar_gym.sensors.suite import (
 from acsar_gym.tasks.base import is_compiled
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel.binding import bind_methods, explain_error, numbers_of
-from acsar_gym.vector.pcg import Generators, LentGenerators, uniform
+from acsar_gym.vector.pcg import Generators, Lent, LentGenerators, uniform
 from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
@@ -176,7 +176,7 @@ class BatchSensors:
         self.size = sum(kind.size for kind in self.kinds)
         self.info: dict[str, Floats] = {}
         self._scenes = [Scene()] * robots
-        self._generators: dict[int, np.random.Generator] = {}
+        self._generators: dict[int, Lent] = {}
 
     def __len__(self) -> int:
         return len(self._groups)
@@ -323,7 +323,8 @@ class _Whole:
         self._memory = self._first.repeat(robots, axis=1)
         """(names, robots)."""
         self._compiled = COMPILED and is_compiled(sensor, BATCH_METHODS)
-        self._reset, self._read = (getattr(sensor, name, None) for name in BATCH_METHODS)
+        self._reset: Any = getattr(sensor, "reset_batch", None)
+        self._read: Any = sensor.read_batch
         if self._compiled:
             numbers = numbers_of(sensor)
             if self._reset is not None:

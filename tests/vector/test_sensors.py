@@ -301,7 +301,7 @@ class UsesConfig(Wrong):
     compiled = True
 
     def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
-        memory.bias[0] = self.config.wheel_radius  # type: ignore[attr-defined]
+        memory.bias[0] = self.config.wheel_radius
 
 
 class UsesGenerators(Wrong):
