@@ -148,6 +148,7 @@ class Sensor:
 
         Raises:
             LinkError: The device is gone or silent. The robot is then stopped, as by any error.
+            SensorError: The sensor has `read_batch`, and the link has no truth.
         """
         if truth is None:
             raise SensorError(

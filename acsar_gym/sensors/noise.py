@@ -17,6 +17,9 @@ def draw_uniform(rngs: Any, i: int) -> float:
     Args:
         rngs: as `read_batch` and `reset_batch` get them.
         i: place of the robot in them.
+
+    Returns:
+        The number.
     """
     return float(rngs[i].random())
 
@@ -31,6 +34,9 @@ def draw_normal(rngs: Any, i: int) -> float:
     Args:
         rngs: as `read_batch` and `reset_batch` get them.
         i: place of the robot in them.
+
+    Returns:
+        The number.
     """
     radius = math.sqrt(-2.0 * math.log(1.0 - draw_uniform(rngs, i)))
     return radius * math.cos(2.0 * math.pi * draw_uniform(rngs, i))
