@@ -22,6 +22,8 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
+from collections import namedtuple
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -43,6 +45,8 @@ NEWLY_COMPILED: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
 GIVEN_WARNINGS: set[str] = set()
 """Warnings that this process has given: each once."""
+_NAMING = threading.Lock()
+"""Two threads may make the first batches of a class at once."""
 
 
 def hash_sources(folder: Path, *without: Path) -> str:
@@ -284,6 +288,24 @@ else:
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)
+
+
+def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
+    """Make a class of named tuples as an attribute of another, where numba's cache finds it again.
+
+    Args:
+        kind: the class that gets the attribute.
+        name: of the attribute.
+        fields: of the named tuples.
+    """
+    with _NAMING:
+        made: Any = vars(kind).get(name)
+        if made is None or made._fields != fields:
+            make: Any = namedtuple  # its fields are found at run time
+            made = make(name, fields)
+            made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.{name}"
+            setattr(kind, name, made)
+        return made
 
 
 def record_of(values: Any, *, changes: bool = False) -> Any:

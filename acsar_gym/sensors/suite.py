@@ -170,6 +170,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
         raise ConfigError(
             f"sensor {name!r}: size = {show_value(size)} must be a whole number from 1"
         )
+    _check_batch_methods(sensor)
     try:
         low, high = sensor.bounds
         sound = bool((low <= high).all())
@@ -181,6 +182,28 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
             f"must be numbers or ({size},) arrays, low <= high"
         )
     return sensor
+
+
+def _check_batch_methods(sensor: Sensor) -> None:
+    """Raise ConfigError where methods are missing, or what `read_batch` remembers is no memory."""
+    named, memory = f"sensor {sensor.name!r}", sensor.memory
+    if not hasattr(sensor, "read_batch"):
+        if type(sensor).read is Sensor.read:
+            raise ConfigError(f"{named}: needs a method read, or read_batch")
+        if hasattr(sensor, "reset_batch") or sensor.compiled:
+            raise ConfigError(f"{named}: reset_batch and compiled are for sensors with read_batch")
+        return
+    if (
+        not isinstance(memory, Mapping)
+        or not all(isinstance(name, str) and name.isidentifier() for name in memory)
+        or not all(isinstance(value, bool | int | float) for value in memory.values())
+    ):
+        raise ConfigError(f"{named}: memory = {show_value(memory)}: must be like {{'bias': 0.0}}")
+    if hasattr(sensor, "reset_batch") and not memory:
+        raise ConfigError(
+            f"{named}: has reset_batch, but remembers nothing: say what, such as "
+            "memory = {'bias': 0.0}"
+        )
 
 
 def check_names(names: Sequence[str]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -201,12 +201,17 @@ TASK_METHODS = ("begin", "outcome", "reward", "observe")
 """The methods of a task that a batch calls, and compiles where the task is compiled."""
 
 
-def is_compiled(task: Task) -> bool:
-    """Whether a batch compiles the task's methods; not where a subclass overrides compiled ones."""
-    for one in type(task).__mro__:
+def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
+    """Whether a batch compiles these methods; not where a subclass overrides compiled ones.
+
+    Args:
+        instance: a task, or a sensor.
+        methods: their names.
+    """
+    for one in type(instance).__mro__:
         if "compiled" in vars(one):
             return bool(vars(one)["compiled"])
-        if any(name in vars(one) for name in TASK_METHODS):
+        if any(name in vars(one) for name in methods):
             return False
     return False
 

@@ -36,12 +36,14 @@ def row_of(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
     return state >> 64, state & _WORD, increment >> 64, increment & _WORD
 
 
+Lent = tuple[np.random.Generator, tuple[int, ...]]
+"""A NumPy generator, and its row when it was given back."""
+
+
 class LentGenerators(Sequence[np.random.Generator]):
     """NumPy generators that go on where some rows are, until `give_back` stores their states."""
 
-    def __init__(
-        self, rows: Generators, which: Sequence[int], made: dict[int, np.random.Generator]
-    ) -> None:
+    def __init__(self, rows: Generators, which: Sequence[int], made: dict[int, Lent]) -> None:
         """Make no generator yet; each is made when it is first used.
 
         Args:
@@ -60,19 +62,25 @@ class LentGenerators(Sequence[np.random.Generator]):
             return [self[place] for place in range(*index.indices(len(self)))]
         row = self._which[index]
         if row not in self._lent:
+            own = tuple(self._rows[row].tolist())
             if row not in self._made:
-                self._made[row] = np.random.Generator(np.random.PCG64(0))
-            generator, own = self._made[row], self._rows[row].tolist()
-            state: Any = generator.bit_generator.state
-            state["state"] = {"state": own[0] << 64 | own[1], "inc": own[2] << 64 | own[3]}
-            generator.bit_generator.state = state
+                self._made[row] = np.random.Generator(np.random.PCG64(0)), ()
+            generator, left = self._made[row]
+            if own != left:  # compiled loops have drawn since
+                state: Any = generator.bit_generator.state
+                state["state"] = {"state": own[0] << 64 | own[1], "inc": own[2] << 64 | own[3]}
+                generator.bit_generator.state = state
             self._lent[row] = generator
         return self._lent[row]
 
     def give_back(self) -> None:
         """Write the states of the generators back into the rows."""
-        for row, generator in self._lent.items():
-            self._rows[row] = row_of(generator.bit_generator)
+        if self._lent:
+            left = [row_of(generator.bit_generator) for generator in self._lent.values()]
+            self._rows[list(self._lent)] = np.array(left, np.uint64)
+            self._made.update(
+                zip(self._lent, zip(self._lent.values(), left, strict=True), strict=True)
+            )
         self._lent = {}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
+from acsar_gym.jit import COMPILED, NumbaError, overloads
 from acsar_gym.physics.body import GroundTruth
-from acsar_gym.sensors import LIDAR, Factory, Sensor
+from acsar_gym.sensors import LIDAR, Factory, Sensor, Truths, draw_uniform
+from acsar_gym.sensors.base import name_memory
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import (
     add_sensor_info,
@@ -28,8 +31,10 @@ from acsar_gym.sensors.suite import (
     naming_sensor,
     sensor_factories,
 )
+from acsar_gym.tasks.base import is_compiled
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.pcg import Generators, LentGenerators
+from acsar_gym.vector.kernel.binding import bind_methods, explain_error, numbers_of
+from acsar_gym.vector.pcg import Generators, Lent, LentGenerators, uniform
 from acsar_gym.worlds import Scene, World
 
 Floats = NDArray[np.float64]
@@ -39,17 +44,21 @@ Robots = NDArray[np.int64]
 """Indices of robots in the batch."""
 START = ("start_x", "start_y", "start_theta")
 DIRECTION = ("start_cos", "start_sin")
+BATCH_METHODS = ("reset_batch", "read_batch")
+"""The methods that a batch compiles where a sensor is compiled."""
+COMPILED_RULES = (
+    "a compiled sensor has no scenes, link or config, and draws by draw_uniform or draw_normal: "
+)
 
 
-class Truths(NamedTuple):
-    """The ground truth of some robots, one row each, in the frames of their worlds."""
+@overloads(draw_uniform)
+def _draw_from_row(rngs: Any, i: Any) -> Callable[..., float]:
+    """Replacement for `draw_uniform` in compiled sensors, whose `rngs` are rows of `Generators`."""
 
-    pose: Floats
-    """(robots, 3): x [m], y [m], theta [rad]."""
-    twist: Floats
-    """(robots, 2): forward speed [m/s], yaw rate [rad/s]."""
-    contact: NDArray[np.bool_]
-    """(robots,): whether the robot has touched an obstacle since the reset."""
+    def draw(rngs: Any, i: Any) -> float:
+        return uniform(rngs, i)
+
+    return draw
 
 
 class BatchView:
@@ -140,7 +149,7 @@ class Moment(NamedTuple):
     truths: Truths
     now: Floats
     scenes: Sequence[Scene]
-    rngs: Sequence[np.random.Generator]
+    rngs: LentGenerators
 
     def each(self) -> Iterator[tuple[int, GroundTruth, float]]:
         """Index, ground truth and time [s] of each robot, as in the single env."""
@@ -167,7 +176,7 @@ class BatchSensors:
         self.size = sum(kind.size for kind in self.kinds)
         self.info: dict[str, Floats] = {}
         self._scenes = [Scene()] * robots
-        self._generators: dict[int, np.random.Generator] = {}
+        self._generators: dict[int, Lent] = {}
 
     def __len__(self) -> int:
         return len(self._groups)
@@ -191,6 +200,8 @@ class BatchSensors:
             robots: indices of the robots.
             observations: (all robots, numbers): their rows are written.
         """
+        if len(robots) == 0:
+            return
         for robot, scene in zip(robots.tolist(), self._view.scenes(robots), strict=True):
             self._scenes[robot] = scene
         with self._moment(robots) as moment:
@@ -301,23 +312,55 @@ class _Each:
 
 
 class _Whole:
-    """One sensor object whose `read_batch` reads all robots at once."""
+    """One sensor object whose `read_batch` and `reset_batch` are called for all robots at once."""
 
     keys: Sequence[str] = ()
 
-    def __init__(self, sensor: Any) -> None:
-        self.kind = sensor
+    def __init__(self, sensor: Any, robots: int, random: Generators) -> None:
+        self.kind, self._random = sensor, random
+        first = np.array(list(sensor.memory.values()), np.float64)
+        self._first = first.reshape(-1, 1)
+        self._memory = self._first.repeat(robots, axis=1)
+        """(names, robots)."""
+        self._compiled = COMPILED and is_compiled(sensor, BATCH_METHODS)
+        self._reset: Any = getattr(sensor, "reset_batch", None)
+        self._read: Any = sensor.read_batch
+        if self._compiled:
+            numbers = numbers_of(sensor)
+            if self._reset is not None:
+                self._reset = partial(bind_method(type(sensor), "reset_batch"), numbers)
+            self._read = partial(bind_method(type(sensor), "read_batch"), numbers)
+
+    @contextlib.contextmanager
+    def _given(self, moment: Moment) -> Iterator[tuple[Any, Any, tuple[Any, ...]]]:
+        """The scenes, generators and memory of some robots; what is done to the latter is kept."""
+        own = self._memory.take(moment.robots, axis=1)
+        memory = name_memory(self.kind, own)
+        if self._compiled:
+            moment.rngs.give_back()
+            rows = self._random[moment.robots]
+            with _explaining_numba(self.kind):
+                yield None, rows, memory
+            self._random[moment.robots] = rows
+        else:
+            with naming_sensor(self.kind):
+                yield moment.scenes, moment.rngs, memory
+        self._memory[:, moment.robots] = own
 
     def reset(self, moment: Moment) -> None:
-        """Do nothing: such a sensor keeps no state."""
+        """Begin episodes: the memory gets its first values, then those of `reset_batch`."""
+        self._memory[:, moment.robots] = self._first
+        if self._reset is not None:
+            with self._given(moment) as (scenes, rngs, memory):
+                self._reset(scenes, rngs, *memory)
 
     def poll(self, moment: Moment) -> None:
         """Do nothing: such a sensor has no clock of its own."""
 
     def read(self, moment: Moment, out: Floats) -> None:
         """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
-        with naming_sensor(self.kind):
-            self.kind.read_batch(moment.truths, moment.scenes, moment.now, moment.rngs, out)
+        with self._given(moment) as (scenes, rngs, memory):
+            self._read(moment.truths, scenes, moment.now, rngs, out, *memory)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
@@ -329,6 +372,35 @@ class _Whole:
 
     def tell(self, moment: Moment, told: dict[str, list[float]]) -> None:
         """Do nothing: such a sensor has no info."""
+
+
+def bind_method(kind: type, name: str) -> Callable[..., None]:
+    """Compile a method of a sensor's class; it gets the sensor's numbers as `self`."""
+    return bind_methods(kind, call_method, {"sensor_method": name})
+
+
+sensor_method: Any = None
+"""Placeholder: in the copies of `call_method` that `bind_methods` makes, a compiled method."""
+
+
+def call_method(sensor: Any, *arguments: Any) -> None:
+    """Call a method of a sensor."""
+    sensor_method(sensor, *arguments)
+
+
+@contextlib.contextmanager
+def _explaining_numba(sensor: Sensor) -> Iterator[None]:
+    """Make errors of one line from those of a compiled sensor."""
+    named = f"sensor {sensor.name!r}"
+    try:
+        yield
+    except (NumbaError, NotImplementedError, TypeError) as error:
+        raise explain_error(named, error, COMPILED_RULES) from None
+    except Exception as error:
+        raise SensorError(
+            f"{named}: {type(error).__name__}: {error}, in a compiled method; "
+            "with compiled = False, the line is told"
+        ) from error
 
 
 def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
@@ -353,9 +425,9 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: BatchView) -> _
         if any(overrides(one, method) for method in ("reset", "poll", "info")):
             raise ConfigError(
                 f"sensor {one.name!r}: has read_batch, so reset, poll and info aren't used in a "
-                "batch: leave one or the other away"
+                "batch: leave them away, and begin episodes in reset_batch"
             )
-        return _Whole(one)
+        return _Whole(one, robots, view.random)
     if one is factory:
         raise ConfigError(
             f"sensor {one.name!r}: a batch needs one for each robot: pass its class or a factory"

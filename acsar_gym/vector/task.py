@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import namedtuple
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +13,7 @@ from acsar_gym.tasks.base import Memory, Outcome, State, Task, info_names, is_co
 from acsar_gym.tasks.episode import ask_outcome, ask_reward
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.vector.kernel import task as kernel
+from acsar_gym.vector.kernel.binding import explain_error, numbers_of
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
@@ -33,8 +32,6 @@ STATE_FIELDS = (
     *("steps", "age", "contact", "goal_x", "goal_y", "world", "goal_given"),
 )
 """The fields that a State is made of."""
-_NAMING = threading.Lock()
-"""Two threads may make the first batches of a class at once."""
 
 
 class TaskLoops(Protocol):
@@ -74,7 +71,7 @@ class CompiledLoops:
 
     def __init__(self, task: Task, tables: TaskTables, setups: Records, spawns: Spawns) -> None:
         self._task, self._arguments = task, (tables, setups, spawns)
-        self._numbers = task_numbers(task)
+        self._numbers = numbers_of(task)
         kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
         self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
@@ -96,7 +93,7 @@ class CompiledLoops:
                 f'the class, such as memory = {{"{name}": 0.0}}'
             ) from None
         except (NumbaError, NotImplementedError, TypeError) as error:
-            raise kernel.explain_error(self._task, error) from None
+            raise explain_error(task_name(self._task), error) from None
         except Exception as error:
             raise TaskError(
                 f"{task_name(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
@@ -106,29 +103,6 @@ class CompiledLoops:
     def info(self) -> dict[str, NDArray[np.float64]]:
         """The task's part of info: what it remembers."""
         return {name: self.memory[name][:-1].copy() for name in info_names(self._task)}
-
-
-def task_numbers(task: Task) -> Any:
-    """Make the named tuple that compiled methods get as `self`: the task's numbers by name.
-
-    numba's cache finds its class again as an attribute of the task's class.
-    """
-    single = (bool, int, float)
-    found: dict[str, Any] = {}
-    for name in dir(task):
-        value = None if name.startswith("_") else getattr(task, name)
-        several = isinstance(value, tuple) and value and all(isinstance(n, single) for n in value)
-        if several or isinstance(value, (*single, np.ndarray, np.generic)):
-            found[name] = value
-    kind: Any = type(task)
-    with _NAMING:
-        made: Any = vars(kind).get("TaskParams")
-        if made is None or made._fields != tuple(found):
-            make: Any = namedtuple  # its fields are found at run time
-            made = make("TaskParams", tuple(found))
-            made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.TaskParams"
-            kind.TaskParams = made
-        return made(**found)
 
 
 class PythonLoops:

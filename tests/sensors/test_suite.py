@@ -55,6 +55,13 @@ def test_the_lidar_is_the_first_one_and_others_follow_in_order() -> None:
         ((special(low=2.0),), "low = 2.0, high = 1.0 must be"),
         ((special(low=[0.0, 0.0]),), r"\(3,\) arrays"),
         ((special(high=np.nan),), "high = nan"),
+        ((special(compiled=True),), "compiled are for sensors with read_batch"),
+        ((special(reset_batch=None),), "reset_batch and compiled are for sensors with read_batch"),
+        ((special(read=Sensor.read),), "'three_rays': needs a method read, or read_batch"),
+        ((special(read_batch=None, memory=["bias"]),), r"memory = \['bias'\]: must be like"),
+        ((special(read_batch=None, memory={"bias": "0"}),), "must be like {'bias': 0.0}"),
+        ((special(read_batch=None, memory={"a b": 0.0}),), "must be like {'bias': 0.0}"),
+        ((special(read_batch=None, reset_batch=None),), "reset_batch, but remembers nothing"),
     ],
 )
 def test_what_cannot_be_on_it_is_named(sensors: tuple[Any, ...], message: str) -> None:

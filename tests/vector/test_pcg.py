@@ -30,7 +30,7 @@ def test_without_a_seed_generators_differ() -> None:
 
 def test_rows_that_are_lent_to_numpy_go_on_where_it_ends() -> None:
     rows = np.array([pcg.seed_row(seed) for seed in (1, 2, 3)], np.uint64)
-    whole, made = np.random.default_rng(3), dict[int, np.random.Generator]()
+    whole, made = np.random.default_rng(3), dict[int, pcg.Lent]()
     for _ in range(3):
         assert uniform(rows, 2) == whole.random()
         lent = pcg.LentGenerators(rows, [0, 2], made)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -10,7 +12,8 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.sensors import Sensor
+from acsar_gym.jit import COMPILED
+from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds.geometry import measure_ranges
@@ -71,12 +74,71 @@ class AtOnce(Sensor):
             row[:] = np.clip(ranges + rng.normal(0.0, 0.01, 3), 0.0, REACH) / REACH
 
 
+class Gyro(Sensor):
+    """Yaw rate with a bias that walks, and drop-outs, in which it holds its last value [krad/s].
+
+    The unit makes numbers so small that float32 keeps them to 1e-9.
+    """
+
+    name, size, low, high = "gyro", 2, -10.0, 10.0
+    memory: ClassVar[Mapping[str, float]] = {"bias": 0.5, "time": 0.0, "held": 0.0}
+    compiled = True
+    walk = 0.02
+    """[rad/s per root of a second]"""
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        for i in range(len(rngs)):
+            memory.bias[i] += 0.1 * draw_normal(rngs, i)
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        for i in range(len(out)):
+            memory.bias[i] += (
+                self.walk * math.sqrt(max(now[i] - memory.time[i], 0.0)) * draw_normal(rngs, i)
+            )
+            memory.time[i] = now[i]
+            if draw_uniform(rngs, i) > 0.3:
+                memory.held[i] = truths.twist[i, 1] + memory.bias[i] + 0.01 * draw_normal(rngs, i)
+            out[i, 0], out[i, 1] = 0.001 * memory.held[i], 0.001 * math.cos(truths.pose[i, 2])
+
+
+class PlainGyro(Gyro):
+    """As it is, but not compiled."""
+
+    name, compiled = "plain_gyro", False
+
+
+class Drifted(Sensor):
+    """Remembers, sees the scene, and isn't compiled."""
+
+    name, size = "drifted", 2
+    memory: ClassVar[Mapping[str, float]] = {"x": 0.0, "readings": 0.0}
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.x[:] = [
+            scene.start[0] + rng.normal() for scene, rng in zip(scenes, rngs, strict=True)
+        ]
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        memory.readings[:] += 1.0
+        out[:] = np.column_stack([truths.pose[:, 0] - memory.x, memory.readings])
+
+
 CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
     "noisy": (ENV_ID, (ThreeRays,), {"worlds": "clutter:6"}),
     "with a clock": (ENV_ID, (Drifting,), {"worlds": "clutter:6"}),
     "several": (ENV_ID, (Coin, ThreeRays, Drifting), {"worlds": "clutter:6"}),
     "at once": (ENV_ID, (AtOnce, Coin), {"worlds": "clutter:6"}),
     "no LiDAR": ("acsar_gym/PointGoal-v0", (ThreeRays, Coin), {}),
+    "that remembers, compiled": (ENV_ID, (Coin, ThreeRays, Gyro), {"worlds": "clutter:6"}),
+    "that remembers": (
+        "acsar_gym/PointGoal-v0",
+        (PlainGyro, Drifted, Coin, Gyro),
+        {"max_episode_steps": 5},
+    ),
     "on a path": ("acsar_gym/PathFollow-v0", (ThreeRays,), {"worlds": "smooth_path:3"}),
     "a LiDAR of the user's choice": ("acsar_gym/PointGoal-v0", ("lidar", Coin), {}),
 }
@@ -99,6 +161,8 @@ def test_robots_of_a_batch_sense_what_single_ones_do(name: str, mode: str) -> No
     for _ in range(30):
         for i, (observation, info) in enumerate(expected):
             assert seen[i] == pytest.approx(observation, abs=1e-6)
+            if sensors[-1] is Gyro:
+                assert seen[i, -2:] == pytest.approx(observation[-2:], rel=0.0, abs=1e-9)
             got = {key: infos[key][i] for key in info}
             assert got == pytest.approx(info, abs=1e-9)
             assert all(infos[f"_{key}"][i] for key in info)
@@ -184,6 +248,113 @@ def test_errors_name_the_robot_and_need_a_reset(what: Any, message: str) -> None
     env.close()
 
 
+def test_robots_that_begin_anew_forget_and_the_others_remember() -> None:
+    env = batch(Drifted, robots=3)
+    env.reset(seed=0)
+    env.step(np.zeros((3, 2)))
+    first, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
+    then = env.step(np.zeros((3, 2)))[0]
+    assert first[:, -1].tolist() == [2.0, 1.0, 2.0]
+    assert then[:, -1].tolist() == [3.0, 2.0, 3.0]
+    assert then[:, -2] == pytest.approx(first[:, -2], abs=1e-3)
+    env.close()
+
+
+def test_numbers_of_a_compiled_sensor_are_those_of_its_generator() -> None:
+    rngs = [np.random.default_rng(seed) for seed in range(2)]
+    same = np.random.default_rng(1).random(3)
+    assert draw_uniform(rngs, 1) == same[0]
+    radius = math.sqrt(-2.0 * math.log(1.0 - same[1]))
+    assert draw_normal(rngs, 1) == radius * math.cos(2.0 * math.pi * same[2])
+    drawn = np.array([draw_normal(rngs, 0) for _ in range(20_000)])
+    assert [drawn.mean(), drawn.std(), (drawn**4).mean()] == pytest.approx([0, 1, 3], abs=0.15)
+
+
+class Wrong(Gyro):
+    """A compiled sensor does what it may not."""
+
+    name, compiled = "wrong", True
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        out[:] = 0.0
+
+
+class UsesScenes(Wrong):
+    compiled = True
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        out[0, 0] = scenes[0].start[0]
+
+
+class Misnames(Wrong):
+    compiled = True
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.bais[0] = 1.0
+
+
+class UsesConfig(Wrong):
+    compiled = True
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.bias[0] = self.config.wheel_radius
+
+
+class UsesGenerators(Wrong):
+    compiled = True
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.bias[0] = rngs[0].normal()
+
+
+class OutOfBounds(Wrong):
+    compiled = True
+
+    def read_batch(
+        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
+    ) -> None:
+        out[0, len(rngs)] = 0.0
+
+
+@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
+@pytest.mark.parametrize(
+    ("kind", "error", "said"),
+    [
+        (UsesScenes, ConfigError, "can't compile it: .*a compiled sensor has no scenes"),
+        (Misnames, ConfigError, "can't compile it: .*bais"),
+        (UsesConfig, ConfigError, "can't compile it: .*config.*no scenes, link or config"),
+        (UsesGenerators, ConfigError, "can't compile it: .*draws by draw_uniform or draw_normal"),
+        (OutOfBounds, SensorError, "IndexError: .*with compiled = False"),
+    ],
+)
+def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said: str) -> None:
+    env = batch(kind, robots=2)
+    with pytest.raises(error, match=f"^sensor 'wrong': .*{said}") as caught:
+        env.reset(seed=0)
+    assert "\n" not in str(caught.value)
+    env.close()
+
+
+class Halved(Gyro):
+    """Overrides half of a compiled sensor, in Python: its generators are NumPy's."""
+
+    name = "halved"
+
+    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
+        memory.bias[:] = [rng.normal() for rng in rngs]
+
+
+def test_a_subclass_of_a_compiled_sensor_is_plain_unless_it_says_otherwise() -> None:
+    env = batch(Halved, robots=2)
+    env.reset(seed=0)
+    env.step(np.zeros((2, 2)))
+    env.close()
+
+
 class Lazy(AtOnce):
     def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
         out[:1] = 0.5
@@ -202,7 +373,7 @@ def own_lidar(link: Any, config: Any) -> Sensor:
     ("sensors", "message"),
     [
         ((ThreeRays(None, None),), "needs one for each robot: pass its class"),  # type: ignore[arg-type]
-        ((Polled,), "read_batch"),
+        ((Polled,), "reset, poll and info aren't used in a batch: .*reset_batch"),
         ((own_lidar,), "sensor 'lidar': a batch has no LiDAR but its own: name it 'lidar'"),
         (("lidar",), "sensors: two are named 'lidar'"),
         ((ThreeRays, type("Other", (ThreeRays,), {"name": "other"})), "'three_rays_time'"),

@@ -6,23 +6,17 @@ a compiled copy beside the task's own file, under the name of the task's class.
 
 from __future__ import annotations
 
-import hashlib
-import sys
 from collections.abc import Callable
-from types import FunctionType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, WITHIN, jit
-from acsar_gym.jit import loop as compiled
+from acsar_gym.jit import COMPILED, jit
 from acsar_gym.tasks.base import TASK_METHODS, Outcome, State, Task
-from acsar_gym.tasks.factory import task_name
+from acsar_gym.vector.kernel.binding import bind_methods
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Records, Setup, Spawns, TaskTables
-from acsar_gym.worlds.registry import hash_modules
 
 OUTCOMES = len(Outcome)
 
@@ -112,7 +106,6 @@ def store_numbers(columns: NDArray[np.float32], i: int, k: int, numbers: Any) ->
 
 
 if COMPILED:
-    import numba
     from numba.extending import overload
 
     HEAD = "def unrolled(columns: Any, i: Any, k: Any, numbers: Any):"
@@ -129,48 +122,9 @@ if COMPILED:
 
 
 def bind_task(task: Task) -> Callable[..., None]:
-    """Make a copy of `run` that calls the methods of one task, compiled.
-
-    Compilation happens at the first call; `explain_error` makes a message of numba's errors.
+    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`.
 
     Args:
         task: whose class has the methods.
     """
-    kind, template = type(task), run
-    options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
-    names = {f"task_{one}": numba.njit(**options)(getattr(kind, one)) for one in TASK_METHODS}
-    file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
-    code = template.__code__.replace(co_filename=file, co_firstlineno=1)
-    copy = FunctionType(code, template.__globals__ | names, "run")
-    name = _cached_as(kind)
-    copy.__module__, copy.__qualname__ = kind.__module__, name or kind.__qualname__
-    return compiled(copy, keep=bool(name))
-
-
-def _cached_as(kind: type[Task]) -> str:
-    """Make the name under which numba keeps a compiled loop: it holds a hash of all its sources.
-
-    numba itself would only notice a change of the file that has the class. Empty, for not to be
-    kept, where a source isn't known, as in a notebook, and for classes made in functions.
-    """
-    modules = {one.__module__ for one in kind.__mro__}
-    own = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
-    sources = hash_modules(*sorted(own)) if own else "acsar_gym"  # whose sources `jit` minds
-    if not sources or "<locals>" in kind.__qualname__:
-        return ""
-    said = hashlib.sha256(sources.encode())
-    for name in TASK_METHODS:  # what numba compiles: code, and values of the names that it uses
-        code, known = getattr(kind, name).__code__, getattr(kind, name).__globals__
-        values = [known.get(one) for one in code.co_names]
-        used = [value for value in values if isinstance(value, bool | int | float | str | tuple)]
-        said.update(f"{code.co_code!r} {code.co_consts!r} {used!r}".encode())
-    return f"{kind.__qualname__}.{said.hexdigest()[:16]}"
-
-
-def explain_error(task: Task, error: Exception) -> ConfigError:
-    """Make a ConfigError of one line from numba's error about a task that it can't compile."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    said = "; ".join(lines[:3])[:300]
-    return ConfigError(
-        f"{task_name(task)}: numba can't compile it: {said} - mend it, or set compiled = False"
-    )
+    return bind_methods(type(task), run, {f"task_{one}": one for one in TASK_METHODS})
