@@ -24,7 +24,6 @@ from acsar_gym.worlds.search import footprint_radius
 
 Floats = NDArray[np.float64]
 
-WORLD = "clutter:3-3"
 ARCS = (0.25, 0.8), (0.25, -0.8), (-0.25, 1.2), (-0.25, -1.2)
 ARC_STEPS = 10
 ROUNDS = 8
@@ -153,18 +152,22 @@ def look_beside(way: Way, read: Read, world: World, config: RobotConfig) -> Floa
 
 
 @pytest.mark.slow
-def test_both_lidars_see_the_same_at_the_same_time(start_emulator: StartEmulator) -> None:
+@pytest.mark.parametrize(("kind", "number"), [("clutter", 3), ("rooms", 3)])
+def test_both_lidars_see_the_same_at_the_same_time(
+    start_emulator: StartEmulator, kind: str, number: int
+) -> None:
     """An A1 measures every 1.8 degrees, so where an edge is between two of them nobody knows."""
     config = RobotConfig.preset("acsar").with_(
         lidar={"noise": 0.0, "timeout": 5.0}, watchdog_timeout=10.0, feedback_timeout=5.0
     )
-    emulated = start_emulator("--world", WORLD, "--lidar")
+    name = f"{kind}:{number}-{number}"
+    emulated = start_emulator("--world", name, "--lidar")
     assert emulated.process.stdout is not None
     lidar = emulated.process.stdout.readline().strip().split(" ")[-1]
     reads, way = drive_arcs(emulated, lidar, config)
     if len(reads) < ENOUGH:
         pytest.skip("this machine is too busy for an emulator in real time")
-    world = Pool.of(WORLD, None, footprint_radius(config), 1)[3]
+    world = Pool.of(name, None, footprint_radius(config), 1)[number]
     stamps = np.array([read.revolution.stamp for read in reads])
     late = np.array([stamp - way.ends[np.abs(way.ends - stamp).argmin()] for stamp in stamps])
     assert np.mean(np.abs(late) < 0.005) > 0.95
