@@ -180,6 +180,7 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
         raise LidarError(
             f"{source}.scan() gave {show_value(made)}: must be a Revolution of numbers", fix
         ) from None
+    values: Any
     for name, values in zip(Revolution._fields, checked, strict=True):
         shape = () if name == "stamp" else (len(bearings),)
         if np.shape(values) != shape:
