@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline, outline_reach
-from acsar_gym.errors import LidarError
+from acsar_gym.errors import LidarError, show_value
 from acsar_gym.links.base import Link, ScannedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors.base import LIDAR, Sensor
 from acsar_gym.sensors.scan import (
+    FULL_TURN,
     Revolution,
     Scan,
     Trail,
@@ -24,7 +25,7 @@ from acsar_gym.sensors.scan import (
     make_rays,
     ray_spec,
 )
-from acsar_gym.sensors.simulated import draw_episode
+from acsar_gym.sensors.simulated import SimulatedLidar, draw_episode
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
@@ -83,6 +84,8 @@ class LidarSensor(Sensor):
         self._rays = make_rays(config)
         self._trail = Trail(config.lidar.timeout + 1.0 / config.lidar.rate, config.period)
         self._revolution: Revolution | None = None
+        self._checked: tuple[Revolution, Revolution] | None = None
+        """As the LiDAR handed it over, and as compiled loops may have it."""
         self._scan: Scan | None = None
 
     @property
@@ -91,8 +94,17 @@ class LidarSensor(Sensor):
         if self._trail.newest < 0:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         if self._revolution is None:
-            self._revolution = self.lidar.scan()
+            self._revolution = self._measure()
         return self._revolution
+
+    def _measure(self) -> Revolution:
+        """Take over the newest revolution; one that isn't our own is checked when it is new."""
+        newest = self.lidar.scan()
+        if isinstance(self.lidar, SimulatedLidar):
+            return newest
+        if self._checked is None or newest is not self._checked[0]:
+            self._checked = newest, check_revolution(newest, type(self.lidar).__name__)
+        return self._checked[1]
 
     @property
     def scan(self) -> Scan:
@@ -123,7 +135,7 @@ class LidarSensor(Sensor):
         self._trail.mark(now, self._odometry.pose)
         self._revolution = self._scan = None
         if self._poll_lidar is None:
-            self._revolution = self.lidar.scan()
+            self._revolution = self._measure()
         else:
             self._poll_lidar(truth, now)
 
@@ -145,6 +157,51 @@ class LidarSensor(Sensor):
         """Number of rays, field of view and longest range, in words."""
         lidar = self.config.lidar
         return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
+
+
+def check_revolution(made: Revolution, source: str) -> Revolution:
+    """Check what a LiDAR measured before compiled loops get it.
+
+    Args:
+        made: by the LiDAR; lists will do as well.
+        source: name of the LiDAR, for messages.
+
+    Returns:
+        The same in arrays of float64.
+
+    Raises:
+        LidarError: it isn't a Revolution, or one of its fields is none of finite numbers.
+    """
+    fix = "see acsar_gym.sensors.scan.Revolution"
+    try:
+        bearings, distances, times = (np.ascontiguousarray(made[k], np.float64) for k in range(3))
+        checked = Revolution(bearings, distances, times, float(made[3]))
+    except (TypeError, ValueError, IndexError, KeyError):
+        raise LidarError(
+            f"{source}.scan() gave {show_value(made)}: must be a Revolution of numbers", fix
+        ) from None
+    values: Any
+    for name, values in zip(Revolution._fields, checked, strict=True):
+        shape = () if name == "stamp" else (len(bearings),)
+        if np.shape(values) != shape:
+            raise LidarError(
+                f"{source}.scan(): {name} has shape {np.shape(values)}, bearings "
+                f"{bearings.shape}: must be one number each for n measurements",
+                fix,
+            )
+        if not np.isfinite(values).all():
+            raise LidarError(
+                f"{source}.scan(): {name} = {show_value(np.asarray(values).tolist())}: must be "
+                "finite",
+                fix + "; a distance that wasn't measured is 0",
+            )
+    for name, low, high in (("bearings", -FULL_TURN, FULL_TURN), ("distances", 0.0, np.inf)):
+        values = getattr(checked, name)
+        wrong = values[(values < low) | (values > high)]
+        if len(wrong):
+            unit = f"{low:.3f} to {high:.3f} rad" if name == "bearings" else "at least 0 m"
+            raise LidarError(f"{source}.scan(): {name} has {wrong[0]:g}: must be {unit}", fix)
+    return checked
 
 
 def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, LidarError
 from acsar_gym.links import open_link
 from acsar_gym.physics.model import Physics, compute_physics
 from acsar_gym.sensors.lidar import LidarSensor
@@ -141,3 +141,66 @@ def test_an_episode_has_its_own_lidar() -> None:
 def test_bad_settings_are_named(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         ACSAR.with_(lidar=settings)
+
+
+GOOD: dict[str, Any] = {
+    "bearings": [0.1, -0.1, 6.2],
+    "distances": [1.0, 0.0, 1e300],
+    "times": [0.0, -1e300, 0.1],
+    "stamp": 0.1,
+}
+
+
+class Handmade:
+    """A user's own LiDAR, which hands over whatever it is made with."""
+
+    def __init__(self, made: Any) -> None:
+        self.made = made
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Nothing is opened."""
+
+    def scan(self) -> Any:
+        return self.made
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def read_handmade(made: Any) -> Any:
+    sensor = LidarSensor(Handmade(made), ACSAR)
+    sensor.reset(Scene(), np.random.default_rng(0))
+    sensor.poll(None, 0.2)
+    return sensor.scan.ranges
+
+
+def test_a_users_own_lidar_may_hand_over_lists() -> None:
+    ranges = read_handmade(Revolution(**GOOD))
+    assert ranges.shape == (64,)
+    assert ((ranges >= 0.1) & (ranges <= 5.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"bearings": [math.nan, 0.0, 0.0]}, r"bearings = \[nan"),
+        ({"bearings": [0.0, 90.0, 180.0]}, "bearings has 90: must be -6.283 to 6.283 rad"),
+        ({"distances": [1.0, math.inf, 1.0]}, "distances = .* 0$"),
+        ({"distances": [1.0, -1.0, 1.0]}, "distances has -1"),
+        ({"distances": [1.0]}, r"distances has shape \(1,\), bearings \(3,\)"),
+        ({"times": [0.0, -math.inf, 0.0]}, "times = "),
+        ({"times": [[0.0] * 3]}, "times has shape"),
+        ({"stamp": math.nan}, "stamp = nan"),
+        ({"stamp": None}, "must be a Revolution"),
+        ({"times": ["now"] * 3}, "must be a Revolution"),
+        (None, "gave None"),
+    ],
+)
+def test_what_a_users_own_lidar_hands_over_is_checked(
+    changed: dict[str, Any] | None, message: str
+) -> None:
+    with pytest.raises(LidarError, match=message) as caught:
+        read_handmade(None if changed is None else Revolution(**{**GOOD, **changed}))
+    assert "Handmade" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
