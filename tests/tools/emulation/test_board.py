@@ -36,7 +36,7 @@ FORWARD = encode((4.0, 4.0, 4.0, 4.0))
 
 def test_tests_over_serial_devices_share_a_worker(request: pytest.FixtureRequest) -> None:
     if "PYTEST_XDIST_WORKER" in os.environ:
-        assert request.node.nodeid.endswith("@serial"), "see pytest in constraints.txt"
+        assert request.node.nodeid.endswith("@test_board"), "see pytest in constraints.txt"
 
 
 def wait_for_log(emulator: Emulated, until: float) -> None:
