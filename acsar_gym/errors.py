@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copyreg
 import difflib
 import os
 import re
@@ -26,15 +27,7 @@ class AcsarError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle it with its message, as constructors may take other arguments."""
-        return _unpickled, (type(self), self.args, self.__dict__)
-
-
-def _unpickled(kind: type[AcsarError], args: tuple[Any, ...], fields: dict[str, Any]) -> AcsarError:
-    """Make the copy of a pickled error."""
-    error = kind.__new__(kind, *args)
-    error.args = args
-    error.__dict__.update(fields)
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class ConfigError(AcsarError):
@@ -236,10 +229,9 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
         error.add_note(source())
         raise
     except Exception as error:
-        calls, trace = [], error.__traceback__
-        while trace is not None:
-            calls.append((trace.tb_frame.f_code, trace.tb_lineno))
-            trace = trace.tb_next
+        import traceback  # noqa: PLC0415 - 'acsar-gym estop' starts without it
+
+        calls = [(f.f_code, line) for f, line in traceback.walk_tb(error.__traceback__)]
         theirs = [call for call in calls if not call[0].co_filename.startswith(_PACKAGE)] or calls
         # The last line in the user's own file, not the one in a library that it calls.
         method, file = theirs[0][0].co_name, theirs[0][0].co_filename

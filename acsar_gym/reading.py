@@ -69,22 +69,21 @@ def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) 
 
 
 @contextlib.contextmanager
-def open_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> Iterator[IO[bytes]]:
+def open_file(path: Path, limit: int) -> Iterator[IO[bytes]]:
     """Open a regular file to read it piece by piece, as a context manager.
 
     Args:
         path: the file.
         limit: largest accepted size [bytes].
-        error: class of the exception.
 
     Raises:
-        AcsarError: as `error`, as by `read_file`; also for errors inside the block.
+        ConfigError: as by `read_file`; also for errors inside the block.
     """
     try:
-        with _open_checked(path, limit, error) as file:
+        with _open_checked(path, limit, ConfigError) as file:
             yield file
-    except error as problem:
-        raise error(f"{shorten_text(str(path))}: {problem}") from None
+    except ConfigError as problem:
+        raise ConfigError(f"{shorten_text(str(path))}: {problem}") from None
 
 
 @contextlib.contextmanager

@@ -288,7 +288,7 @@ class LineSplitter:
         return lines
 
 
-_PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
+_LINE_PART = re.compile(rb"(?<![^,\r\n])([abcd])([pn])([0-9]{2}\.[0-9]{2})(?![^,\r\n])")
 
 
 class WheelEditor:
@@ -316,7 +316,7 @@ class WheelEditor:
         lines = b"".join(self._commands.feed(data))
         if now + TIME_TOLERANCE < self.at:
             return lines
-        return _PART.sub(lambda p: p[1] + STOPPED_PART if p[1] in self._dead else p[0], lines)
+        return _LINE_PART.sub(lambda p: p[1] + STOPPED_PART if p[1] in self._dead else p[0], lines)
 
     def edit_feedback(self, data: bytes, now: float) -> bytes:
         """Return feedback with the readings of failed encoders."""
@@ -324,9 +324,9 @@ class WheelEditor:
             return data
         lines = b"".join(self._feedback.feed(data))
         if now + TIME_TOLERANCE < self.at:
-            self._readings.update((part[1], part[0]) for part in _PART.finditer(lines))
+            self._readings.update((part[1], part[0]) for part in _LINE_PART.finditer(lines))
             return lines
-        return _PART.sub(self._misread, lines)
+        return _LINE_PART.sub(self._misread, lines)
 
     def _misread(self, part: re.Match[bytes]) -> bytes:
         motor, direction, digits = part.groups()

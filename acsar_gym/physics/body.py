@@ -18,6 +18,14 @@ from acsar_gym.worlds import Pose, Scene
 
 Image = NDArray[np.uint8]
 """(height, width, 3): an RGB picture."""
+OBSTACLE_HEIGHT = 0.6
+"""Height of every obstacle [m]."""
+WALL_THICKNESS = 0.002
+"""Thickness of a segment's wall [m]."""
+CHASSIS_CLEARANCE = 0.02
+"""Height of the chassis above the floor [m]."""
+OBSTACLE_PAINT = (0.42, 0.45, 0.5, 1.0)
+GOAL_PAINT = (0.15, 0.68, 0.38, 0.85)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +75,7 @@ class Body(Protocol):
 
     @property
     def power(self) -> float:
-        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+        """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
 
     def close(self) -> None:
         """Close the physics engine; idempotent."""

@@ -30,7 +30,16 @@ from acsar_gym.config.footprint import (
 from acsar_gym.errors import MissingExtraError, RenderError
 from acsar_gym.jit import record_of
 from acsar_gym.physics import model
-from acsar_gym.physics.body import GroundTruth, Image, has_display
+from acsar_gym.physics.body import (
+    CHASSIS_CLEARANCE,
+    GOAL_PAINT,
+    OBSTACLE_HEIGHT,
+    OBSTACLE_PAINT,
+    WALL_THICKNESS,
+    GroundTruth,
+    Image,
+    has_display,
+)
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
 
@@ -64,23 +73,15 @@ _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExterna
 _simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
 MAX_SHAPES = 16
 """Shapes of a compound, at most; PyBullet's limit."""
-OBSTACLE_HEIGHT = 0.6
-"""Height of every obstacle [m]."""
-WALL_THICKNESS = 0.002
-"""Thickness of a segment's wall [m]."""
 FRAME_KEYS = ("Positions", "Orientations")
 """Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
 FOOT_PLACES = 100
 """Places between a hub and the middle of the robot that are tried for a foot."""
 LEAST_FOOT = 1e-3
 """Radius of the smallest foot [m]."""
-CLEARANCE = 0.02
-"""Height of the chassis above the floor [m]."""
-OBSTACLE_COLOUR = (0.42, 0.45, 0.5, 1.0)
 CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
 WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
-GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
 class BulletBody:
@@ -154,7 +155,7 @@ class BulletBody:
                     pybullet.GEOM_CYLINDER,
                     radius=0.15,
                     length=0.01,
-                    rgbaColor=GOAL_COLOUR,
+                    rgbaColor=GOAL_PAINT,
                     physicsClientId=client,
                 )
                 self._goal = pybullet.createMultiBody(0.0, -1, disc, physicsClientId=client)
@@ -234,7 +235,7 @@ class BulletBody:
 
     @property
     def power(self) -> float:
-        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+        """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
         _, (qx, qy, qz, qw), (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
         cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
         return model.motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
@@ -279,7 +280,7 @@ def make_robot(config: RobotConfig, client: int) -> int:
     each, at the right place, and nothing beyond the footprint. Returns PyBullet's number.
     """
     body, radius = config.body, config.wheel_radius
-    bottom = min(CLEARANCE, radius) - radius
+    bottom = min(CHASSIS_CLEARANCE, radius) - radius
     top = max(body.height - radius, bottom + 0.01)
     polygon = config.footprint
     with write_mesh(polygon, bottom, top) if polygon else contextlib.nullcontext("") as file:
@@ -468,7 +469,7 @@ class StaticObstacles:
         """Make the obstacles visible to PyBullet's camera and window; idempotent."""
         for options in () if self._painted else self._compounds:
             named = {f"visualFrame{k}" if k in FRAME_KEYS else k: options[k] for k in options}
-            colours = [OBSTACLE_COLOUR] * len(options["shapeTypes"])
+            colours = [OBSTACLE_PAINT] * len(options["shapeTypes"])
             shape = pybullet.createVisualShapeArray(
                 **named, rgbaColors=colours, physicsClientId=self._client
             )

@@ -302,7 +302,7 @@ def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
     return plain / turn_factor(config)
 
 
-# Mechanical power of a robot's motors, by the tyre forces of `dynamics.model`.
+# Mechanical power of a robot's motors, by the tyre forces of this file.
 
 
 @loop
@@ -311,7 +311,7 @@ def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, phys
 
     P = sum over wheels of max(0, F_i r_i w_i), in which r_i w_i is the speed of the wheel's
     surface and F_i = -D_i s_x the force of its tyre along the rolling direction, with D_i and the
-    slip (s_x, s_y) of `dynamics.model`. A wheel that is pushed by the ground brakes; its motor
+    slip (s_x, s_y) of this file. A wheel that is pushed by the ground brakes; its motor
     recovers nothing. Losses inside the motors are not known.
 
     Args:

@@ -22,7 +22,17 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import convex_pieces
 from acsar_gym.errors import RenderError, require_extra
 from acsar_gym.physics import model
-from acsar_gym.physics.body import GroundTruth, Image, has_display, wrap_angle
+from acsar_gym.physics.body import (
+    CHASSIS_CLEARANCE,
+    GOAL_PAINT,
+    OBSTACLE_HEIGHT,
+    OBSTACLE_PAINT,
+    WALL_THICKNESS,
+    GroundTruth,
+    Image,
+    has_display,
+    wrap_angle,
+)
 from acsar_gym.physics.model import Physics
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
@@ -48,19 +58,11 @@ SETTLING_TIME = 0.3
 """After which a robot that was put on the floor stands still [s]."""
 ANGLE_DECIMALS = 6
 """Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
-OBSTACLE_HEIGHT = 0.6
-"""Height of every obstacle [m]."""
-WALL_THICKNESS = 0.002
-"""Thickness of a segment's wall [m]."""
-CLEARANCE = 0.02
-"""Height of the chassis above the floor [m]."""
 FLOOR, OBSTACLES = 1, 2
 """Bits of what a shape may touch."""
 HIDDEN = 3
 """A group of shapes that MuJoCo doesn't draw by default."""
-OBSTACLE_COLOUR = (0.42, 0.45, 0.5, 1.0)
 FLOOR_COLOUR = (0.8, 0.82, 0.84, 1.0)
-GOAL_COLOUR = (0.15, 0.68, 0.38, 0.85)
 
 
 class MujocoBody:
@@ -233,11 +235,11 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
         mass=0.0,
         contype=0,
         conaffinity=0,
-        rgba=GOAL_COLOUR,
+        rgba=GOAL_PAINT,
     )
     body, radius = config.body, config.wheel_radius
     heavier = own.mass / sum(one.mass for one in spec.bodies)
-    bottom = min(CLEARANCE, radius) - radius
+    bottom = min(CHASSIS_CLEARANCE, radius) - radius
     top = max(body.height - radius, bottom + 0.01)
     tyre = max(0.02, body.width - config.wheel_separation)
     width = max(0.02, config.wheel_separation - tyre - 0.01)
@@ -298,7 +300,7 @@ def add_obstacles(spec: Any, world: World | None) -> None:
         world: None for an open floor.
     """
     shape, middle = mujoco.mjtGeom, OBSTACLE_HEIGHT / 2.0
-    common = {"contype": 0, "conaffinity": OBSTACLES, "rgba": OBSTACLE_COLOUR}
+    common = {"contype": 0, "conaffinity": OBSTACLES, "rgba": OBSTACLE_PAINT}
     for x, y, radius in () if world is None else world.circles.tolist():
         size = (max(radius, 1e-3), middle, 0.0)
         spec.worldbody.add_geom(type=shape.mjGEOM_CYLINDER, size=size, pos=(x, y, middle), **common)

@@ -71,7 +71,7 @@ class PlanarBody:
 
     @property
     def power(self) -> float:
-        """Mechanical power of the motors now [W]; see `dynamics.power`."""
+        """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
         cos, sin = math.cos(self._pose[2]), math.sin(self._pose[2])
         return motor_power(cos, sin, self._velocity, self.wheel_speeds, self._physics)
 

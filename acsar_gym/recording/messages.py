@@ -214,7 +214,7 @@ def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """What a CDR message begins with; alignment counts from behind it."""
-_OCTETS = struct.Struct("<4sIII")
+ARRAY_HEADER = struct.Struct("<4sIII")
 Field = tuple[str, str, Any]
 """Name, numpy's type, and the value that is the same in all messages; None for one that isn't."""
 
@@ -322,7 +322,7 @@ def scan_packer(config: RobotConfig, step: float, rays: int) -> Packer:
 
 def pack_octets(data: bytes) -> bytes:
     """Pack std_msgs/UInt8MultiArray."""
-    return _OCTETS.pack(LITTLE_ENDIAN, 0, 0, len(data)) + data
+    return ARRAY_HEADER.pack(LITTLE_ENDIAN, 0, 0, len(data)) + data
 
 
 def pack_text(data: str) -> bytes:

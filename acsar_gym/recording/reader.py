@@ -23,10 +23,11 @@ from pydantic import ConfigDict, Field
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, require_extra
+from acsar_gym.errors import ConfigError, require_extra, shorten_text
 from acsar_gym.reading import open_file, parse_json
 from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
+    ARRAY_HEADER,
     DOUBLES_TYPE,
     END_RECORD,
     EXCHANGES,
@@ -82,7 +83,6 @@ KNOWN_OPCODES = range(1, 16)
 DESCRIPTIONS = CHANNEL, METADATA
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
-_ARRAY = struct.Struct("<4sIII")
 """Encapsulation, no dimensions, no offset, number of elements."""
 
 TABLE_TOPICS = EXCHANGES, TICKS, STEPS
@@ -289,10 +289,10 @@ class EpisodeParts:
 def parse_array(data: bytes, size: int) -> bytes:
     """Return the elements of a MultiArray without dimensions; `size` is that of one element."""
     try:
-        _, dimensions, _, count = _ARRAY.unpack_from(data)
+        _, dimensions, _, count = ARRAY_HEADER.unpack_from(data)
     except struct.error:
         raise ConfigError("is damaged: a broken message") from None
-    first = _ARRAY.size + (4 if size == 8 else 0)  # numbers of 8 bytes are aligned
+    first = ARRAY_HEADER.size + (4 if size == 8 else 0)  # numbers of 8 bytes are aligned
     payload = data[first : first + count * size]
     if dimensions or len(payload) != count * size:
         raise ConfigError("is damaged: a broken array")
@@ -616,4 +616,4 @@ def summary_lines(found: dict[str, Any]) -> list[str]:
 def _shorten(value: Any) -> str:
     """A value of the header on one line."""
     text = " ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
-    return text if len(text) <= 100 else f"{text[:100]}..."
+    return shorten_text(text, 100)

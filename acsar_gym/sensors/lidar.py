@@ -223,7 +223,7 @@ def footprint_edges(config: RobotConfig) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=16)
 def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.float64]:
-    """As `edges`; the same array for the same robot."""
+    """As `footprint_edges`; the same array for the same robot."""
     found: NDArray[np.float64] = np.array(
         [outline_reach(outline, (x, y), angle) for angle in rays.angles().tolist()]
     )

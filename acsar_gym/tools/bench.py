@@ -7,7 +7,6 @@ medians over the blocks, and ratios are medians of the ratios of neighbouring bl
 from __future__ import annotations
 
 import math
-import os
 import statistics
 import tempfile
 import time
@@ -34,7 +33,7 @@ from acsar_gym.robot import Robot
 from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks import Outcome, State, Task
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.env import RobotVectorEnv, usable_cores
 from acsar_gym.worlds import Region, Scene, World
 from acsar_gym.worlds.geometry import Obstacles, cast_rays, make_surroundings
 
@@ -350,7 +349,7 @@ def _measure_batches(single: float) -> list[Figure]:
         )
         return BATCH_ROBOTS / alone, gain
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    cores = usable_cores()
     blind, seeing = PointGoalVectorEnv, ObstacleGoalVectorEnv
     worlds = [crowd_world(50, 10, seed) for seed in range(BATCH_WORLDS)]
     speed, gain = measure_cores(blind)

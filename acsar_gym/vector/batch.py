@@ -268,9 +268,3 @@ class Batch:
         arrays = self.tables._asdict() | {"memory": memory}
         del arrays["blocks"]  # the memory of `numbers`
         return arrays
-
-    @property
-    def bytes_per_robot(self) -> float:
-        """Memory of all arrays, divided by the number of robots [bytes]."""
-        used = sum(array.nbytes for array in self.tables) - self.tables.numbers.nbytes
-        return used / self.robots

@@ -41,7 +41,6 @@ class BaselinePolicy(FilePolicy):
     """Whether it needs a LiDAR."""
     compiled: ClassVar[bool] = False
     """Whether it is too slow without numba."""
-    layout = ""
     env_named = True
 
     def __init__(self, env_id: str) -> None:

@@ -200,7 +200,7 @@ def score_window(
 def score_velocity(
     linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
 ) -> float:
-    """Score of one admissible velocity, see `scored`."""
+    """Score of one admissible velocity."""
     cost, steps = 0.0, int(ARC_SECONDS / ARC_STEP + 0.5)
     for step in range(steps):
         turning = angular if step * ARC_STEP < TURN_SECONDS else 0.0

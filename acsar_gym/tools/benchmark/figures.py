@@ -240,9 +240,7 @@ def _compare_scores(x: ArrayLike, y: ArrayLike) -> Floats:
     return better
 
 
-def improvement_interval(
-    x: Floats, y: Floats, *, resamples: int = metrics.BOOTSTRAP_SAMPLES
-) -> Interval:
+def improvement_interval(x: Floats, y: Floats) -> Interval:
     """Return the 95 % interval of `probability_of_improvement`.
 
     Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
@@ -250,7 +248,8 @@ def improvement_interval(
     rng = np.random.default_rng(0)
     better = _compare_scores(x, y)
     ours, others, scenes = (
-        rng.multinomial(size, np.full(size, 1.0 / size), resamples) / size for size in better.shape
+        rng.multinomial(size, np.full(size, 1.0 / size), metrics.BOOTSTRAP_SAMPLES) / size
+        for size in better.shape
     )  # how often each was drawn, as shares
     drawn = np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True)
     return metrics.percentile_interval(drawn)

@@ -182,7 +182,7 @@ class Condition:
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
     randomization: int = 0
-    """Level of `dynamics.levels`; 0 for none."""
+    """Level of `physics.randomization`; 0 for none."""
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire; see `links.faults.Faults`."""
     difficulty: Mapping[str, float] = field(default_factory=dict)

@@ -62,7 +62,7 @@ class Cell:
     link: str
     """Name of a simulated body, or "port"."""
     condition: str
-    """ "nominal", or another name of `conditions.CONDITIONS`."""
+    """ "nominal", or another name of `plan.CONDITIONS`."""
     scenes: str = "test"
     """Set of scenes: "test", or "published" for the worlds of BARN that were read from a folder."""
 

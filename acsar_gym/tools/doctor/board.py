@@ -135,7 +135,6 @@ class BoardProbe:
         patience: float,
         *,
         repeat: float = COMMAND_INTERVAL,
-        order: str = MOTORS,
     ) -> list[FeedbackLine]:
         """Command speeds again and again, and listen until the lines are enough.
 
@@ -144,7 +143,6 @@ class BoardProbe:
             enough: called with all lines after each one.
             patience: longest time [s].
             repeat: time between commands [s].
-            order: order of the letters in the line.
 
         Returns:
             The lines.
@@ -153,7 +151,7 @@ class BoardProbe:
         lines: list[FeedbackLine] = []
         while (now := self._link.now()) - begin < patience:
             if speeds is not None and now >= due:
-                self.command(speeds, order)
+                self.command(speeds)
                 due = now + repeat
             for line in self.poll():
                 lines.append(line)
@@ -340,14 +338,13 @@ def stop_wheels(probe: BoardProbe, speed: float) -> None:
         raise still_turning_error(STOP_TIMEOUT, heard[-1].speeds if heard else ZERO)
 
 
-def spin_wheel(probe: BoardProbe, letter: int, speed: float, order: str = MOTORS) -> WheelAnswer:
+def spin_wheel(probe: BoardProbe, letter: int, speed: float) -> WheelAnswer:
     """Turn the wheel of one letter until an encoder answers, and stop it.
 
     Args:
         probe: hears the board.
         letter: index of the letter.
         speed: to command [rad/s].
-        order: order of the letters in the command line.
     """
     command = command_letters((letter,), speed)
 
@@ -368,8 +365,8 @@ def spin_wheel(probe: BoardProbe, letter: int, speed: float, order: str = MOTORS
             for now, then in zip(_mean_speeds(newest), _mean_speeds(before), strict=True)
         )
 
-    begun = probe.hear(command, moves, START_TIMEOUT, order=order)[-AGREEING_LINES:]
-    heard = probe.hear(command, is_steady, SETTLING_TIMEOUT, order=order)
+    begun = probe.hear(command, moves, START_TIMEOUT)[-AGREEING_LINES:]
+    heard = probe.hear(command, is_steady, SETTLING_TIMEOUT)
     stop_wheels(probe, speed)
     newest = since(heard, heard[-1].stamp - SPEED_WINDOW) if heard else begun[-1:]
     answer = _judge_answer(letter, newest, speed)

@@ -108,7 +108,7 @@ class EpisodeResult:
     turning: float = math.nan
     """Sum of absolute heading changes, by odometry [rad]."""
     scores: tuple[float, ...] = ()
-    """BARN scores in the order of `tasks.barn.SCORES`; empty for other tasks."""
+    """BARN scores in the order of `tasks.navigation.BARN_SCORES`; empty for other tasks."""
     cross_track: float = math.nan
     """Mean cross-track error of path following [m]; NaN for other tasks."""
     timing: EpisodeTiming | None = None
@@ -130,7 +130,7 @@ class EpisodeResult:
     collision, NaN without ground truth or obstacles."""
     energy: float = math.nan
     """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
-    P of `dynamics.power`; NaN on hardware."""
+    P of `physics.model.motor_power`; NaN on hardware."""
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
     told: dict[str, float] = field(default_factory=dict)

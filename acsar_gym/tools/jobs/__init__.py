@@ -9,13 +9,11 @@ runs on as many cores and machines as there are, with the same results.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable
-from typing import TypeVar
 
 from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.tools.jobs.processes import J, R
 
 __all__ = ["completed"]
-J = TypeVar("J")
-R = TypeVar("R")
 MAX_WORKERS = 1024
 """Most processes of one machine."""
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import acsar_gym
 from acsar_gym.errors import (
@@ -17,10 +17,8 @@ from acsar_gym.errors import (
     require_extra,
     show_value,
 )
-from acsar_gym.tools.jobs.processes import MAX_RETRIES, attempt_job, name_job
+from acsar_gym.tools.jobs.processes import MAX_RETRIES, J, R, attempt_job, name_job
 
-J = TypeVar("J")
-R = TypeVar("R")
 CLUSTER_TIMEOUT = 5.0
 """How long a cluster may take to answer, and interrupted jobs to close their links [s]."""
 MIN_QUEUED_JOBS = 100

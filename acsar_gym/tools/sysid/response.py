@@ -24,7 +24,7 @@ LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
 that the loop already has the latter."""
 CREEP_SPEED = 1e-3
-"""A wheel slower than this stands, once its set point is zero [rad/s]; as in `dynamics.model`."""
+"""A wheel slower than this stands, once its set point is zero [rad/s]; as in `physics.model`."""
 PARAMETERS_PER_WHEEL = 3
 """Lag, gain and slowness of the ramp; the deadband isn't smooth."""
 WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])

@@ -17,6 +17,7 @@ from acsar_gym.links.lateness import LATE_TICK
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation import metrics
+from acsar_gym.tools.evaluation.episodes import MAX_LATE_SHARE, total_turning
 from acsar_gym.tools.evaluation.report import escape_text
 from acsar_gym.tools.sysid.delays import (
     DelayComparison,
@@ -27,6 +28,7 @@ from acsar_gym.tools.sysid.delays import (
 )
 from acsar_gym.tools.sysid.tracks import EpisodeTrack, find_damage, make_recorded_track
 from acsar_gym.tools.sysid.twin_gap import format_cell, format_interval
+from acsar_gym.worlds.search import path_length
 from acsar_gym.worlds.world import to_odometry
 
 NO_INTERVAL = (math.nan, math.nan)
@@ -34,8 +36,6 @@ FEWEST_PAIRS = 2
 """Fewest pairs that have an interval."""
 SAME_GOAL_DISTANCE = 0.01
 """Goals that are nearer to each other are one [m]."""
-LATE_SHARE = 0.01
-"""An episode in which a larger share of the ticks is late isn't valid, as for `evaluate`."""
 NamedRecordings = Sequence[tuple[str, Recording]]
 """Recordings with the names of their files."""
 
@@ -170,13 +170,12 @@ class EpisodeOutcome:
     @property
     def path_length(self) -> float:
         """Length of the path by odometry [m]."""
-        return float(np.hypot(*np.diff(self.episode.poses[:, :2], axis=0).T).sum())
+        return path_length(self.episode.poses[:, :2])
 
     @property
     def turning_per_metre(self) -> float:
         """Heading changes per metre [rad/m]."""
-        headings = np.unwrap(self.episode.poses[:, 2])
-        return float(np.abs(np.diff(headings)).sum()) / max(self.path_length, 1e-9)
+        return total_turning(self.episode.poses) / max(self.path_length, 1e-9)
 
     @property
     def odometry_error(self) -> float:
@@ -379,7 +378,7 @@ def _note_sides(
         for one in side:
             known = one.episode.lateness[np.isfinite(one.episode.lateness)]
             share = float(np.mean(known > LATE_TICK)) if len(known) else 0.0
-            if share > LATE_SHARE:
+            if share > MAX_LATE_SHARE:
                 notes.append(
                     f"{name}, {one.name} of {one.log}: invalid, {share:.0%} of its ticks were "
                     "late; it was compared all the same"

@@ -392,7 +392,7 @@ class ArcClearance(RayClearance):
     """As RayClearance, and how far the robot can drive along some arcs, put before the rays.
 
     They are what the dynamic window approach looks at (Fox et al. 1997): the free ways along
-    `arcs.ARCS`, with the exact footprint, as logarithms, too. A small network can't work out from
+    `ARCS`, with the exact footprint, as logarithms, too. A small network can't work out from
     single rays whether a corner of the footprint will pass.
 
     Args:

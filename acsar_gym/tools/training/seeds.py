@@ -42,7 +42,7 @@ from acsar_gym.tools.training.run import train
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
-_PART = re.compile(r"(\d{1,10})(?:-(\d{1,10}))?", re.ASCII)
+_SEED_RANGE = re.compile(r"(\d{1,10})(?:-(\d{1,10}))?", re.ASCII)
 _SEEDS = f"must be like 0-4 or 1,5,9: at most {MAX_SEEDS:,} of 0 to 2^32 - 1"
 LOG_FILE = "log.txt"
 TABLE_FILE = "seeds.json"
@@ -86,7 +86,7 @@ def parse_seeds(text: str) -> list[int]:
     """
     found: set[int] = set()
     for part in text.split(","):
-        matched = _PART.fullmatch(part)
+        matched = _SEED_RANGE.fullmatch(part)
         first, last = (int(matched[1]), int(matched[2] or matched[1])) if matched else (1, 0)
         if not first <= last < min(held_out.FIRST_HELD_OUT_SEED, first + MAX_SEEDS):
             raise ConfigError(f"--seeds {show_value(text)}: {_SEEDS}")

@@ -56,7 +56,7 @@ from acsar_gym.worlds.geometry import Surroundings
 forward = jit(kinematics.compute_twist)
 integrate = jit(odometry.integrate_twist)
 SILENCE = 1.0
-"""The code of BoardSilentError in info's `fault`, see `envs.base.fault_code`."""
+"""The code of BoardSilentError in info's `fault`, see `FAULT_CODES`."""
 
 
 @jit

@@ -91,7 +91,7 @@ class VideoOptions:
     """Most episodes of --video, the worst first; 0: all."""
 
     def prepare(self) -> None:
-        """Check before the episodes that --video can be written; see `pictures.prepare`."""
+        """Check before the episodes that --video can be written."""
         from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
 
         if self.video is not None:
