@@ -93,6 +93,8 @@ class LidarSensor(Sensor):
         self._checked: tuple[Revolution, Revolution] | None = None
         """As the LiDAR handed it over, and as compiled loops may have it."""
         self._scan: Scan | None = None
+        nothing = np.zeros(0)  # compiles, before a robot waits for it
+        fill_scan(nothing, nothing, nothing, self._trail.rows, 0, self._rays, np.empty(self.size))
 
     def _make_trail(self) -> Trail:
         """Reach back to the oldest measurement of the oldest revolution that isn't an error.

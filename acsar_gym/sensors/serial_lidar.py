@@ -243,8 +243,8 @@ class RevolutionAssembler:
         elif self._ended is not None and len(self._current.angles) >= self.driver.start_proof:
             ended, self._ended = self._ended, None
             complete = ended.complete(self.driver, self._marks)
-            while self._marks and self._marks[0][0] <= ended.begun:
-                self._marks.popleft()
+            recent = (mark for mark in self._marks if mark[0] > ended.begun)
+            self._marks = deque(recent, self._marks.maxlen)
             return complete
         return []
 

@@ -281,26 +281,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
             )
         return SimulatedLidar(link, config)
     if isinstance(url, str) and "://" in url:
-        from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
-        from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
-
-        model, _, device = url.partition("://")
-        drivers = find_drivers()
-        make_driver = drivers.get(model.lower().replace("-", "_"))
-        if make_driver is None:
-            raise ConfigError(
-                f"lidar = {show_value(url)}: unknown model; known: {', '.join(drivers)}"
-            )
-        if not device:
-            raise ConfigError(
-                f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
-            )
-        if link.truth is not None or tape_of(link) is not None:
-            raise ConfigError(
-                f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
-                "simulation or a recording: leave it out there"
-            )
-        return SerialLidar(device, make_driver, config, clock_of(link))
+        return _open_device(url, link, config)
     made = url
     if isinstance(url, str) and ":" in url and "/" not in url:
         made = import_object("lidar", url)
@@ -314,6 +295,28 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         )
     ready: Lidar = made
     return ready
+
+
+def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
+    """Make the LiDAR of a model and its serial device, "model://device"; as `open_lidar`."""
+    from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
+    from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
+
+    model, _, device = url.partition("://")
+    drivers = find_drivers()
+    make_driver = drivers.get(model.lower().replace("-", "_"))
+    if make_driver is None:
+        raise ConfigError(f"lidar = {show_value(url)}: unknown model; known: {', '.join(drivers)}")
+    if not device:
+        raise ConfigError(
+            f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
+        )
+    if link.truth is not None or tape_of(link) is not None:
+        raise ConfigError(
+            f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
+            "simulation or a recording: leave it out there"
+        )
+    return SerialLidar(device, make_driver, config, clock_of(link))
 
 
 def sensor_factories(
