@@ -33,8 +33,9 @@ from acsar_gym.worlds.geometry import RaySpec
 STALE_PERIODS = 2.0
 """A scan that is older than this many periods of the LiDAR counts as stale."""
 MAX_AHEAD = 60.0
-"""A revolution may end so long after the time on the link's clock, which stands still where the
-link is recorded and a device starts; one that is further ahead has another clock [s]."""
+"""A revolution may end so long after the time on the link's clock, and reconnect_timeout: that
+stands still where the link is recorded and a device starts. One further ahead has another clock
+[s]."""
 
 
 class Lidar(Protocol):
@@ -255,7 +256,7 @@ def check_age(source: str, revolution: Revolution, now: float, config: RobotConf
             "check its power and that its head turns freely, then reset",
         )
     newest = max(newest, revolution.times.max(initial=newest))
-    if newest - now > MAX_AHEAD:
+    if newest - now > MAX_AHEAD + config.reconnect_timeout:
         raise LidarError(
             f"{source}: measured {newest - now:g} s after now by the link's clock",
             "its times and stamp must be on that clock: see acsar_gym.links.base.clock_of",
