@@ -102,8 +102,10 @@ class LidarSensor(Sensor):
 
         An episode's simulated LiDAR may turn more slowly than the configured one.
         """
-        config, slow = self.config, getattr(self.lidar, "oldest", 0.0)
-        return Trail(max(config.lidar.timeout + 1.0 / config.lidar.rate, slow), config.period)
+        config, reach = self.config, self.config.lidar.timeout + 1.0 / self.config.lidar.rate
+        if isinstance(self.lidar, SimulatedLidar | ReplayedLidar):
+            reach = max(reach, self.lidar.oldest)
+        return Trail(reach, config.period)
 
     @property
     def revolution(self) -> Revolution:

@@ -48,6 +48,8 @@ SPIN_UP_TIMEOUT = 5.0
 """From the start of the motor to the first complete revolution, at most [s]."""
 READER_TIMEOUT = 0.5
 """How long closing waits for the reader thread to end [s]."""
+CHECK_CABLE = "check the cable, then reset"
+"""What mends a device that was lost."""
 
 
 class Packet(NamedTuple):
@@ -539,9 +541,6 @@ class _Reader(threading.Thread):
                 return
             if turns:
                 self.newest = turns[-1]
-
-
-CHECK_CABLE = "check the cable, then reset"
 
 
 def _lost(device: str, why: str, fix: str = CHECK_CABLE) -> LidarError:
