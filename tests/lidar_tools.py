@@ -14,12 +14,14 @@ from lidar_twins import MAKERS
 from numpy.typing import NDArray
 from serial_tools import Emulated, Forked, first_line
 
-from acsar_gym.tools.emulation.lidar import LidarEmulator
+from acsar_gym.tools.emulation.lidar import LidarEmulator, LidarTwin
 
 Floats = NDArray[np.float64]
 
 AHEAD, LEFT, BEHIND, RIGHT = 2.7, 2.1, 1.3, 0.9
 """Distances of the walls of a room of 4 m x 3 m: no two directions are alike [m]."""
+OTHER_DEVICE = b"$GPGGA,120000.00,5230.0,N,01322.0,E,1,08,0.9,34.0,M,,M,,*47\r\n"
+"""Output of a GPS receiver."""
 PERIOD = 0.005
 LATE = 0.1
 """After a pause this long the emulator goes on from now [s]."""
@@ -71,7 +73,7 @@ def main() -> None:
     parser.add_argument("--wobble", type=float, default=0.0)
     parser.add_argument("--broken", action="store_true")
     parser.add_argument("--baud", type=int)
-    parser.add_argument("--fault", default=None)
+    parser.add_argument("--fault", choices=["silent", "garbage"])
     parser.add_argument("--lose", type=int, default=0)
     given = parser.parse_args()
     maker = MAKERS[given.model]
@@ -90,9 +92,30 @@ def main() -> None:
             log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
         baud = given.baud or maker.baud
-        with LidarEmulator(twin, baud=baud, fault=given.fault, lose=given.lose) as emulator:
+        if given.fault or given.lose:
+            spoil(twin, given.fault, given.lose)
+        with LidarEmulator(twin, baud=baud) as emulator:
             print(emulator.device, flush=True)
             serve(emulator, note)
+
+
+def spoil(twin: LidarTwin, fault: str | None, lose: int) -> None:
+    """Let a sensor be silent, or send "garbage", or lose the last one of so many bytes."""
+    sent, receive, advance = 0, twin.receive, twin.advance
+
+    def passed(data: bytes) -> bytes:
+        nonlocal sent
+        first, sent = sent + 1, sent + len(data)
+        if fault:
+            return b""
+        return bytes(byte for number, byte in enumerate(data, first) if number % lose)
+
+    def tick(dt: float) -> bytes:
+        data = passed(advance(dt))
+        return OTHER_DEVICE if fault == "garbage" else data
+
+    twin.receive = lambda data: passed(receive(data))  # type: ignore[method-assign]
+    twin.advance = tick  # type: ignore[method-assign]
 
 
 def serve(emulator: LidarEmulator, note: Callable[..., None]) -> None:

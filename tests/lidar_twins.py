@@ -128,8 +128,11 @@ class NeatoTwin(PacketTwin):
     """An XV-11 measures once a degree, counter-clockwise."""
 
     size = 4
-    even_angles, clockwise, aligned = True, False, True
+    even_angles = aligned = True
     farthest_range = 0x3FFF / 1000.0
+
+    def measure(self, degrees: Floats, ages: Floats) -> Floats:
+        return super().measure(-degrees, ages)
 
     def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
         speed = min(round(self.speed * 3840.0), 0xFFFF)  # rpm * 64

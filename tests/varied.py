@@ -18,7 +18,7 @@ RANGES: dict[str, tuple[float, ...]] = {
     "command_delay": (0.001, 0.012),
     "delay_samples": (0.001, 0.002, 0.007, 0.012),
     "deadband_offset": (0.01, 0.2),
-    "lidar_rate": (6.0, 12.0),
+    "lidar_rate": (1.0, 12.0),
     "lidar_noise": (0.005, 0.03),
     "lidar_bias": (-0.03, 0.03),
     "lidar_dropouts": (0.01, 0.1),

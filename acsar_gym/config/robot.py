@@ -50,7 +50,8 @@ class LidarConfig(Section):
 
     section = "lidar"
     rays: Annotated[int, Field(gt=0, le=10_000)] = 64
-    """Rays of an observation; each takes the measurement nearest in direction."""
+    """Rays of an observation; each has the range between the two measurements next to it in
+    direction."""
     field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
     """Angle covered by the rays, centred on the x axis [rad]; a full turn has no duplicate ray."""
     min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1

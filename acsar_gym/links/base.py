@@ -91,6 +91,17 @@ class ScannedLink(Protocol):
         None if there is none.
         """
 
+    def oldest_measurement(self) -> float:
+        """Age that one of its measurements reaches while its revolution is the newest one [s]."""
+
+
+@runtime_checkable
+class ClockedLink(Protocol):
+    """A link whose `now` stands still between periods: one that is recorded."""
+
+    def clock(self) -> float:
+        """Return the link's time as it goes on [s]."""
+
 
 @runtime_checkable
 class MeteredLink(Protocol):
@@ -131,6 +142,15 @@ def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     found: ScannedLink | None = _find_inner(link, ScannedLink)
     return found
+
+
+def clock_of(link: Link) -> Callable[[], float]:
+    """Return the clock of a link as it goes on between periods, for a device that measures [s].
+
+    `link.now` itself stands still there where the link is recorded.
+    """
+    found: ClockedLink | None = _find_inner(link, ClockedLink)
+    return link.now if found is None else found.clock
 
 
 def meter_of(link: Link) -> MeteredLink | None:

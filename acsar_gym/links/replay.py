@@ -161,6 +161,10 @@ class ReplayLink:
         """Return the LiDAR's revolution that was the newest one; see `Tape.revolution`."""
         return self._tape.revolution() if self._tape else None
 
+    def oldest_measurement(self) -> float:
+        """Return the age of the oldest measurement in the episode; see `Tape` [s]."""
+        return self._tape.oldest_measurement() if self._tape else 0.0
+
     def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, ByteStream | None]]:
         """Copy with the replay at its beginning."""
         return ReplayLink, (self.replays, self._port)

@@ -41,6 +41,8 @@ from acsar_gym.recording.messages import (
     Topic,
 )
 from acsar_gym.recording.types import (
+    MAX_DISTANCE,
+    MAX_STAMP,
     Episode,
     Exchanges,
     Floats,
@@ -70,10 +72,8 @@ MAX_DESCRIBED = 4_000_000
 """Most bytes of channels and metadata, which are slow to read; a recording's are 30,000."""
 MAX_RECORDS = 4_500_000
 """Most records; an hour at 100 Hz has 4 million."""
-MAX_STAMP = 4e9
-"""Largest time on a link's clock, either sign [s]: 126 years."""
-MAX_BEARING, MAX_DISTANCE = 100.0, 1e6
-"""Largest bearing, either sign [rad], and distance [m] of a LiDAR's measurement."""
+MAX_BEARING = 100.0
+"""Largest bearing of a LiDAR's measurement, either sign [rad]."""
 MAX_OFFSET = 2**62
 """Largest offset of an episode, either sign [ns]; times of the file then fit into 64 bits."""
 TOO_MUCH = "holds too much: cut out a part of it"

@@ -131,6 +131,16 @@ class Tape:
         self._revolution = place
         return (float(turns.stamps[place]), turns.measured[place]) if place >= 0 else None
 
+    def oldest_measurement(self) -> float:
+        """Age that a measurement reaches while its revolution is the LiDAR's newest one [s]."""
+        turns, ends = self._episode.revolutions, self._periods.stamps
+        if not (len(turns.stamps) and len(ends)):
+            return 0.0
+        followed = np.append(turns.exchanges[1:], len(ends) - 1)  # then the next one is read
+        until: list[float] = ends[np.clip(followed, 0, len(ends) - 1)].tolist()
+        ages = zip(until, turns.measured, strict=True)
+        return max(end - float(measured[2].min(initial=end)) for end, measured in ages)
+
 
 @dataclass(frozen=True, eq=False)
 class TwinReplay:

@@ -15,6 +15,11 @@ from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 
 Floats = NDArray[np.float64]
 
+MAX_STAMP = 4e9
+"""Largest time on a link's clock, either sign [s]: 126 years."""
+MAX_DISTANCE = 1e6
+"""Largest distance of a LiDAR's measurement [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class WireLog:

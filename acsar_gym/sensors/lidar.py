@@ -15,6 +15,7 @@ from acsar_gym.errors import LidarError, show_value
 from acsar_gym.links.base import Link, ScannedLink
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
+from acsar_gym.recording.types import MAX_DISTANCE, MAX_STAMP
 from acsar_gym.sensors.base import LIDAR, Sensor
 from acsar_gym.sensors.scan import (
     FULL_TURN,
@@ -25,12 +26,16 @@ from acsar_gym.sensors.scan import (
     make_rays,
     ray_spec,
 )
-from acsar_gym.sensors.simulated import SimulatedLidar, draw_episode
+from acsar_gym.sensors.simulated import OLDEST_SIMULATED, SimulatedLidar, draw_episode
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
 STALE_PERIODS = 2.0
 """A scan that is older than this many periods of the LiDAR counts as stale."""
+MAX_AHEAD = 60.0
+"""A revolution may end so long after the time on the link's clock, and reconnect_timeout: that
+stands still where the link is recorded and a device starts. One further ahead has another clock
+[s]."""
 
 
 class Lidar(Protocol):
@@ -55,7 +60,8 @@ class Lidar(Protocol):
         """Return the newest complete revolution; doesn't wait for one.
 
         Raises:
-            LidarError: it is older than the configured time-out, or the device is gone.
+            LidarError: the device is gone. That a revolution is older than the configured time-out
+                is found out by `LidarSensor`.
         """
 
     def close(self) -> None:
@@ -82,11 +88,24 @@ class LidarSensor(Sensor):
         self.uses_truth = self._poll_lidar is not None
         self._odometry = Odometry.of(config)
         self._rays = make_rays(config)
-        self._trail = Trail(config.lidar.timeout + 1.0 / config.lidar.rate, config.period)
+        self._trail = self._make_trail()
+        self._now = 0.0
         self._revolution: Revolution | None = None
         self._checked: tuple[Revolution, Revolution] | None = None
         """As the LiDAR handed it over, and as compiled loops may have it."""
         self._scan: Scan | None = None
+        nothing = np.zeros(0)  # compiles, before a robot waits for it
+        fill_scan(nothing, nothing, nothing, self._trail.rows, 0, self._rays, np.empty(self.size))
+
+    def _make_trail(self) -> Trail:
+        """Reach back to the oldest measurement of the oldest revolution that isn't an error.
+
+        An episode's simulated LiDAR may turn more slowly than the configured one.
+        """
+        config, reach = self.config, self.config.lidar.timeout + 1.0 / self.config.lidar.rate
+        if isinstance(self.lidar, SimulatedLidar | ReplayedLidar):
+            reach = max(reach, self.lidar.oldest)
+        return Trail(reach, config.period)
 
     @property
     def revolution(self) -> Revolution:
@@ -98,13 +117,20 @@ class LidarSensor(Sensor):
         return self._revolution
 
     def _measure(self) -> Revolution:
-        """Take over the newest revolution; one that isn't our own is checked when it is new."""
+        """Take over the newest revolution.
+
+        One that isn't our own is checked when it is new, and its age always.
+        """
         newest = self.lidar.scan()
         if isinstance(self.lidar, SimulatedLidar):
             return newest
+        named = type(self.lidar).__name__
         if self._checked is None or newest is not self._checked[0]:
-            self._checked = newest, check_revolution(newest, type(self.lidar).__name__)
-        return self._checked[1]
+            self._checked = newest, check_revolution(newest, named)
+        checked = self._checked[1]
+        if not isinstance(self.lidar, ReplayedLidar):  # in simulation it has no time-out
+            check_age(named, checked, self._now, self.config)
+        return checked
 
     @property
     def scan(self) -> Scan:
@@ -124,7 +150,7 @@ class LidarSensor(Sensor):
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Begin an episode; opens a device that is closed. LidarError where that fails."""
         self.lidar.reset(scene, rng)
-        self._trail.clear()
+        self._trail = self._make_trail()
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
         """Mark where the robot is.
@@ -132,6 +158,7 @@ class LidarSensor(Sensor):
         Raises:
             LidarError: the newest scan is too old, or the device is gone.
         """
+        self._now = now
         self._trail.mark(now, self._odometry.pose)
         self._revolution = self._scan = None
         if self._poll_lidar is None:
@@ -170,7 +197,8 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
         The same in arrays of float64.
 
     Raises:
-        LidarError: it isn't a Revolution, or one of its fields is none of finite numbers.
+        LidarError: it isn't a Revolution, or one of its fields is none of finite numbers, or out
+            of the range that a recording can have.
     """
     fix = "see acsar_gym.sensors.scan.Revolution"
     try:
@@ -195,13 +223,46 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
                 "finite",
                 fix + "; a distance that wasn't measured is 0",
             )
-    for name, low, high in (("bearings", -FULL_TURN, FULL_TURN), ("distances", 0.0, np.inf)):
-        values = getattr(checked, name)
+    for name, low, high, unit in (
+        ("bearings", -FULL_TURN, FULL_TURN, "rad"),
+        ("distances", 0.0, MAX_DISTANCE, "m"),
+        ("times", -MAX_STAMP, MAX_STAMP, "s"),
+        ("stamp", -MAX_STAMP, MAX_STAMP, "s"),
+    ):
+        values = np.atleast_1d(getattr(checked, name))
         wrong = values[(values < low) | (values > high)]
         if len(wrong):
-            unit = f"{low:.3f} to {high:.3f} rad" if name == "bearings" else "at least 0 m"
-            raise LidarError(f"{source}.scan(): {name} has {wrong[0]:g}: must be {unit}", fix)
+            raise LidarError(
+                f"{source}.scan(): {name} has {wrong[0]:g}: must be {low:.4g} to {high:.4g} {unit}",
+                fix,
+            )
     return checked
+
+
+def check_age(source: str, revolution: Revolution, now: float, config: RobotConfig) -> None:
+    """Check that a LiDAR still measures, by the clock of the robot's link.
+
+    Args:
+        source: name of the LiDAR, for messages.
+        revolution: its newest one.
+        now: on that clock [s].
+        config: of the robot.
+
+    Raises:
+        LidarError: the revolution is older than lidar.timeout, or further ahead than it can be.
+    """
+    newest, timeout = revolution.stamp, config.lidar.timeout
+    if now - newest > timeout:
+        raise LidarError(
+            f"{source}: no complete turn for {now - newest:.2f} s (lidar.timeout = {timeout:g} s)",
+            "check its power and that its head turns freely, then reset",
+        )
+    newest = max(newest, revolution.times.max(initial=newest))
+    if newest - now > MAX_AHEAD + config.reconnect_timeout:
+        raise LidarError(
+            f"{source}: measured {newest - now:g} s after now by the link's clock",
+            "its times and stamp must be on that clock: see acsar_gym.links.base.clock_of",
+        )
 
 
 def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
@@ -243,6 +304,9 @@ class ReplayedLidar:
         link: the robot's link, with the recorded ground truth where the recording was a simulation.
     """
 
+    oldest = 0.0
+    """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""
+
     def __init__(self, tape: ScannedLink, link: Link) -> None:
         self._tape = tape
         self._link = link
@@ -254,12 +318,17 @@ class ReplayedLidar:
         self._newest = None
         if self._link.truth is not None:
             draw_episode(rng)  # as the simulated LiDAR did here
+            self.oldest = min(self._tape.oldest_measurement(), OLDEST_SIMULATED)
 
     def scan(self) -> Revolution:
         """Return the revolution that was the newest one; LidarError where none was recorded."""
         found = self._tape.revolution()
         if found is None:
-            raise LidarError("the recording has no scan", "was it made with a LiDAR?")
+            raise LidarError(
+                "the recording has no revolutions of a LiDAR",
+                "it was made without one, or by a version that kept no more than the scans: "
+                "record again",
+            )
         stamp, measured = found
         if self._newest is None or measured is not self._measured:
             self._measured = measured

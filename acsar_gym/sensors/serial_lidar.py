@@ -25,10 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LidarError, LinkError, require_extra
+from acsar_gym.errors import LidarError, LinkError, require_extra, shorten_text
 from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.links.ports import PORT_ERRORS, PortLocation, write_all
 from acsar_gym.links.shutdown import close_at_exit, forget_link, install_handlers
+from acsar_gym.sensors.lidar import check_age
 from acsar_gym.sensors.scan import Revolution
 from acsar_gym.worlds import Scene
 
@@ -47,6 +48,8 @@ SPIN_UP_TIMEOUT = 5.0
 """From the start of the motor to the first complete revolution, at most [s]."""
 READER_TIMEOUT = 0.5
 """How long closing waits for the reader thread to end [s]."""
+CHECK_CABLE = "check the cable, then reset"
+"""What mends a device that was lost."""
 
 
 class Packet(NamedTuple):
@@ -90,6 +93,13 @@ class Driver:
         self.model = model
         self.product = model
         self.clockwise = True
+
+    def set_baud_rate(self, port: Any, rate: int) -> None:
+        """Set the baud rate of a port; LidarError where it doesn't have this one."""
+        try:
+            port.baudrate = rate
+        except (ValueError, NotImplementedError) as error:
+            raise LidarError(str(error), f"connect the {self.product} by another adapter") from None
 
     def start(self, port: Any) -> None:
         """Set the port's baud rate, and start motor and measurements.
@@ -144,20 +154,20 @@ class RevolutionAssembler:
 
     A revolution in which measurements were lost is dropped: a gap in it would look like free space.
 
-    Attributes: `heard`, how many bytes came; `packets`, how many packets were in them.
+    Attributes: `driver`; `heard`, how many bytes came; `packets`, how many packets were in them.
 
     Args:
         driver: finds the packets.
     """
 
     def __init__(self, driver: Driver) -> None:
-        self._driver = driver
+        self.driver = driver
         self.heard = self.packets = 0
         self.forget()
 
     def forget(self) -> None:
         """Drop all bytes so far, and wait for the beginning of a revolution."""
-        self._driver.forget()
+        self.driver.forget()
         self._buffer = bytearray()
         self._arrivals: deque[tuple[int, float]] = deque()
         """Place in the stream of the first byte of each piece, and when it arrived."""
@@ -168,8 +178,9 @@ class RevolutionAssembler:
         self._ended: _Measurements | None = None
         self._current: _Measurements | None = None
         self._elapsed = 0.0
-        self._marks: list[tuple[float, float]] = []
-        """Times on the device's clock, and when bytes sent after them had arrived on ours."""
+        self._marks: deque[tuple[float, float]] = deque(maxlen=2 * MAX_MEASUREMENTS)
+        """Times on the device's clock, and when bytes sent after them had arrived on ours; of the
+        last two turns."""
 
     def feed(self, data: bytes, now: float) -> list[Revolution]:
         """Take the next piece of the stream.
@@ -190,19 +201,24 @@ class RevolutionAssembler:
         at = 0
         found: list[Revolution] = []
         while at < len(self._buffer):
-            size, packet = self._driver.parse(self._buffer, at)
+            size, packet = self.driver.parse(self._buffer, at)
             if not size:
                 break
             if packet is None:
                 self._drop()
             else:
                 self.packets += 1
-                while len(self._arrivals) > 1 and self._arrivals[1][0] <= first + at:
-                    self._arrivals.popleft()
-                found += self._take(packet, self._arrivals[0][1])
+                found += self._take(packet, self._arrived(first + at))
             at += size
+        self._arrived(first + at)
         del self._buffer[:at]
         return found
+
+    def _arrived(self, place: int) -> float:
+        """When the byte at a place in the stream arrived [s]; forgets pieces before it."""
+        while len(self._arrivals) > 1 and self._arrivals[1][0] <= place:
+            self._arrivals.popleft()
+        return self._arrivals[0][1]
 
     def _take(self, packet: Packet, arrived: float) -> list[Revolution]:
         """Add a packet, whose first byte had arrived by then [s]."""
@@ -226,10 +242,11 @@ class RevolutionAssembler:
             return []
         if len(self._current.angles) > MAX_MEASUREMENTS:
             self._drop()
-        elif self._ended is not None and len(self._current.angles) >= self._driver.start_proof:
+        elif self._ended is not None and len(self._current.angles) >= self.driver.start_proof:
             ended, self._ended = self._ended, None
-            complete = ended.complete(self._driver, self._marks)
-            self._marks = [mark for mark in self._marks if mark[0] > ended.begun]
+            complete = ended.complete(self.driver, self._marks)
+            recent = (mark for mark in self._marks if mark[0] > ended.begun)
+            self._marks = deque(recent, self._marks.maxlen)
             return complete
         return []
 
@@ -378,10 +395,6 @@ class SerialLidar:
             driver.start(self._port)
         except LidarError as error:
             raise LidarError(f"LiDAR {self.device}: {error.found}", error.fix) from None
-        except (ValueError, NotImplementedError) as error:  # a baud rate that it doesn't have
-            raise LidarError(
-                f"LiDAR {self.device}: {error}", f"connect the {driver.product} by another adapter"
-            ) from None
         except PORT_ERRORS as error:
             raise _lost(self.device, str(error)) from None
         stream = RevolutionAssembler(driver)
@@ -390,7 +403,7 @@ class SerialLidar:
         deadline = time.monotonic() + SPIN_UP_TIMEOUT
         while reader.newest is None:
             if reader.lost:
-                raise _lost(self.device, reader.lost)
+                raise _lost(self.device, reader.lost, reader.fix)
             if time.monotonic() > deadline:
                 raise self._nothing_measured(driver, stream)
             WHILE_WAITING.get()()
@@ -426,15 +439,9 @@ class SerialLidar:
         if reader is None or reader.newest is None:
             raise LidarError(f"LiDAR {self.device} is closed", "call reset() first")
         if reader.lost:
-            raise _lost(self.device, reader.lost)
+            raise _lost(self.device, reader.lost, reader.fix)
         newest = reader.newest
-        age, timeout = self._now() - newest.stamp, self._config.lidar.timeout
-        if age > timeout:
-            raise LidarError(
-                f"LiDAR {self.device}: no complete turn for {age:.2f} s (lidar.timeout = "
-                f"{timeout:g} s)",
-                "check its power and that its head turns freely, then reset",
-            )
+        check_age(f"LiDAR {self.device}", newest, self._now(), self._config)
         return newest
 
     def close(self) -> None:
@@ -503,6 +510,7 @@ class _Reader(threading.Thread):
         self.newest: Revolution | None = None
         self.lost = ""
         """Why the device is gone; empty while it isn't."""
+        self.fix = CHECK_CABLE
         self.running = True
         self._port = port
         self._stream = stream
@@ -523,11 +531,18 @@ class _Reader(threading.Thread):
             except PORT_ERRORS as error:
                 self.lost = str(error) or type(error).__name__
                 return
-            turns = self._stream.feed(data, now)
+            try:
+                turns = self._stream.feed(data, now)
+            except Exception as error:  # noqa: BLE001 - a driver of the user's own; `scan` tells it
+                driver = self._stream.driver
+                why = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+                self.lost = f"{type(driver).__name__}.parse() raised {why}"
+                self.fix = "mend that driver"
+                return
             if turns:
                 self.newest = turns[-1]
 
 
-def _lost(device: str, why: str) -> LidarError:
+def _lost(device: str, why: str, fix: str = CHECK_CABLE) -> LidarError:
     """The LidarError for a device that is gone."""
-    return LidarError(f"LiDAR {device}: lost while in use ({why})", "check the cable, then reset")
+    return LidarError(f"LiDAR {device}: lost while in use ({why})", fix)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 from acsar_gym.links.base import Link
 from acsar_gym.links.faults import hash_sample
 from acsar_gym.physics.body import GroundTruth
@@ -33,10 +33,12 @@ from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, cast_lines, make_surroundings
 
+OLDEST_SIMULATED = 20.0
+"""Age that a measurement can reach: two turns at the slowest rate of a randomization [s]."""
 EDGE_STEP = 0.3
 """Neighbouring measurements whose distances differ by more than this are at an edge [m]."""
-MAX_MEASUREMENTS = 2**14
-"""More than a revolution can have; random numbers are numbered with it."""
+SAMPLE_STRIDE = 2**14
+"""More measurements than a revolution can have; random numbers are numbered with it."""
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
 
@@ -54,9 +56,10 @@ class Beams(NamedTuple):
     """(rays, 2): where the LiDAR was then, from its place now in the robot's present frame [m]."""
 
 
+@jit
 def make_beams(rays: int) -> Beams:
-    """Arrays for so many rays."""
-    return Beams(np.zeros(rays), np.zeros(rays), np.zeros(rays), np.zeros((rays, 2)))
+    """Arrays for so many rays, to be filled."""
+    return Beams(np.empty(rays), np.empty(rays), np.empty(rays), np.empty((rays, 2)))
 
 
 class LidarTraits(NamedTuple):
@@ -106,7 +109,7 @@ def aim_beams(
 
 @loop
 def add_errors(
-    distances: Floats, key: float, number: float, traits: LidarTraits, farthest: float
+    distances: Floats, key: float, number: float, traits: LidarTraits, rays: Rays
 ) -> None:
     """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement.
 
@@ -115,10 +118,12 @@ def add_errors(
         key: key of the episode, in [0, 1).
         number: of the revolution, from -1.
         traits: of the LiDAR.
-        farthest: nothing is measured from here on [m].
+        rays: of the LiDAR; nothing is measured from their longest range on.
     """
-    count, first = len(distances), distances[0]
-    base = (int(number) + 1) * MAX_MEASUREMENTS * SAMPLE_KINDS
+    count = len(distances)
+    whole = abs(FULL_TURN / rays.step - count) < 1e-6  # the last ray is beside the first one
+    after_last = distances[0] if whole else distances[count - 1]
+    base = (int(number) + 1) * SAMPLE_STRIDE * SAMPLE_KINDS
     other = 0.0
     for k in range(count):
         true, sample = distances[k], base + k * SAMPLE_KINDS
@@ -133,14 +138,14 @@ def add_errors(
             else:
                 error += other
         if traits.outliers > 0.0:
-            beside = distances[k + 1] if k + 1 < count else first
+            beside = distances[k + 1] if k + 1 < count else after_last
             if (
                 abs(beside - true) > EDGE_STEP
                 and hash_sample(key, sample + OUTLIER_SAMPLE) < traits.outliers
             ):
                 true += (beside - true) * hash_sample(key, sample + MIX_SAMPLE)
         measured = true + error
-        if true >= farthest or (
+        if true >= rays.farthest or (
             traits.dropouts > 0.0 and hash_sample(key, sample + DROPOUT_SAMPLE) < traits.dropouts
         ):
             measured = 0.0
@@ -180,7 +185,7 @@ def measure_revolution(
     aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
     x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
     cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances)
-    add_errors(beams.distances, key, number, traits, around.reach)
+    add_errors(beams.distances, key, number, traits, rays)
     return ended
 
 
@@ -195,7 +200,11 @@ class SimulatedLidar:
 
     Its random numbers are the phase of the revolution at the reset, and a key from which all errors
     follow.
+
+    Attributes: `oldest`, the age that a measurement reaches in the episode, at most [s].
     """
+
+    oldest = 0.0
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
         self._link = link
@@ -218,7 +227,8 @@ class SimulatedLidar:
             physics.range_outliers,
         )
         self._episode = (self._link.now(), *draw_episode(rng))
-        self._trail = Trail(2.0 / physics.scan_rate, config.period)
+        self.oldest = 2.0 / physics.scan_rate
+        self._trail = Trail(self.oldest, config.period)
         self.poll(self._link.truth, self._link.now())
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, show_value, suggest_name, translate_errors
-from acsar_gym.links.base import Link, tape_of
+from acsar_gym.links.base import Link, clock_of, tape_of
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.reading import import_object
@@ -263,12 +263,13 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         url: None or "simulated" for rays in the world of a simulated link, or the scans of a
             recording; a model and its serial device, like "rplidar:///dev/ttyUSB1" (a wrong model
             is an error that names all of them); "module:Class" for one's own, which is called with
-            link and config; or a Lidar.
+            link and config; such a class itself; or a Lidar.
         link: of the robot.
         config: of the robot.
 
     Raises:
-        ConfigError: for anything else, and for a simulated LiDAR on a link without a simulation.
+        ConfigError: for anything else, for a simulated LiDAR on a link without a simulation, and
+            for a device on a link that doesn't run in real time.
     """
     if url is None or (isinstance(url, str) and url == "simulated"):
         if (tape := tape_of(link)) is not None:
@@ -280,26 +281,13 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
             )
         return SimulatedLidar(link, config)
     if isinstance(url, str) and "://" in url:
-        from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
-        from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
-
-        model, _, device = url.partition("://")
-        drivers = find_drivers()
-        make_driver = drivers.get(model.lower().replace("-", "_"))
-        if make_driver is None:
-            raise ConfigError(
-                f"lidar = {show_value(url)}: unknown model; known: {', '.join(drivers)}"
-            )
-        if not device:
-            raise ConfigError(
-                f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
-            )
-        return SerialLidar(device, make_driver, config, getattr(link, "clock", link.now))
+        return _open_device(url, link, config)
     made = url
     if isinstance(url, str) and ":" in url and "/" not in url:
-        make = import_object("lidar", url)
+        made = import_object("lidar", url)
+    if isinstance(made, type) or made is not url:
         with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
-            made = make(link, config)
+            made = made(link, config)
     if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
         raise ConfigError(
             f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or "
@@ -307,6 +295,28 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         )
     ready: Lidar = made
     return ready
+
+
+def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
+    """Make the LiDAR of a model and its serial device, "model://device"; as `open_lidar`."""
+    from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
+    from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
+
+    model, _, device = url.partition("://")
+    drivers = find_drivers()
+    make_driver = drivers.get(model.lower().replace("-", "_"))
+    if make_driver is None:
+        raise ConfigError(f"lidar = {show_value(url)}: unknown model; known: {', '.join(drivers)}")
+    if not device:
+        raise ConfigError(
+            f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
+        )
+    if link.truth is not None or tape_of(link) is not None:
+        raise ConfigError(
+            f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
+            "simulation or a recording: leave it out there"
+        )
+    return SerialLidar(device, make_driver, config, clock_of(link))
 
 
 def sensor_factories(

@@ -326,7 +326,8 @@ class _Whole:
         self._reset: Any = getattr(sensor, "reset_batch", None)
         self._read: Any = sensor.read_batch
         if self._compiled:
-            numbers = numbers_of(sensor)
+            with naming_sensor(sensor):
+                numbers = numbers_of(sensor)
             if self._reset is not None:
                 self._reset = partial(bind_method(type(sensor), "reset_batch"), numbers)
             self._read = partial(bind_method(type(sensor), "read_batch"), numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from serial_tools import cli
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.links.base import ForwardingLink, clock_of
+from acsar_gym.links.recorded import RecordedLink
+from acsar_gym.recording import Recorder
 from acsar_gym.sensors.drivers import find_drivers
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.scan import Revolution
@@ -59,7 +63,7 @@ def test_every_model_has_a_driver_and_every_driver_is_emulated() -> None:
 
 @pytest.mark.parametrize("model", [*find_drivers(), "LD06", "ydlidar-x4"])
 def test_urls_name_models(model: str) -> None:
-    lidar = open_lidar(f"{model}:///dev/ttyUSB1", open_link("planar", ACSAR), ACSAR)
+    lidar = open_lidar(f"{model}:///dev/ttyUSB1", open_link("/dev/ttyUSB0", ACSAR), ACSAR)
     assert isinstance(lidar, SerialLidar)
     assert lidar.device == "/dev/ttyUSB1"
 
@@ -71,6 +75,37 @@ def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
     own = open_lidar(f"{__name__}:OwnLidar", link, ACSAR)
     assert type(own).__name__ == "OwnLidar"
     assert open_lidar(own, link, ACSAR) is own
+    assert type(open_lidar(OwnLidar, link, ACSAR)) is OwnLidar
+
+
+class Unfinished(OwnLidar):
+    """Lacks a parameter."""
+
+    def __init__(self) -> None:
+        """Take neither link nor config."""
+
+
+def test_an_error_of_a_class_is_its_own() -> None:
+    with pytest.raises(SensorError, match=r"Unfinished.* raised TypeError"):
+        open_lidar(Unfinished, open_link("planar", ACSAR), ACSAR)
+
+
+@pytest.mark.parametrize("name", ["planar", "replay:none.mcap"])
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: Path) -> None:
+    link = open_link(name, ACSAR)
+    if wrapped:
+        link = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
+    with pytest.raises(ConfigError, match="measures in real time, and this link is a simulation"):
+        open_lidar("ld06:///dev/ttyUSB1", link, ACSAR)
+
+
+def test_the_clock_of_a_device_goes_on_where_the_link_is_recorded(tmp_path: Path) -> None:
+    link = open_link("/dev/ttyUSB0", ACSAR)
+    recorded = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
+    for one in (link, recorded, ForwardingLink(recorded)):
+        first = clock_of(one)()
+        assert clock_of(one)() > first
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,11 @@ import pytest
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LidarError
 from acsar_gym.links import open_link
+from acsar_gym.links.replay import ReplayLink
 from acsar_gym.physics.model import Physics, compute_physics
+from acsar_gym.recording import Recorder
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.scan import Revolution, Scan
+from acsar_gym.sensors.scan import Revolution, Scan, make_rays
 from acsar_gym.sensors.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.worlds import Scene, World
 
@@ -93,7 +97,8 @@ def noisy(true: float, revolutions: int = 300, beside: float = 0.0, **traits: fl
     found = np.full((revolutions, 64), true)
     found[:, ::2] += beside
     for number, distances in enumerate(found):
-        add_errors(distances, 0.3, float(number - 1), LidarTraits(**given | traits), 5.0)
+        traits_of = LidarTraits(**given | traits)
+        add_errors(distances, 0.3, float(number - 1), traits_of, make_rays(ACSAR))
     return found
 
 
@@ -118,6 +123,41 @@ def test_dropouts_bias_and_outliers() -> None:
     between = (mixed > 2.0) & (mixed < 3.0)
     assert between.mean() == pytest.approx(0.3, abs=0.02)
     assert mixed[between].mean() == pytest.approx(2.5, abs=0.02)
+
+
+@pytest.mark.parametrize("view", [2.0 * math.pi, math.pi])
+def test_the_last_ray_is_beside_the_first_one_in_a_full_turn_alone(view: float) -> None:
+    rays = make_rays(ACSAR.with_(lidar={"field_of_view": view}))
+    ends = []
+    for number in range(100):
+        distances = np.linspace(1.0, 4.0, 64)  # no edge but between the last and the first
+        add_errors(distances, 0.3, float(number), LidarTraits(10.0, 0.0, 0.0, 0.0, 1.0), rays)
+        assert distances[:-1] == pytest.approx(np.linspace(1.0, 4.0, 64)[:-1])
+        ends.append(distances[-1])
+    assert (min(ends) < 2.0) == (view > 6.0)
+    assert max(ends) <= 4.0
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0])
+def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_path: Path) -> None:
+    """Its oldest measurements are two turns old; a replay sees the same, to the bit."""
+    config = ACSAR.with_(lidar={"noise": 0.0})
+    physics = compute_physics(config)._replace(scan_rate=rate)
+    wall = World(np.zeros((0, 3)), np.array([[4.0, -30.0, 4.0, 30.0]]))
+    tape, seen, ahead = tmp_path / "tape.mcap", [], 32
+    with Robot(open_link("planar", config), config, ["lidar"], Recorder(tape)) as robot:
+        robot.reset(Scene(world=wall, physics=physics), np.random.default_rng(1))
+        for _ in range(400):
+            robot.drive(0.3, 0.0)
+            x = robot.link.truth.pose[0] + config.lidar_x_offset  # type: ignore[union-attr]
+            seen.append(robot.read())
+            assert seen[-1][ahead] * 5.0 == pytest.approx(min(4.0 - x, 5.0), abs=0.02)
+    replay = Robot(ReplayLink(tape, compare=False), config, ["lidar"])
+    with replay as robot:
+        robot.reset(Scene(), np.random.default_rng(1))
+        for one in seen:
+            robot.drive(0.3, 0.0)
+            assert robot.read().tobytes() == one.tobytes()
 
 
 def test_an_episode_has_its_own_lidar() -> None:
@@ -145,8 +185,8 @@ def test_bad_settings_are_named(settings: dict[str, Any], message: str) -> None:
 
 GOOD: dict[str, Any] = {
     "bearings": [0.1, -0.1, 6.2],
-    "distances": [1.0, 0.0, 1e300],
-    "times": [0.0, -1e300, 0.1],
+    "distances": [1.0, 0.0, 1e6],
+    "times": [0.0, -4e9, 0.1],
     "stamp": 0.1,
 }
 
@@ -180,6 +220,35 @@ def test_a_users_own_lidar_may_hand_over_lists() -> None:
     assert ((ranges >= 0.1) & (ranges <= 5.0)).all()
 
 
+class HandmadePolled(Handmade):
+    """Sees every tick."""
+
+    def poll(self, truth: Any, now: float) -> None:
+        """There is nothing to do."""
+
+
+@pytest.mark.parametrize("kind", [Handmade, HandmadePolled])
+@pytest.mark.parametrize(
+    ("changed", "now", "message"),
+    [
+        ({}, 1.0, None),
+        ({}, 1.2, r"no complete turn for 1\.10 s \(lidar\.timeout = 1 s\)"),
+        ({"stamp": 30.0}, 0.2, None),  # a recorded link's clock stands still at a reset
+        ({"stamp": 1.7e9}, 0.2, r"measured 1\.7e\+09 s after now .*clock_of"),
+        ({"times": [0.0, 1.7e9, 0.0]}, 0.2, r"measured 1\.7e\+09 s after now"),
+    ],
+)
+def test_a_users_own_lidar_that_hangs_or_has_another_clock_is_an_error(
+    kind: type[Handmade], changed: dict[str, Any], now: float, message: str | None
+) -> None:
+    sensor = LidarSensor(kind(Revolution(**{**GOOD, **changed})), ACSAR)
+    sensor.reset(Scene(), np.random.default_rng(0))
+    expected = pytest.raises(LidarError, match=f"{kind.__name__}: {message}")
+    with contextlib.nullcontext() if message is None else expected:
+        sensor.poll(None, now)
+        sensor.read(None, now)
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -187,6 +256,9 @@ def test_a_users_own_lidar_may_hand_over_lists() -> None:
         ({"bearings": [0.0, 90.0, 180.0]}, "bearings has 90: must be -6.283 to 6.283 rad"),
         ({"distances": [1.0, math.inf, 1.0]}, "distances = .* 0$"),
         ({"distances": [1.0, -1.0, 1.0]}, "distances has -1"),
+        ({"distances": [1.0, 2e6, 1.0]}, r"distances has 2e\+06: must be 0 to 1e\+06 m"),
+        ({"times": [0.0, -5e9, 0.0]}, r"times has -5e\+09: must be -4e\+09 to 4e\+09 s"),
+        ({"stamp": 1e10}, r"stamp has 1e\+10"),
         ({"distances": [1.0]}, r"distances has shape \(1,\), bearings \(3,\)"),
         ({"times": [0.0, -math.inf, 0.0]}, "times = "),
         ({"times": [[0.0] * 3]}, "times has shape"),

@@ -126,7 +126,7 @@ def simulate(way: Way, read: Read, world: World, config: RobotConfig) -> tuple[F
     aim_beams(trail, ROWS - 1, read.revolution.stamp, 1.0 / config.lidar.rate, rays, beams)
     _, x, y, heading = trail[-1].tolist()
     cast_lines(x, y, *cos_sin(heading), 0, around, beams.origins, beams.distances)
-    add_errors(beams.distances, 0.0, 0.0, NO_ERRORS, around.reach)
+    add_errors(beams.distances, 0.0, 0.0, NO_ERRORS, rays)
     found = np.empty((2, spec.rays))
     for measured, ranges in zip((beams, read.revolution), found, strict=True):
         fill_scan(*measured[:3], trail, ROWS - 1, rays, ranges)

@@ -242,6 +242,7 @@ DELAYS = {"command_delay": (0.0, 0.3), "delay_samples": (0.0, 0.1), "latency": (
 SLOW = {"firmware": {"processing_time": 0.061}}
 EVERYTHING: list[tuple[str, dict[str, Any]]] = [
     ("ObstacleGoal", {"randomization": RANGES, "worlds": REGIONS}),
+    ("ObstacleGoal", {"randomization": {"lidar_rate": (0.1, 1.0)}, "worlds": REGIONS}),
     *(("PointGoal", {"randomization": WIDE, "robot": r}) for r in (UNLIMITED, LATE, FITTED, FINE)),
     *(("PointGoal", {"randomization": DELAYS, "robot": robot}) for robot in (ACSAR, UNLIMITED)),
     *(

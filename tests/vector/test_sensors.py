@@ -339,6 +339,23 @@ def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said:
     env.close()
 
 
+class RaisesInProperty(Wrong):
+    compiled = True
+
+    @property
+    def span(self) -> float:
+        return self.scene.start[0]
+
+
+@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
+def test_a_property_of_a_compiled_sensor_that_raises_is_named() -> None:
+    with pytest.raises(
+        SensorError, match=r"^sensor 'wrong': span\(\) raised AttributeError"
+    ) as caught:
+        batch(RaisesInProperty, robots=2)
+    assert "\n" not in str(caught.value)
+
+
 class Halved(Gyro):
     """Overrides half of a compiled sensor, in Python: its generators are NumPy's."""
 

@@ -19,9 +19,11 @@ STAMP_AT = 44
 STAMP_WRAP = 30_000
 """The time stamp starts again at zero there [ms]."""
 MAX_PACKET_TIME = 100
-"""A packet takes less; otherwise its time stamp says nothing [ms]."""
+"""A packet takes less; otherwise others were lost, or its time stamp says nothing [ms]."""
 NOMINAL_RATE = 4500.0
 """Measurements per second of an LD06."""
+COMMANDED = "ld14p"
+"""The model that takes commands."""
 
 
 class LdrobotDriver(Driver):
@@ -48,12 +50,14 @@ class LdrobotDriver(Driver):
 
     def start(self, port: Any) -> None:
         """Set the baud rate; start the motor of an LD14P."""
-        port.baudrate = self._kind.DEFAULT_BAUD
-        self._kind(Outbox(port)).start()
+        self.set_baud_rate(port, self._kind.DEFAULT_BAUD)
+        if self.model == COMMANDED:
+            self._kind(Outbox(port)).start()
 
     def stop(self, port: Any) -> None:
         """Stop the motor of an LD14P."""
-        self._kind(Outbox(port)).stop()
+        if self.model == COMMANDED:
+            self._kind(Outbox(port)).stop()
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
         """Find a packet of 47 bytes."""
@@ -79,7 +83,7 @@ class LdrobotDriver(Driver):
         took = (stamp - self._stamp) % STAMP_WRAP if self._stamp is not None else 0
         self._stamp = stamp
         duration = took / 1000.0
-        if not 0 < took <= MAX_PACKET_TIME:
+        if gap or not 0 < took <= MAX_PACKET_TIME:
             duration = POINTS * step / (rate * 360.0) if rate and step else POINTS / NOMINAL_RATE
         distances = [point.dist_mm for point in points]
         return PACKET_BYTES, Packet(angles, distances, duration, start, gap)

@@ -44,7 +44,7 @@ class NeatoDriver(Driver):
 
     def start(self, port: Any) -> None:
         """Set the baud rate."""
-        port.baudrate = self._baud_rate
+        self.set_baud_rate(port, self._baud_rate)
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
         """Find a packet of 22 bytes."""

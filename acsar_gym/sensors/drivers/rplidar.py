@@ -67,7 +67,7 @@ class RplidarDriver(Driver):
         """
         heard = 0
         for kind in self._kinds * BAUD_TRIES:
-            port.baudrate = kind.DEFAULT_BAUD
+            self.set_baud_rate(port, kind.DEFAULT_BAUD)
             device = kind(Outbox(port))
             device.stop()
             time.sleep(STOP_DELAY)

@@ -50,7 +50,7 @@ class YdlidarDriver(Driver):
 
     def start(self, port: Any) -> None:
         """Set the baud rate; start motor and scan."""
-        port.baudrate = self._kind.DEFAULT_BAUD
+        self.set_baud_rate(port, self._kind.DEFAULT_BAUD)
         with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no DTR
             port.dtr = True
         self._kind(Outbox(port)).start()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,6 @@ Floats = NDArray[np.float64]
 Look = Callable[[Floats, Floats], Floats]
 """Ranges [m] at bearings (N,) [rad] in the sensor's frame, counter-clockwise, each measured so long
 (N,) before the end of the period [s]."""
-LidarFault = Literal["silent", "garbage"]
-
-OTHER_DEVICE = b"$GPGGA,120000.00,5230.0,N,01322.0,E,1,08,0.9,34.0,M,,M,,*47\r\n"
-"""Sent in the fault mode "garbage": the output of a GPS receiver."""
 WOBBLE_TURNS = 10.0
 """Turns in which a wobbling head gets faster and slower once."""
 
@@ -28,7 +24,7 @@ class LidarTwin:
     """The head of an emulated LiDAR; subclasses speak a maker's language.
 
     Time passes only in `advance`. Devices measure at a constant rate, whatever the speed of their
-    head; those with `even_angles` at constant angles.
+    head, which turns clockwise; those with `even_angles` at constant angles.
 
     Attributes: `running`, whether its motor runs; `scanning`, whether it sends measurements;
     `turns`, how many turns it has begun while it did.
@@ -45,7 +41,7 @@ class LidarTwin:
         ConfigError: rate, samples, max_range or wobble is out of range.
     """
 
-    even_angles, clockwise = False, True
+    even_angles = False
     farthest_range = math.inf
     """Largest distance that a measurement can encode [m]."""
 
@@ -134,8 +130,7 @@ class LidarTwin:
 
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
         """Measure ranges (N,) [m] with the head at these angles; 0 where nothing is measured."""
-        bearings = np.radians(degrees)
-        ranges = self._look(-bearings if self.clockwise else bearings, ages)
+        ranges = self._look(-np.radians(degrees), ages)
         return np.where((ranges > 0.0) & (ranges <= self._max_range), ranges, 0.0)
 
     @property
@@ -151,30 +146,16 @@ class LidarEmulator:
     Args:
         twin: the emulated sensor.
         baud: baud rate of the sensor.
-        fault: "silent" never answers, "garbage" sends what a device of another kind would.
-        lose: of so many bytes to the host the last one is lost; 0 loses none.
 
     Attributes:
         device: path that a driver opens.
 
     Raises:
-        ConfigError: for unknown baud rates and faults.
+        ConfigError: for unknown baud rates.
     """
 
-    def __init__(
-        self,
-        twin: LidarTwin,
-        *,
-        baud: int = 115200,
-        fault: LidarFault | None = None,
-        lose: int = 0,
-    ) -> None:
-        if fault not in (None, "silent", "garbage"):
-            raise ConfigError(f"fault = {fault!r}: must be 'silent', 'garbage' or None")
+    def __init__(self, twin: LidarTwin, *, baud: int = 115200) -> None:
         self.twin = twin
-        self._fault = fault
-        self._lose = lose
-        self._sent = 0
         self._cable = EmulatedCable(baud)
         self.device = self._cable.device
 
@@ -185,12 +166,7 @@ class LidarEmulator:
         """
         request = self._cable.over_uart(self._cable.read())
         answer = self.twin.receive(request) + self.twin.advance(period)
-        if self._fault == "garbage":
-            answer = OTHER_DEVICE
-        if self._lose:
-            first, self._sent = self._sent + 1, self._sent + len(answer)
-            answer = bytes(byte for number, byte in enumerate(answer, first) if number % self._lose)
-        if answer and self._fault != "silent":
+        if answer:
             self._cable.write(self._cable.over_uart(answer))
 
     def close(self) -> None:

@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LidarError, require_extra
 from acsar_gym.robot import Robot
 from acsar_gym.sensors.lidar import newest_scan
+from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.sysid.calibration_drive import RunPlan
 from acsar_gym.tools.sysid.calibration_runs import RunReading
 from acsar_gym.tools.sysid.delays import Floats
@@ -142,9 +143,7 @@ def scan_points(ranges: Floats, config: RobotConfig) -> Floats:
         (n, 2) [m].
     """
     lidar = config.lidar
-    full = lidar.field_of_view > 2.0 * math.pi - 1e-6
-    step = lidar.field_of_view / (lidar.rays if full else max(lidar.rays - 1, 1))
-    bearings = -lidar.field_of_view / 2.0 + step * np.arange(lidar.rays)
+    bearings = ray_spec(config).angles()
     met = (ranges > lidar.min_range) & (ranges < lidar.max_range)
     rays = np.column_stack([np.cos(bearings), np.sin(bearings)]) * ranges[:, None]
     found: Floats = (rays + np.array([config.lidar_x_offset, config.lidar_y_offset]))[met]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from acsar_gym.jit import jit, subroutine
 from acsar_gym.sensors.scan import begin_trail, fill_scan
-from acsar_gym.sensors.simulated import Beams, LidarTraits, measure_revolution
+from acsar_gym.sensors.simulated import LidarTraits, make_beams, measure_revolution
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Robots, Setup, Tables, to_world
 from acsar_gym.worlds.geometry import Surroundings, footprint_collides
@@ -57,7 +55,7 @@ def read_scans(
     Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """
     robots, rays = tables.blocks[block], tables.ranges.shape[1]
-    beams = Beams(np.empty(rays), np.empty(rays), np.empty(rays), np.empty((rays, 2)))
+    beams = make_beams(rays)
     for i in range(count):
         robot = block * BLOCK_ROBOTS + i
         silent = robots.silent[i] > 0.0

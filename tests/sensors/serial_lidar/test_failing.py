@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import re
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,12 @@ from lidar_twins import MAKERS
 from serial_lidar_tools import Open, Start, newer, reset, shows_the_room
 from serial_tools import Emulated, no_leak, wait_until
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
 from acsar_gym.links import ports
 from acsar_gym.sensors import serial_lidar
 from acsar_gym.sensors.drivers import rplidar
-from acsar_gym.sensors.serial_lidar import SerialLidar
+from acsar_gym.sensors.serial_lidar import Driver, SerialLidar
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -168,6 +170,84 @@ def test_a_device_in_use_stays_with_its_owner(sensor: Emulated, make: Open) -> N
     newer(owner, time.monotonic())
     owner.close()
     reset(other)
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """A board's end of a pseudo-terminal, and the device's name."""
+    board, device = os.openpty()
+    os.set_blocking(board, False)
+    yield board, os.ttyname(device)
+    os.close(board)
+    os.close(device)
+
+
+@pytest.mark.parametrize(("model", "told"), [("ld14p", True), ("ld06", False), ("stl19p", False)])
+def test_of_ldrobots_lidars_an_ld14p_alone_gets_commands(
+    make: Open,
+    monkeypatch: pytest.MonkeyPatch,
+    terminal: tuple[int, str],
+    model: str,
+    told: bool,
+) -> None:
+    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.05)
+    board, device = terminal
+    assert "no answer" in error_of(functools.partial(reset, make(device, model)))
+    heard = b""
+    with contextlib.suppress(BlockingIOError):
+        heard = os.read(board, 1000)
+    assert bool(heard) == told
+
+
+class OwnDriver(Driver):
+    """A user's own; sends itself a byte."""
+
+    rate = 9600
+
+    def __init__(self, board: int) -> None:
+        super().__init__("mine")
+        self.board = board
+
+    def start(self, port: Any) -> None:
+        self.set_baud_rate(port, self.rate)
+        os.write(self.board, b"x")
+
+    def parse(self, data: bytearray, at: int) -> tuple[int, Any]:
+        raise ValueError(f"{data[at]}\nisn't\nknown")
+
+
+class OddRateDriver(OwnDriver):
+    rate = -1
+
+
+class UnfinishedDriver(Driver):
+    """Has no method yet."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (OwnDriver, r"OwnDriver.parse\(\) raised ValueError: 120 isn't known\): mend that driver"),
+        (OddRateDriver, "Not a valid baudrate: -1: connect the mine by another adapter"),
+    ],
+)
+def test_an_error_of_a_driver_is_told(
+    terminal: tuple[int, str], kind: type[OwnDriver], said: str
+) -> None:
+    board, device = terminal
+    lidar = SerialLidar(device, lambda: kind(board), RobotConfig(), time.monotonic)
+    for _ in range(2):
+        assert re.search(said, error_of(lambda: reset(lidar)))
+
+
+def test_a_driver_without_a_start_is_not_taken_for_an_adapter_of_few_rates(
+    terminal: tuple[int, str],
+) -> None:
+    lidar = SerialLidar(
+        terminal[1], lambda: UnfinishedDriver("mine"), RobotConfig(), time.monotonic
+    )
+    with no_leak(), pytest.raises(NotImplementedError):
+        reset(lidar)
 
 
 def test_without_lds2d_the_extra_is_named(
