@@ -84,7 +84,7 @@ class MujocoBody:
         own = scene.physics or self._configured
         if _pick_body(own) != _pick_body(self._physics) or scene.world is not self._world:
             self._compile(own, scene.world)
-        self._physics = own
+        self._physics: Physics = own
         mujoco.mj_resetData(self._model, self._data)
         (x, y, theta), pose = scene.start, self._data.qpos
         pose[:3] = x, y, self._rest[2]

@@ -178,15 +178,6 @@ def test_only_what_its_body_is_made_of_compiles_it_anew() -> None:
         assert body._model is not before, name
 
 
-def test_a_turn_factor_that_has_no_effect_is_not_told() -> None:
-    asked = {"mass": (0.9, 1.1), "turn_factor": (0.95, 1.05)}
-    for link, told in (("mujoco", {"drawn_mass"}), ("planar", {"drawn_mass", "drawn_turn_factor"})):
-        env = make("acsar_gym/PointGoal-v0", link, randomization=asked)
-        _, info = env.reset(seed=1)
-        assert {name for name in info if name.startswith("drawn_")} == told
-        env.close()
-
-
 def test_the_same_seed_gives_the_same_episodes() -> None:
     """Bytes of observations in two envs; the second one has driven other episodes before."""
 

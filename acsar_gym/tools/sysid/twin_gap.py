@@ -245,10 +245,7 @@ def measure_gap(
     check_same_robot(logs, "compare logs of")
     config = robot[1]
     fitted_on = {*config.motor_fit_logs, *(s for one in config.measured.values() for s in one.logs)}
-    replays, notes = [], _note_limits(logs, robot, known=bool(fitted_on))
-    recorded = [(name, log.config) for name, log in logs]
-    sides = (robot, *(recorded if before[1] is None else [before]))
-    notes += [f"{name}: {side.misfit}" for name, side in sides if side is not None and side.misfit]
+    replays, notes = [], _note_limits(logs, robot, before, known=bool(fitted_on))
     for log, recording in logs:
         twins = {"before": before[1] or recording.config, "after": config}
         for number, episode in enumerate(recording.episodes):
@@ -277,10 +274,16 @@ def measure_gap(
 
 
 def _note_limits(
-    logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig], *, known: bool
+    logs: Sequence[tuple[str, Recording]],
+    robot: tuple[str, RobotConfig],
+    before: tuple[str, RobotConfig | None],
+    *,
+    known: bool,
 ) -> list[str]:
     """Say what limits the comparison; `known`: whether the robot's file names logs."""
-    notes = []
+    unfitted = [(name, log.config) for name, log in logs] if before[1] is None else [before]
+    sides = (robot, *unfitted)
+    notes = [f"{name}: {side.misfit}" for name, side in sides if side is not None and side.misfit]
     for name, recording in logs:
         if recording.cut:
             note = f"{name}: its end is missing; the rest was used"

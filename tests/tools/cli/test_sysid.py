@@ -107,8 +107,8 @@ def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path:
     assert not written.measured
     again = "mine.yaml: this robot's simulation doesn't fit: "
     page = tmp_path / "gap.html"
-    asked = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out)
-    assert again + "feedback is 1.50 times" in call(*asked, "--json", figures, "--html", page)[1]
+    gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out, "--json", figures)
+    assert again + "feedback is 1.50 times" in call(*gap, "--html", page)[1]
     assert any(note.startswith(again) for note in json.loads(figures.read_text())["notes"])
     assert "simulation doesn" in page.read_text(encoding="utf-8")
     RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
