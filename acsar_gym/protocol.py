@@ -28,6 +28,8 @@ MAX_LINE = 256
 Speeds = tuple[float, float, float, float]
 """Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
+PRINTED_STEP = 0.01
+"""Resolution of the wire's numbers [rad/s]."""
 
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
 _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))

@@ -35,13 +35,14 @@ SCALES = ReadingScales()
 TOLERANCES = {
     "motor.time_constant": 0.05,
     "motor.gain": 0.01,
+    "motor.acceleration": 0.05,
     "motor.deadband": 0.05,
     "encoder.quantum": 0.05,
     "firmware.command_delay": 0.005,
     "firmware.command_timeout": 0.06,
 }
-"""Shares for lags and gains, otherwise absolute."""
-RELATIVE = ("motor.time_constant", "motor.gain")
+"""Shares for lags, gains and ramps, otherwise absolute."""
+RELATIVE = ("motor.time_constant", "motor.gain", "motor.acceleration")
 
 
 def draw_motors(seed: int) -> RobotConfig:

@@ -16,6 +16,7 @@ from acsar_gym.errors import ConfigError
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 WHEEL_LETTERS = ("a", "b", "c", "d")
 LogHash = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+LogHashes = Annotated[tuple[LogHash, ...], Field(max_length=1_000)]
 
 
 class Measured(Section):
@@ -28,7 +29,7 @@ class Measured(Section):
     """Upper end."""
     method: Name
     """How it was measured, such as "identify" or "calibrate straight"."""
-    logs: Annotated[tuple[LogHash, ...], Field(max_length=1_000)] = ()
+    logs: LogHashes = ()
     """First 16 hex digits of the SHA-256 of each log."""
 
     @model_validator(mode="after")

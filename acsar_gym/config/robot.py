@@ -28,7 +28,7 @@ from acsar_gym.config.limits import (
     LinearLimits,
     default_acceleration,
 )
-from acsar_gym.config.measured import Measured, validate_measured
+from acsar_gym.config.measured import LogHashes, Measured, validate_measured
 from acsar_gym.config.section import (
     Delay,
     Length,
@@ -354,7 +354,15 @@ CONTACT_PATCH = 0.01
 """Size of the contact patch of a wheel, which the default footprint contains [m]."""
 USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
 """Rates that error messages suggest [Hz]."""
-SIMULATION_SECTIONS = ("motor", "encoder", "firmware", "body", "measured", "motor_fit")
+SIMULATION_SECTIONS = (
+    "motor",
+    "encoder",
+    "firmware",
+    "body",
+    "measured",
+    "motor_fit",
+    "motor_fit_logs",
+)
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
@@ -454,6 +462,8 @@ class RobotConfig(Section):
     motor_fit: Name = ""
     """Whether motors and board answer as simulated: "fits", or "doesn't fit: " and in which way, as
     `acsar-gym identify` found; empty: nobody looked."""
+    motor_fit_logs: LogHashes = ()
+    """What that was found from: first 16 hex digits of the SHA-256 of each log."""
 
     def __hash__(self) -> int:
         fields = [getattr(self, name) for name in type(self).model_fields if name != "measured"]

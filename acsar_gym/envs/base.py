@@ -150,7 +150,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if isinstance(link, str | os.PathLike) or not hasattr(link, "advance"):
             link = open_link(link, config, window=own_window, realtime=human)
         step, simulated = self.ticks_per_step * config.period, link.truth is not None
-        self._randomizer = Randomizer(asked.randomization, config, step, simulated=simulated)
+        unused = simulator.unused if simulator else ()
+        self._randomizer = Randomizer(
+            asked.randomization, config, step, simulated=simulated, unused=unused
+        )
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._recorder = Recorder.of(asked.record)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -20,6 +21,8 @@ STANDSTILL = 0.1
 VISIBLE_SPEED = 0.005
 """Wheels faster than this, and than twice what they showed before, show a command [rad/s]."""
 
+KEPT_TRIPS = 1000
+"""Round trips of an episode that are kept one by one."""
 BUCKETS_PER_OCTAVE = 32
 SHORTEST_DURATION = 2.0**-20
 """Shorter durations count as zero [s]."""
@@ -69,6 +72,8 @@ class EpisodeTiming:
     """Time from the last byte of a command to wheels that stand, as it leaves the port, to the
     first byte of the first line that shows an effect [s]; up to a tick more where the link doesn't
     tell when bytes arrive."""
+    round_trips: tuple[float, ...] = ()
+    """Each of them [s], the newest `KEPT_TRIPS` at most."""
 
 
 class DurationHistogram:
@@ -164,6 +169,7 @@ class EpisodeStopwatch:
     def __init__(self, period: float) -> None:
         self._lateness = LatenessHistogram(period)
         self._ages, self._trips = DurationHistogram(), DurationHistogram()
+        self._newest_trips: deque[float] = deque(maxlen=KEPT_TRIPS)
         self._begun = False
         self._asked: float | None = None
         self._fastest = self._shows = 0.0
@@ -207,12 +213,15 @@ class EpisodeStopwatch:
             end: end of the period [s].
         """
         if self._asked is not None and self._fastest > self._shows:
-            self._trips.add(first_byte(arrivals, end) - self._asked)
+            trip = first_byte(arrivals, end) - self._asked
+            self._trips.add(trip)
+            self._newest_trips.append(trip)
             self._asked = None
 
     def summary(self) -> EpisodeTiming:
         """Return the timing of the episode."""
-        return EpisodeTiming(self._lateness.summary(), self._ages.spread(), self._trips.spread())
+        lateness, ages, trips = self._lateness.summary(), self._ages.spread(), self._trips.spread()
+        return EpisodeTiming(lateness, ages, trips, tuple(self._newest_trips))
 
 
 def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:

@@ -18,13 +18,14 @@ class BodyBackend(NamedTuple):
 
     Attributes: `title`, its name in tables; `make`, makes one for a robot, with the simulator's own
     window or without; `has_window`, whether the simulator has one; `has_camera`, whether it takes
-    pictures.
+    pictures; `unused`, parameters of `Randomization` that have no effect.
     """
 
     title: str
     make: Callable[[RobotConfig, bool], Body]
     has_window: bool = False
     has_camera: bool = False
+    unused: tuple[str, ...] = ()
 
 
 def _make_planar(config: RobotConfig, window: bool) -> Body:
@@ -48,7 +49,7 @@ def _make_mujoco(config: RobotConfig, window: bool) -> Body:
 BODIES = {
     "planar": BodyBackend("planar", _make_planar),
     "bullet": BodyBackend("PyBullet", _make_bullet, has_window=True, has_camera=True),
-    "mujoco": BodyBackend("MuJoCo", _make_mujoco, has_camera=True),
+    "mujoco": BodyBackend("MuJoCo", _make_mujoco, has_camera=True, unused=("turn_factor",)),
 }
 """Bodies by name; the links that simulate them have the same names."""
 LINKS_WITH_CAMERA = " or ".join(repr(name) for name, body in BODIES.items() if body.has_camera)

@@ -84,8 +84,9 @@ class MujocoBody:
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         own = scene.physics or self._configured
-        if own != self._physics or scene.world is not self._world:
+        if _pick_body(own) != _pick_body(self._physics) or scene.world is not self._world:
             self._compile(own, scene.world)
+        self._physics: Physics = own
         mujoco.mj_resetData(self._model, self._data)
         (x, y, theta), pose = scene.start, self._data.qpos
         pose[:3] = x, y, self._rest[2]
@@ -192,6 +193,12 @@ class MujocoBody:
     def close(self) -> None:
         """Free the camera; idempotent."""
         self._free_renderer()
+
+
+def _pick_body(own: Physics) -> tuple[float, ...]:
+    """The numbers of which `make_robot` makes a body; the others act from outside."""
+    tyres = own.left_radius, own.right_radius, own.grip
+    return *tyres, own.half_wheelbase, own.half_track, own.mass
 
 
 def make_robot(config: RobotConfig, own: Physics) -> Any:

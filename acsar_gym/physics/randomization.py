@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
@@ -507,15 +507,24 @@ class Randomizer:
         config: the robot.
         step: duration of an env step [s].
         simulated: whether the link is simulated, so that physics can vary.
+        unused: parameters that have no effect on this link; they are drawn, and not told.
 
     Raises:
         ConfigError: physics can't vary on this link, or as `Randomization.of` and
             `Randomization.ranges`.
     """
 
-    def __init__(self, given: Any, config: RobotConfig, step: float, *, simulated: bool) -> None:
+    def __init__(
+        self,
+        given: Any,
+        config: RobotConfig,
+        step: float,
+        *,
+        simulated: bool,
+        unused: Collection[str] = (),
+    ) -> None:
         randomization = Randomization.of(given, config)
-        self._names = randomization.names
+        self._names, self._unused = randomization.names, unused
         if self._names and not simulated:
             raise ConfigError(
                 f"randomization of {', '.join(self._names)}: only a simulated robot's physics can "
@@ -550,6 +559,8 @@ class Randomizer:
         """What was drawn last, as applied: a float, or an array of four in the order of wheels."""
         told: dict[str, Any] = {}
         for name in self._names:
+            if name in self._unused:
+                continue
             numbers = np.array([self._drawn[k] for k in drawn_places(name)])
             told[f"drawn_{name}"] = float(numbers[0]) if len(numbers) == 1 else numbers
         return told

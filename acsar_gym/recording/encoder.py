@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.physics.body import GroundTruth
-from acsar_gym.protocol import Speeds
+from acsar_gym.protocol import PRINTED_STEP, Speeds
 from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
     BASE_FOOTPRINT,
@@ -175,8 +175,9 @@ class OdometryCovariance:
     Both last, so the standard deviations grow in proportion to the path: sigma_theta = s_turn *
     integral |omega| dt, sigma_along = s_roll * integral |v| dt, and across the path sigma_across =
     integral sigma_theta |v| dt. x and y each get the sum of both variances, as the direction of the
-    path changes. A twist also has the encoders' resolution, and what it changed within their lag.
-    What wasn't measured keeps the constant variance that the robot's own driver publishes.
+    path changes. A twist also has the resolution of encoders and printed numbers, and what it
+    changed within their lag. What wasn't measured keeps the constant variance that the robot's own
+    driver publishes.
 
     Args:
         config: of the robot; `measured` has the intervals.
@@ -187,7 +188,8 @@ class OdometryCovariance:
         self._roll = relative_deviation(config, ROLLING_FIELDS)
         encoder = config.encoder
         step = 2.0 * math.pi / (encoder.counts_per_revolution * encoder.window)
-        wheel = math.hypot(step / math.sqrt(6.0), (encoder.quantum or 0.0) / math.sqrt(12.0))
+        printed = math.hypot(encoder.quantum or 0.0, PRINTED_STEP)
+        wheel = math.hypot(step / math.sqrt(6.0), printed / math.sqrt(12.0))
         rim = wheel * config.wheel_radius  # of each wheel; a twist is a mean of four
         self._resolution = np.array([rim / 2.0, rim / config.effective_separation])
         lag = encoder.window / 2.0 + 1.0 / config.feedback_rate

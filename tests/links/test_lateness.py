@@ -10,6 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from acsar_gym.links.lateness import (
+    KEPT_TRIPS,
     LATE_TICK,
     LONGEST_DURATION,
     SHORTEST_DURATION,
@@ -147,6 +148,18 @@ def test_a_round_trip_begins_with_the_command_and_ends_with_turning_wheels(
     spread = trips(*asked)
     assert spread.count == count
     assert spread.worst == pytest.approx(worst, nan_ok=True)
+
+
+def test_the_newest_round_trips_are_kept_one_by_one() -> None:
+    watch = EpisodeStopwatch(PERIOD)
+    for start in range(KEPT_TRIPS + 5):
+        watch.commanded(float(start), 0.0, drives=False)
+        watch.commanded(start + 0.1, 0.0, drives=True)
+        assert watch.commanded(start + 0.2, 3.0, drives=True)
+        watch.heard([], start + 0.3)
+    timing = watch.summary()
+    assert timing.round_trip.count == KEPT_TRIPS + 5
+    assert timing.round_trips == pytest.approx([0.2] * KEPT_TRIPS)
 
 
 def test_noise_of_standing_encoders_shows_no_command() -> None:

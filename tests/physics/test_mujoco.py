@@ -162,6 +162,22 @@ def test_an_episode_remembers_nothing_of_the_one_before() -> None:
         assert fresh._data.qpos.tobytes() == used._data.qpos.tobytes()
 
 
+def test_only_what_its_body_is_made_of_compiles_it_anew() -> None:
+    body, own = MujocoBody(ACSAR), compute_physics(ACSAR)
+    first = body._model
+    same = {"range_noise": 0.05, "gain_a": 0.9, "deadband_b": 1.0, "max_speed": 5.0, "kappa": 2.0}
+    for name, value in (same | {"command_delay": 0.1, "yaw_inertia": 1.0}).items():
+        body.reset(Scene(physics=other(**{name: value})))
+        assert body._model is first, name
+    body.reset(Scene(physics=other(max_speed=5.0)))
+    drive(body, AHEAD, SECOND)
+    assert max(body.wheel_speeds) == pytest.approx(5.0, rel=0.02)  # what it is driven with counts
+    for name in ("left_radius", "right_radius", "half_wheelbase", "half_track", "mass", "grip"):
+        before = body._model
+        body.reset(Scene(physics=other(**{name: 1.1 * getattr(own, name)})))
+        assert body._model is not before, name
+
+
 def test_the_same_seed_gives_the_same_episodes() -> None:
     """Bytes of observations in two envs; the second one has driven other episodes before."""
 

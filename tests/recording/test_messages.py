@@ -188,6 +188,20 @@ def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
     assert last[0] == last[7] > first[0] >= 0.01  # the radius is unknown
 
 
+@pytest.mark.parametrize("counts", [1000, 125_664, 10_000_000])
+def test_a_twist_at_rest_is_no_finer_than_the_printed_numbers(counts: int) -> None:
+    """As of a board whose counts `identify` made up, since two decimals don't show them."""
+    measured = {"low": 1.0, "high": 1.0, "method": "tape"}
+    config = RobotConfig.of(None).with_(
+        measured={"wheel_separation_multiplier": measured, "wheel_radius": measured},
+        encoder={"counts_per_revolution": counts, "quantum": None},
+    )
+    _, twist = OdometryCovariance(config).update(np.arange(0.0, 0.1, 0.01), np.zeros((10, 2)))
+    rim = config.wheel_radius * 0.01 / math.sqrt(12.0)  # of each wheel
+    assert twist[-1, 0] >= (rim / 2.0) ** 2
+    assert twist[-1, 35] >= (rim / config.effective_separation) ** 2
+
+
 def test_twists_have_floors_for_resolution_slip_and_lag() -> None:
     """With less than a gyroscope's variance of some 1e-5, a filter would ignore it."""
     measured = {"low": 1.0, "high": 1.0, "method": "tape"}

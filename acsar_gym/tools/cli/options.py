@@ -6,7 +6,7 @@ import contextlib
 import select
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -167,6 +167,20 @@ class RecordOptions:
         made = Recorder(self.record, {"command": command, **about}, sinks)
         _command_recorders.append(made)
         return made
+
+
+def check_not_given(options: Iterable[tuple[str, Any]]) -> None:
+    """Check options that are only for driving, where recordings are read.
+
+    Args:
+        options: name, and a value that is false unless it was given.
+
+    Raises:
+        ConfigError: for the first that was given.
+    """
+    for option, value in options:
+        if value:
+            raise ConfigError(f"{option} is for driving a robot; recordings are only read")
 
 
 _command_recorders: list[Recorder] = []

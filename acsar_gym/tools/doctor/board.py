@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from statistics import fmean, median, median_low
+from statistics import fmean, median
 from typing import NamedTuple
 
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
@@ -438,6 +438,18 @@ STEADY_TIMEOUT = 3.0
 """Longest wait for a steady speed, or for a time-out [s]."""
 
 
+def leave_out_early(delays: Sequence[float], period: float) -> list[float]:
+    """Leave out delays of wheels that still crept from an earlier command; late ones stay.
+
+    All others lie within one period of the feedback [s], unless they are late.
+
+    Returns:
+        The others, ascending [s].
+    """
+    least = median(delays) - period - DELAY_JITTER
+    return sorted(delay for delay in delays if delay >= least)
+
+
 class StepResponse:
     """Commands all letters that answer, and reads their mean speed.
 
@@ -496,9 +508,7 @@ class StepResponse:
                 return []
             found.append(max(lines[-1].begin - sent, 0.0))
         stop_wheels(probe, self._speed)
-        # Leave out wheels that still crept from an earlier command: all others lie in one period.
-        usual = median_low(found[1:])  # one of them, so that it is near itself
-        return sorted(d for d in found[1:] if abs(d - usual) <= 1.0 / rate + DELAY_JITTER)
+        return leave_out_early(found[1:], 1.0 / rate)
 
     def measure_timeout(self) -> tuple[float, float | None] | None:
         """Let the wheels turn steadily, stop commanding, and compare with a commanded stop.

@@ -15,6 +15,7 @@ from acsar_gym.errors import ConfigError, escape_unprintable, show_value
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.layer import Safety
 from acsar_gym.tools.doctor.board import (
+    RESPONSE_TRIALS,
     BoardProbe,
     StepResponse,
     WheelAnswer,
@@ -163,17 +164,7 @@ class Commission:
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
-        if not (delays := response.measure_delays(probe.rate)):
-            yield Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
-        else:
-            latest = delays[math.ceil(0.95 * len(delays)) - 1]
-            yield warn_if(
-                delays[0] > SLOW_RESPONSE,
-                DELAY_CHECK,
-                f"{1e3 * median(delays):.0f} ms from a command's last byte to the first that shows "
-                f"it, the median of {len(delays)}; 95 % within {1e3 * latest:.0f} ms",
-                "raise the baud rate; set the USB adapter's latency timer to 1 ms",
-            )
+        yield report_delays(response.measure_delays(probe.rate))
         yield self._check_timeout(response, config)
         if abs(probe.rate / config.feedback_rate - 1.0) > RATE_TOLERANCE:
             self._note_firmware("feedback_rate", round_rate(probe.rate))
@@ -260,6 +251,27 @@ class Commission:
 
     def _note_firmware(self, name: str, value: float | None) -> None:
         self.changes.setdefault("firmware", {})[name] = value
+
+
+def report_delays(delays: Sequence[float]) -> Check:
+    """Say how long commands take to show.
+
+    Args:
+        delays: [s], ascending, of the `RESPONSE_TRIALS` commands less those that were left out;
+            none where wheels don't turn.
+    """
+    if not delays:
+        return Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
+    usual, latest = median(delays), delays[math.ceil(0.95 * len(delays)) - 1]
+    early = RESPONSE_TRIALS - len(delays)
+    left_out = f"; {early} of {RESPONSE_TRIALS} left out: wheels still crept" if early else ""
+    return warn_if(
+        usual > SLOW_RESPONSE,
+        DELAY_CHECK,
+        f"{1e3 * usual:.0f} ms from a command's last byte to the first that shows it, the median "
+        f"of {len(delays)}; 95 % within {1e3 * latest:.0f} ms{left_out}",
+        "raise the baud rate; set the USB adapter's latency timer to 1 ms",
+    )
 
 
 def _ask_seen(ask: AskWatcher, letter: int, config: RobotConfig) -> str:
@@ -484,13 +496,11 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
     if answer.stopped:
         return "check the plugs of motor and encoder, and the motor's driver"
     fast = ratio * answer.asked > HIGHEST_SPEED
-    return likely_units(ratio, config, fast=fast) + (
-        ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
-    )
+    return likely_units(ratio, config, fast=fast)
 
 
 def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
-    """Say in which other unit a board may measure, or take its commands.
+    """Say in which other unit a board may measure, or take its commands, or that a motor is weak.
 
     Args:
         ratio: of measured to commanded speed.
@@ -511,6 +521,7 @@ def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> st
     if fast:
         before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
         units.insert(0, before_gears)
+    weak = ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
     if units:
-        return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways"
-    return f"likely counts per turn or gear ratio {IN_PROGRAM}"
+        return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways{weak}"
+    return f"likely counts per turn or gear ratio {IN_PROGRAM}{weak}"

@@ -79,9 +79,9 @@ class Summary:
     worst_feedback_age: float
     """Largest age of the feedback at a tick [s]."""
     round_trip: float
-    """Time from a command to its effect in the feedback, median of the episodes' medians [s]."""
+    """Time from a command to its effect in the feedback, median over those of all episodes [s]."""
     round_trip_p95: float
-    """95th percentile of the episodes' longest round trips [s]."""
+    """95th percentile of the same [s]."""
     round_trips: int
     """How many were measured: each time that standing wheels are commanded to turn."""
     invalid: int
@@ -166,7 +166,7 @@ def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
     }
     timings = [result.timing for result in results if result.timing]
     latest = [timing.lateness for timing in timings]
-    trips = [timing.round_trip for timing in timings if timing.round_trip.count]
+    trips = [trip for timing in timings for trip in timing.round_trips]
     return Summary(
         episodes=len(results),
         **means,
@@ -176,11 +176,9 @@ def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
         lateness_p99=_largest(lateness.p99 for lateness in latest),
         worst_lateness=_largest(lateness.worst for lateness in latest),
         worst_feedback_age=_largest(timing.feedback_age.worst for timing in timings),
-        round_trip=float(np.median([one.p50 for one in trips])) if trips else math.nan,
-        round_trip_p95=(
-            float(np.percentile([one.worst for one in trips], 95.0)) if trips else math.nan
-        ),
-        round_trips=sum(one.count for one in trips),
+        round_trip=float(np.median(trips)) if trips else math.nan,
+        round_trip_p95=float(np.percentile(trips, 95.0)) if trips else math.nan,
+        round_trips=len(trips),
         invalid=sum(not result.valid for result in results),
         scores={name: finite_mean(values) for name, values in scores.items()},
         told={name: finite_mean(values) for name, values in told.items()},

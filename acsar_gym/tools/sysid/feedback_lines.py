@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
+from acsar_gym.protocol import PRINTED_STEP
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
@@ -21,8 +22,6 @@ LEAST_RATE_SHARE = 0.002
 """Least half width of the rate's interval, as a share: clocks differ by that much."""
 MOST_SLOPE_LINES = 400
 """Lines of a log between which slopes are computed."""
-PRINTED_STEP = 0.01
-"""Resolution of the protocol's numbers [rad/s]."""
 FINEST_QUANTUM = 0.025
 """Smallest step that two decimals show for sure [rad/s]."""
 LARGEST_QUANTUM = 2.0

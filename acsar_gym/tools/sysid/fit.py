@@ -421,7 +421,9 @@ def fit_deadband(
         rounding: of the speeds.
         usual: for a log that can't tell: the value to stay at, unless it clearly fits worse.
     """
-    bands = np.append(np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID), usual or 0.0)
+    bands = np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID)
+    if usual is not None:
+        bands = np.append(bands, usual)
     measured, costs = problem.measured(index), []
     for band in bands.tolist():
         rest = problem.residuals_of(index, model._replace(deadband=band), times)

@@ -162,8 +162,13 @@ class Identification:
     @property
     def dead(self) -> tuple[str, ...]:
         """Names of the wheels that never turned."""
-        never = {one.wheel for one in self.findings if one.note == identifiability.NEVER_TURNED}
-        return tuple(WHEELS[MOTORS.index(letter)] for letter in sorted(never))
+        never = "".join(
+            one.wheel or MOTORS
+            for one in self.findings
+            if one.name in identifiability.WHEEL_PARAMETERS
+            and one.note == identifiability.NEVER_TURNED
+        )
+        return tuple(name for letter, name in zip(MOTORS, WHEELS, strict=True) if letter in never)
 
     def check(self, *, anyway: bool = False) -> None:
         """Check that this is worth a robot's file.
@@ -174,6 +179,11 @@ class Identification:
         Raises:
             IdentificationError: it isn't, and why.
         """
+        if len(self.dead) == len(WHEELS):
+            raise IdentificationError(
+                "nothing to write: no wheel turned; check the motors' power and every encoder, "
+                "with 'acsar-gym doctor DEVICE --spin'"
+            )
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
         told = {one.name: one for one in self.findings if one.told}
         rate = told.pop(parameter_findings.RATE_NAME, None)
@@ -224,7 +234,7 @@ class Identification:
             changes["encoder"][COUNTS_FIELD] = counts
             measured[f"encoder.{COUNTS_FIELD}"] = None
         if self.model is not None:
-            changes["motor_fit"] = self.model.verdict
+            changes |= {"motor_fit": self.model.verdict, "motor_fit_logs": self.logs}
         return self.config.with_(
             **changes, measured=update_measured(self.config.measured, measured)
         )

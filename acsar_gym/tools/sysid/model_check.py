@@ -20,11 +20,11 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import MISFIT
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import loop
-from acsar_gym.protocol import MOTORS
+from acsar_gym.protocol import MOTORS, PRINTED_STEP
 from acsar_gym.tools.doctor.board import HIGHEST_RATIO, LOWEST_RATIO
 from acsar_gym.tools.doctor.commission import likely_units
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import PRINTED_STEP, measure_line_rate
+from acsar_gym.tools.sysid.feedback_lines import measure_line_rate
 from acsar_gym.tools.sysid.fit import MotorFit
 from acsar_gym.tools.sysid.response import sample_commands
 from acsar_gym.tools.sysid.tracks import BoardTrack
@@ -202,7 +202,7 @@ def check_model(fit: MotorFit, config: RobotConfig) -> ModelCheck | None:
             f"{check.place} is missed by {check.error:.2f} rad/s, where the noise is "
             f"{check.noise:.2f}"
         )
-    return check._replace(pattern=pattern or _describe_odd_wheel(fit))
+    return check._replace(pattern=pattern or _describe_odd_wheel(fit, config))
 
 
 class WheelLines(NamedTuple):
@@ -268,20 +268,27 @@ def _collect_lines(fit: MotorFit, index: int) -> WheelLines:
     return WheelLines(rest, answer, np.sqrt(square + blur**2), since, held_out.astype(bool))
 
 
+def _compare_gains(fit: MotorFit, config: RobotConfig) -> list[float]:
+    """Gains of the wheels as shares of those in the robot's file."""
+    pairs = zip(fit.problem.wheels, fit.wheels, strict=True)
+    return [model.gain / config.motor.of_wheel(wheel).gain for wheel, model in pairs]
+
+
 def _describe_scale(fit: MotorFit, config: RobotConfig) -> str:
     """Say that gains are those of another unit, if they are."""
-    middle = float(np.median([wheel.gain for wheel in fit.wheels]))
+    middle = float(np.median(_compare_gains(fit, config)))
     if LOWEST_RATIO <= middle <= HIGHEST_RATIO:
         return ""
-    size = f"{middle:.2f} times too large" if middle > 1.0 else f"{middle:.2f} of what it should be"
-    return f"feedback is {size}: {likely_units(middle, config)}"
+    if middle > 1.0:
+        return f"feedback is {middle:.2f} times too large: {likely_units(middle, config)}"
+    return f"feedback is {middle:.2f} of what it should be: {likely_units(middle, config)}"
 
 
-def _describe_odd_wheel(fit: MotorFit) -> str:
-    """Name a wheel whose gain is far from that of the others, if there is one."""
-    for wheel, model in zip(fit.problem.wheels, fit.wheels, strict=True):
-        if not LOWEST_RATIO <= model.gain <= HIGHEST_RATIO:
-            return f"wheel {MOTORS[wheel]} turns at {model.gain:.2f} of its command"
+def _describe_odd_wheel(fit: MotorFit, config: RobotConfig) -> str:
+    """Name a wheel whose gain is far from what its file says, if there is one."""
+    for wheel, ratio in zip(fit.problem.wheels, _compare_gains(fit, config), strict=True):
+        if not LOWEST_RATIO <= ratio <= HIGHEST_RATIO:
+            return f"wheel {MOTORS[wheel]} turns at {ratio:.2f} of what it should"
     return ""
 
 
@@ -292,8 +299,9 @@ def _find_habit(fit: MotorFit, worst: int) -> str:
     column = fit.problem.wheels[worst]
     fastest = max(float(np.abs(track.speeds[:, column]).max()) for track in fit.problem.tracks)
     window = fit.times.window
-    fitted = Habits(wheel.lag, wheel.gain, wheel.slowness, wheel.deadband, delay, window)
-    usual = Habits(0.1, 1.0, 0.015, wheel.deadband, 0.01, min(window, 0.05))
+    top = fit.problem.top
+    fitted = Habits(wheel.lag, wheel.gain, wheel.slowness, wheel.deadband, delay, window, top=top)
+    usual = Habits(0.1, 1.0, 0.015, wheel.deadband, 0.01, min(window, 0.05), top=top)
     base = min(_fit_habits(fit, worst, start, "", scale) for start in (fitted, usual))
     least, best, habit = base[0], base[1], ""
     for name, values in HABIT_STARTS.items():
@@ -307,11 +315,14 @@ def _find_habit(fit: MotorFit, worst: int) -> str:
     if habit == "backward":
         parts = []
         for k, column in enumerate(fit.problem.wheels):
-            change = abs(1.0 - _fit_habits(fit, k, best, habit, scale)[1].backward)
-            if change > LEAST_CHANGE:
-                parts.append(f"wheel {MOTORS[column]} by {change:.0%}")
-        how = "weaker" if best.backward < 1.0 else "stronger"
-        return f"backward {how} than forward, {', '.join(parts)}"
+            change = _fit_habits(fit, k, best, habit, scale)[1].backward - 1.0
+            if abs(change) > LEAST_CHANGE:
+                parts.append((change > 0.0, f"wheel {MOTORS[column]} by {abs(change):.0%}"))
+        return "; ".join(
+            f"backward {how} than forward, {', '.join(named)}"
+            for how, sign in (("weaker", False), ("stronger", True))
+            if (named := [text for stronger, text in parts if stronger is sign])
+        )
     lags = f"{1e3 * best.lag * best.braking:.0f} ms) than it speeds up ({1e3 * best.lag:.0f} ms"
     begin = best.deadband + best.stiction
     return {
@@ -360,7 +371,7 @@ def _answer_with_habits(track: BoardTrack, wheel: int, own: Habits, fit: MotorFi
     """Speeds of a wheel with habits, at a track's stamps [rad/s]."""
     edges, dt = track.loop_edges(fit.problem.dt), fit.problem.dt
     window = max(own.window, dt)
-    stamps, commands = track.apply_timeout(fit.times.timeout)
+    stamps, commands = fit.problem.take_commands(track, fit.times.timeout)
     before, after, share = sample_commands(edges, stamps + own.delay, commands[:, wheel])
     speeds = simulate_habits(before + share * (after - before), dt, own)
     ends = np.append(edges, edges[-1] + dt)

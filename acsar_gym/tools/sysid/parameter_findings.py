@@ -10,7 +10,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
-from acsar_gym.protocol import MOTORS
+from acsar_gym.protocol import MOTORS, PRINTED_STEP
 from acsar_gym.tools.sysid import feedback_lines, identifiability
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.fit import (
@@ -46,6 +46,8 @@ LIKENESS_FACTOR = 1.5
 """Factor on differences of wheels in that test: `INTERVAL_FACTOR` isn't of random errors."""
 NO_RAMP = 1e6
 """Acceleration of a board without a ramp [rad/s^2]; the largest of the field."""
+LEAST_SLOWNESS = 0.01
+"""Where a ramp may be none, it is told as none if it surely takes less than this [s^2/rad]."""
 BOUND_EDGE = 0.02
 """A value so near its bound, as a share of it, has ended there."""
 VAGUE_WHEEL = {
@@ -57,6 +59,8 @@ VAGUE_WHEEL = {
 """Half widths of intervals above which a number isn't told: shares, but for deadbands [rad/s]."""
 VAGUE_TIME = 0.03
 """Half width above which a time isn't told [s]."""
+VAGUE_WINDOW = 0.06
+"""The same of an averaging time, which steps tell less exactly [s]."""
 LEAST_WINDOW_INTERVAL = 0.015
 """Least half width where only the answers' shape tells a window: a lag's is nearly the same [s]."""
 SHORTEST_WINDOW = 0.001
@@ -162,7 +166,7 @@ def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> Parame
     at_bound = value > WHEEL_HIGH[p] * (1.0 - BOUND_EDGE)
     vague = half > VAGUE_WHEEL[unknown.name] * value
     if unknown.name == "motor.acceleration":
-        if not at_bound and (value - half <= 0.0 or value < max(1.0 / NO_RAMP, 1e-3)):
+        if value + half < LEAST_SLOWNESS and (value - half <= 0.0 or value < 1e-3):
             fastest = 1.0 / max(value + half, 1e-6)
             note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
             return unknown.tell(NO_RAMP, fastest, NO_RAMP, note)
@@ -311,6 +315,8 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     whole = max(1, round(value / dt)) * dt
     if fit.counted:
         return unknown.tell(whole, max(dt, whole - dt), whole + dt, "by encoder counts")
+    if half > VAGUE_WINDOW:
+        return unknown.explain(f"too vague, +-{1e3 * half:.0f} ms: record more steps")
     half += LEAST_WINDOW_INTERVAL
     low, high = max(SHORTEST_WINDOW, value - half), max(whole, value + half)
     return unknown.tell(
@@ -327,7 +333,7 @@ def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> 
     counted = fit is not None and fit.counted and not fit.rounding.step
     if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
-    if found.step <= feedback_lines.PRINTED_STEP:
+    if found.step <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"
         return replace(unknown.tell(*found, note), told=False)
     return unknown.tell(*found)

@@ -31,6 +31,8 @@ WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])
 """Steps of their derivatives: relative for the lag, then plain."""
 CLOCK_STEPS = np.array([1e-3, 2e-3, 2e-3])
 """Steps of delay, window and time-out [s]."""
+ABOVE_TOP = 1.05
+"""Lines that are faster than this share of the configured top speed show that it isn't the top."""
 PHASE_SPREAD = 0.5
 """Spread of set points in a loop, for `simulate_speeds`."""
 KEPT_COMMANDS = 32
@@ -173,10 +175,12 @@ class FitProblem:
     ) -> FitProblem:
         """Make the problem of a robot with this loop rate and top speed.
 
-        Feedback in another unit may exceed the top speed.
+        Feedback in another unit exceeds the top speed, and then nothing is known of that.
         """
         fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
-        top = max(config.motor.max_speed, 1.1 * fastest)
+        top = config.motor.max_speed
+        if fastest > ABOVE_TOP * top:
+            top = 1.1 * fastest
         return cls(tracks, tuple(wheels), 1.0 / config.firmware.loop_rate, top)
 
     @property
@@ -209,6 +213,16 @@ class FitProblem:
         """Which lines of a track count."""
         return track.held_out if self.held_out else ~track.held_out
 
+    def take_commands(self, track: BoardTrack, timeout: float) -> tuple[Floats, Floats]:
+        """Commands and their times as a board takes them: until its time-out, up to its top speed.
+
+        Args:
+            track: that commands are of.
+            timeout: [s].
+        """
+        stamps, commands = track.apply_timeout(timeout)
+        return stamps, np.clip(commands, -self.top, self.top)
+
     def answer(self, track: BoardTrack, wheel: int, model: WheelModel, times: BoardTimes) -> Floats:
         """Speeds of one wheel at a track's stamps, as encoders without counts report them."""
         key = (id(track), times.delay, times.timeout)
@@ -216,7 +230,7 @@ class FitProblem:
             while len(self.kept) >= KEPT_COMMANDS * len(self.tracks):
                 del self.kept[next(iter(self.kept))]
             edges = track.loop_edges(self.dt)
-            stamps, commands = track.apply_timeout(times.timeout)
+            stamps, commands = self.take_commands(track, times.timeout)
             self.kept[key] = edges, sample_commands(edges, stamps + times.delay, commands)
         edges, (before, after, share) = self.kept[key]
         heard = before[wheel], after[wheel], share

@@ -244,8 +244,8 @@ def measure_gap(
     """
     check_same_robot(logs, "compare logs of")
     config = robot[1]
-    fitted_on = {sha256 for one in config.measured.values() for sha256 in one.logs}
-    replays, notes = [], _note_limits(logs, robot)
+    fitted_on = {*config.motor_fit_logs, *(s for one in config.measured.values() for s in one.logs)}
+    replays, notes = [], _note_limits(logs, robot, before, known=bool(fitted_on))
     for log, recording in logs:
         twins = {"before": before[1] or recording.config, "after": config}
         for number, episode in enumerate(recording.episodes):
@@ -274,14 +274,20 @@ def measure_gap(
 
 
 def _note_limits(
-    logs: Sequence[tuple[str, Recording]], robot: tuple[str, RobotConfig]
+    logs: Sequence[tuple[str, Recording]],
+    robot: tuple[str, RobotConfig],
+    before: tuple[str, RobotConfig | None],
+    *,
+    known: bool,
 ) -> list[str]:
-    """Say what limits the comparison."""
-    notes = []
+    """Say what limits the comparison; `known`: whether the robot's file names logs."""
+    unfitted = [(name, log.config) for name, log in logs] if before[1] is None else [before]
+    sides = (robot, *unfitted)
+    notes = [f"{name}: {side.misfit}" for name, side in sides if side is not None and side.misfit]
     for name, recording in logs:
         if recording.cut:
             note = f"{name}: its end is missing; the rest was used"
-            if any(one.logs for one in robot[1].measured.values()):
+            if known:
                 note += f", as held out: it can't be told whether {robot[0]} was fitted to the "
                 note += "whole of it"
             notes.append(note)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -44,6 +45,42 @@ def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: 
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--twin", "acsar"),
+        ("--quirk", "rpm"),
+        ("--record", "new.mcap"),
+        ("--duration", "5"),
+        ("--world", "empty"),
+        ("--lidar", "simulated"),
+    ],
+    ids=lambda option: str(option[0]),
+)
+def test_options_of_driving_are_refused_with_recordings(
+    short: Path, call: Call, option: tuple[str, str]
+) -> None:
+    commands: list[tuple[Any, ...]] = []
+    if option[0] not in ("--world", "--lidar"):
+        commands.append(("identify", short))
+    if option[0] not in ("--quirk", "--duration"):
+        commands += [("calibrate", file, "straight") for file in (short, "kept.json")]
+    for asked in commands:
+        code, _, error = call(*asked, *option)
+        assert code == 2
+        assert_one_line(error, f"{option[0]} is for driving a robot; recordings are only read")
+
+
+def test_a_robot_whose_wheels_are_dead_has_no_file(call: Call, tmp_path: Path) -> None:
+    twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
+    RobotConfig.preset("acsar").with_(motor={"deadband": 30.0}).save(twin)
+    options = ("--twin", twin, "--duration", "12", "--out", out, "--anyway")
+    code, _, error = call("identify", "planar", *options)
+    assert code == 1
+    assert_one_line(error, "nothing to write: no wheel turned")
+    assert not out.exists()
+
+
 def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
     twin, out = tmp_path / "twin.yaml", tmp_path / "mine.yaml"
     RobotConfig(wheels={"a": {"motor": "b"}, "b": {"motor": "a"}}).save(twin)
@@ -69,7 +106,11 @@ def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path:
     assert written.motor_fit.startswith("doesn't fit: feedback is 1.50")
     assert not written.measured
     again = "mine.yaml: this robot's simulation doesn't fit: "
-    assert again + "feedback is 1.50 times" in call("gap", "log0.mcap", "--robot", out)[1]
+    page = tmp_path / "gap.html"
+    gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out, "--json", figures)
+    assert again + "feedback is 1.50 times" in call(*gap, "--html", page)[1]
+    assert any(note.startswith(again) for note in json.loads(figures.read_text())["notes"])
+    assert "simulation doesn" in page.read_text(encoding="utf-8")
     RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
     drive = ("run", "0.6", "0.2", "--link", "planar", "--robot", out)
     assert again + "holds at reversals" in call(*drive)[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,13 @@ from board_tools import NoTrailingComma, Sibling, board, commissioned
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
 from acsar_gym.protocol import WHEELS, encode
-from acsar_gym.tools.doctor.commission import SWAPPED_FIX, Commission, parse_all_seen
+from acsar_gym.tools.doctor.board import leave_out_early
+from acsar_gym.tools.doctor.commission import (
+    SWAPPED_FIX,
+    Commission,
+    parse_all_seen,
+    report_delays,
+)
 from acsar_gym.tools.emulation import quirks
 from acsar_gym.tools.emulation.quirks import QuirkyLink
 from acsar_gym.worlds import Pose
@@ -257,6 +264,28 @@ def test_the_delay_leaves_out_the_wait_for_the_next_line() -> None:
         shortest.append(float(found.found.split(" ")[0]))
     assert 5.0 < shortest[0] < 40.0
     assert abs(shortest[1] - shortest[0]) < 15.0
+
+
+@pytest.mark.parametrize(
+    ("delays", "said", "status"),
+    [
+        ([0.04] * 9, "40 ms from a command's last byte .* median of 9; 95 % within 40 ms$", "ok"),
+        (
+            [*[0.04] * 7, 0.005, 0.01],
+            "40 ms .* median of 7; 95 % within 40 ms; 2 of 9 left out: wheels still crept$",
+            "ok",
+        ),
+        ([*[0.04] * 7, 0.12, 0.3], "40 ms .* median of 9; 95 % within 300 ms$", "ok"),
+        ([*[0.095] * 4, *[0.115] * 5], "115 ms .* median of 9; 95 % within 115 ms$", "warn"),
+    ],
+    ids=["alike", "early", "late", "slow"],
+)
+def test_early_delays_are_left_out_and_late_ones_count(
+    delays: list[float], said: str, status: str
+) -> None:
+    check = report_delays(leave_out_early(delays, 0.02))
+    assert re.match(said, check.found)
+    assert check.status == status
 
 
 def driven(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:

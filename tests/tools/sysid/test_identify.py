@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.sysid.excitation import drive_excitation, plan_excitation
+from acsar_gym.tools.sysid.identifiability import NEVER_TURNED
 from acsar_gym.tools.sysid.identify import (
     Identification,
     identification_table,
@@ -146,6 +149,78 @@ def test_a_board_outside_the_model_is_named_and_not_written(
     assert robot.motor_fit == found.model.verdict
     assert said in robot.misfit
     assert not robot.measured
+    assert robot.motor_fit_logs == found.logs != ()
+
+
+def test_wheels_that_are_weaker_and_stronger_backward_are_told_apart() -> None:
+    log = drive_excitation(open_link("planar", HIDDEN), ACSAR, 14.0)
+    stamps, speeds = log.feedback(ACSAR)
+    speeds = np.where(speeds < 0.0, speeds * (0.8, 0.8, 1.0, 1.25), speeds)
+    lines = tuple(encode(row) for row in speeds.tolist())
+    found = identify_logs([replace(log, got_stamps=stamps, got=lines)], ACSAR)
+    assert found.model is not None
+    weaker, stronger = found.model.pattern.split("; ")
+    assert re.fullmatch(r"backward weaker than forward, wheel a by \d+%, wheel b by \d+%", weaker)
+    assert re.fullmatch(r"backward stronger than forward, wheel d by \d+%", stronger)
+
+
+@pytest.mark.parametrize(
+    "motor",
+    [
+        {"max_speed": 6.0},
+        pytest.param({"gain": 0.6}, marks=pytest.mark.slow),
+        pytest.param({"gain": (1.0, 1.6, 1.0, 1.0)}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_what_the_robots_file_says_already_is_no_misfit(motor: dict[str, Any]) -> None:
+    """As after its first identification said so, and the file was mended."""
+    log = drive_excitation(open_link("planar", HIDDEN.with_(motor=motor)), ACSAR, 14.0)
+    model = identify_logs([log], ACSAR.with_(motor=motor)).model
+    assert model is not None
+    assert not model.pattern
+
+
+def test_a_weak_motor_is_said_as_the_doctor_does() -> None:
+    log = drive_excitation(open_link("planar", HIDDEN.with_(motor={"gain": 0.6})), ACSAR, 14.0)
+    model = identify_logs([log], ACSAR).model
+    assert model is not None
+    assert "feedback is 0.60 of what it should be" in model.pattern
+    assert model.pattern.endswith("or a motor that is too weak")
+
+
+@pytest.mark.parametrize(
+    ("deadband", "dead"),
+    [
+        (20.0, ("front_right", "front_left", "rear_left", "rear_right")),
+        ((20.0, 0.0, 0.0, 0.0), ("front_right",)),
+        ((0.0, 0.0, 20.0, 20.0), ("rear_left", "rear_right")),
+    ],
+)
+def test_dead_wheels_are_named_and_no_file_is_written_of_four(
+    deadband: Any, dead: tuple[str, ...]
+) -> None:
+    found = identify_quirky(ACSAR.with_(motor={"deadband": deadband}))
+    assert found.dead == dead
+    assert not [
+        one for one in found.findings if len(dead) == 4 and one.name[:6] == "motor." and one.told
+    ]
+    rate = ParameterFinding("firmware.feedback_rate", before=100.0).tell(50.0, 49.0, 51.0)
+    known = replace(found, findings=(*found.findings, rate))
+    if len(dead) < 4:
+        known.check(anyway=True)
+        return
+    with pytest.raises(IdentificationError, match="no wheel turned"):
+        known.check(anyway=True)
+
+
+def test_a_wheel_that_never_turned_is_not_all_of_them() -> None:
+    """Its note may stand for a time of the board, too."""
+    findings = (
+        ParameterFinding("motor.time_constant", "a", note=NEVER_TURNED),
+        ParameterFinding("firmware.command_delay", note=NEVER_TURNED),
+    )
+    assert Identification(ACSAR, findings, None, (), 20.0).dead == ("front_right",)
 
 
 def test_a_model_that_fits_says_so_in_the_robots_file(found: Identification) -> None:
@@ -168,6 +243,7 @@ def test_what_was_only_configured_is_not_measured(window: float) -> None:
     }
     for one in findings:
         if one.name in true:
+            assert one.told, one
             assert holds(one, true[one.name]), one
             assert "counts" not in one.note
 

@@ -92,6 +92,18 @@ def test_what_is_odd_about_a_log_is_noted() -> None:
     assert [part in note for note, part in zip(notes, told, strict=True)] == [True] * 4
 
 
+def test_robots_whose_model_doesnt_fit_are_noted() -> None:
+    odd = ACSAR.with_(motor_fit="doesn't fit: overshoots")
+    said = "this robot's simulation doesn't fit: overshoots"
+    recorded = replace(log(), config=odd)
+    robot = ROBOT.with_(motor_fit="doesn't fit: holds at reversals")
+    for before in (("old.yaml", odd), ("recorded", None)):
+        gap = measure_gap([("a", recorded)], ("robot.yaml", robot), before)
+        assert "robot.yaml: this robot's simulation doesn't fit: holds at reversals" in gap.notes
+        assert f"{'old.yaml' if before[1] else 'a'}: {said}" in gap.notes
+    assert not measure_one(log()).notes
+
+
 def test_truth_is_left_out_where_it_isnt_known() -> None:
     known = log()
     blind = replace(known.episodes[0], truth=np.full_like(known.episodes[0].truth, np.nan))
@@ -121,9 +133,15 @@ def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
     assert not delays.differs
 
 
-def test_fitted_logs_dont_count() -> None:
-    interval = Measured(low=0.13, high=0.15, method="identify", logs=(log(0).sha256,))
-    robot = ("robot.yaml", ROBOT.with_(measured={"motor.time_constant.a": interval}))
+@pytest.mark.parametrize("fits", [True, False])
+def test_fitted_logs_dont_count(*, fits: bool) -> None:
+    """Nor where the model didn't fit, and values have no intervals."""
+    hashes = (log(0).sha256,)
+    interval = Measured(low=0.13, high=0.15, method="identify", logs=hashes)
+    told: dict[str, Any] = {"measured": {"motor.time_constant.a": interval}}
+    if not fits:
+        told = {"motor_fit": "doesn't fit: holds at reversals", "motor_fit_logs": hashes}
+    robot = ("robot.yaml", ROBOT.with_(**told))
     logs = [(f"{seed}.mcap", log(seed)) for seed in range(2)]
     gap = measure_gap(logs, robot, BEFORE)
     assert [replay.fitted for replay in gap.replays] == [True, False]

@@ -18,6 +18,7 @@ from acsar_gym.tools.cli.options import (
     RecordOptions,
     RobotArg,
     Worlds,
+    check_not_given,
     check_writable,
     countdown,
     print_results,
@@ -106,6 +107,10 @@ def calibrate_robot(
     kept_in = Path(device) if of_file else output.runs
     if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
         raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
+    if of_file or of_recording:
+        driving = (wire.twin, wire.world, wire.lidar, wire.record, wire.view)
+        options = ("--twin", "--world", "--lidar", "--record", "--view")
+        check_not_given(zip(options, driving, strict=True))
     known = None
     if wire.robot is None and of_recording:
         known = read(Path(device)).config

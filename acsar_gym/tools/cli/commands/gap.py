@@ -103,7 +103,6 @@ def measure_gap(
             unfitted = unfitted.with_(**{field: getattr(recorded, field) for field in wire})
     found = twin_gap.measure_gap(recordings, after, (Path(before).name, unfitted), body)
     lines = [*twin_gap.conclude_gap(found), *found.notes]
-    lines += [f"{after[0]}: {after[1].misfit}"] if after[1].misfit else []
     tables, data = twin_gap.gap_tables(found), twin_gap.format_gap(found)
     outputs.write(tables, lines, data, lambda: pages.gap_page(found))
     return _judge_limits(twin_gap.find_exceeded(limits, twin_gap.limit_sizes(found)))

@@ -16,6 +16,7 @@ from acsar_gym.tools.cli.options import (
     File,
     RecordOptions,
     RobotArg,
+    check_not_given,
     check_writable,
     countdown,
     print_results,
@@ -25,6 +26,8 @@ from acsar_gym.tools.cli.options import (
 Sources = Annotated[
     tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE | LOG [LOG ...]")
 ]
+DURATION = 20.0
+"""Of the manoeuvre, unless asked otherwise [s]."""
 LATE_MANOEUVRE = 1.1
 """A manoeuvre that takes longer than this, as a share of its length, is worth a warning."""
 
@@ -58,7 +61,7 @@ def identify_robot(
     sources: Sources,
     setup: IdentifySetup,
     output: IdentifyOutputs,
-    duration: float = 20.0,
+    duration: float = DURATION,
     yes: bool = False,
 ) -> int:
     """Find how motors and board answer, from what the wire carries, and write it to a robot's file.
@@ -90,6 +93,9 @@ def identify_robot(
         if not all(files):
             other = sources[files.index(False)]
             raise ConfigError(f"{other}: isn't a recording; give one device, or recordings only")
+        driving = (setup.twin, setup.quirk, setup.record, setup.view, duration != DURATION)
+        options = ("--twin", "--quirk", "--record", "--view", "--duration")
+        check_not_given(zip(options, driving, strict=True))
         known = None if robot is None else RobotConfig.of(robot)
         found = identify.identify_files([Path(source) for source in sources], known)
     else:
