@@ -22,6 +22,8 @@ ODD = "at-comma unpadded swapped-motors reversed-encoder=b feedback-rate=50 comm
 """A board that differs in everything."""
 
 
+TRIALS = 3
+"""A machine that stalls makes a board look slow: the doctor is asked again, at most so often."""
 SPEED, RADIUS, TURN = 0.3, 0.375, 1.4
 """Of the curve: speed [m/s], radius [m], and how far it turns [rad]."""
 MOST_TICKS = 2000
@@ -61,12 +63,17 @@ def test_an_odd_board_is_commissioned_and_driven(
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
     options = ("--robot", guess, "--out", found, "--json", report, "--saw", "b", "a", "d", "c")
-    code, out, error = call("doctor", odd.device, "--spin", "--yes", *options)
-    assert (code, error) == (0, ""), out
-    assert "left and right motors are swapped" in " ".join(report.read_text().split())
-    known = RobotConfig.load(found)
+    for _ in range(TRIALS):
+        found.unlink(missing_ok=True)
+        code, out, error = call("doctor", odd.device, "--spin", "--yes", *options)
+        assert (code, error) == (0, ""), out
+        known = RobotConfig.load(found)
+        timely = known.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
+        if timely and known.firmware.feedback_rate == 50.0:
+            break
+    assert timely
     assert known.firmware.feedback_rate == 50.0
-    assert known.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
+    assert "left and right motors are swapped" in " ".join(report.read_text().split())
     assert [wheel.motor + wheel.encoder for wheel in known.wheels.each] == ["ba", "ab", "dc", "cd"]
     assert [wheel.sign for wheel in known.wheels.each] == [1, -1, 1, 1]
     true, odometry = driven(odd, known)
@@ -89,8 +96,11 @@ def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
     options = ("--robot", guess, "--out", found, "--json", report)
-    code, _, error = call("doctor", emulated.device, "--spin", "--yes", *options)
-    assert (code, error) == (1, "")
+    for _ in range(TRIALS):
+        code, _, error = call("doctor", emulated.device, "--spin", "--yes", *options)
+        assert (code, error) == (1, "")
+        if "set ENCODER_REVERSED" in report.read_text():
+            break
     assert "set ENCODER_REVERSED in the board's program" in report.read_text()
     assert "isn't written" in report.read_text()
     assert not found.exists()

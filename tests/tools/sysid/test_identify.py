@@ -152,6 +152,7 @@ def test_a_board_outside_the_model_is_named_and_not_written(
     assert robot.motor_fit_logs == found.logs != ()
 
 
+@pytest.mark.slow
 def test_wheels_that_are_weaker_and_stronger_backward_are_told_apart() -> None:
     log = drive_excitation(open_link("planar", HIDDEN), ACSAR, 14.0)
     stamps, speeds = log.feedback(ACSAR)
@@ -298,6 +299,7 @@ def constantly(_: float) -> float:
     return 6.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.15, 0.3])
 def test_a_slow_sine_tells_nothing_that_hangs_on_the_lag(lag: float) -> None:
     found = tell(slowly, motor={"time_constant": lag, "deadband": 0.3})
@@ -306,6 +308,7 @@ def test_a_slow_sine_tells_nothing_that_hangs_on_the_lag(lag: float) -> None:
     assert holds(found.get("motor.gain"), 1.0)
 
 
+@pytest.mark.slow
 def test_constant_speeds_tell_the_gain_without_a_lag_and_no_resolution() -> None:
     found = tell(constantly, motor={"time_constant": 0.3, "gain": 0.96})
     assert found["motor.gain"].value == pytest.approx(0.96, abs=0.005)

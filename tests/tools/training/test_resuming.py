@@ -130,6 +130,7 @@ def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_p
         seeds.main(resumed)
 
 
+@pytest.mark.slow
 def test_more_steps_go_on_in_the_same_folder(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,6 +146,7 @@ def test_more_steps_go_on_in_the_same_folder(
     assert (finished / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
     """The policy is a device that is always full; all steps are done."""
     policy = tmp_path / "policy.onnx"

@@ -45,6 +45,7 @@ def test_every_seed_has_a_folder_and_a_row(
         assert (folder / "model.zip").exists()
 
 
+@pytest.mark.slow
 def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path) -> None:
     """A job that runs away writes nothing here; its files arrive with its result."""
     recipe = tmp_path / "mine.yml"
