@@ -233,7 +233,9 @@ class StopListener:
             self.hold()
             self._waiting.append((own, sender))
         elif request == RELEASE_REQUEST and is_meant:
-            self._answer(own, RELEASE_REQUEST if self in self.held else FREE_ANSWER, sender)
+            answer = RELEASE_REQUEST if self in self.held else FREE_ANSWER
+            self._drop_hold()  # before the answer, which says that it is released
+            self._answer(own, answer, sender)
             self.release()
         elif request in (STOP_REQUEST, RELEASE_REQUEST, WHO_REQUEST):
             self._answer(own, self._identity, sender)
@@ -260,11 +262,14 @@ class StopListener:
 
     def release(self) -> None:
         """Let this process drive again, after its next reset, unless another robot's stop holds."""
+        self._drop_hold()
+        if self.closed:
+            self._close_sockets()
+
+    def _drop_hold(self) -> None:
         # What a fork has inherited can't be reached by name, so that it goes along.
         own = os.getpid()
         self.held[:] = [one for one in self.held if one is not self and one._process == own]  # noqa: SLF001
-        if self.closed:
-            self._close_sockets()
 
     def close(self) -> None:
         """Close the sockets, after a stop once it is released; idempotent.

@@ -450,6 +450,21 @@ def test_a_stop_of_one_robot_holds_its_process_until_that_one_is_released(
     estop.check_released()
 
 
+def test_who_is_told_of_a_release_may_drive_at_once(
+    two: list[estop.StopListener], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer, held = estop.StopListener._answer, []
+
+    def look(own: socket.socket, data: bytes, sender: str) -> None:
+        held.append((data, len(estop.StopListener.held)))
+        answer(own, data, sender)
+
+    assert estop.stop_all("rover")[0].answered
+    monkeypatch.setattr(estop.StopListener, "_answer", staticmethod(look))
+    assert estop.release_all("rover")[0].was_stopped
+    assert (estop.RELEASE_REQUEST, 0) in held
+
+
 def test_a_forked_child_is_held_until_its_own_robot_is_released() -> None:
     listener = estop.StopListener()
     listener.hold()
