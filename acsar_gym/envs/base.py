@@ -157,7 +157,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._recorder = Recorder.of(asked.record)
-        factories = sensor_factories(sensors, asked.lidar)
+        factories = sensor_factories(sensors, asked.lidar, step)
         self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
         self._screen = Screen(config, None if own_window else self.render_mode, asked.view)

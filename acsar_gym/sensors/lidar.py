@@ -267,8 +267,10 @@ def check_age(source: str, revolution: Revolution, now: float, config: RobotConf
 
 def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
     """The LiDAR among a robot's sensors; None without one."""
-    first = sensors[0] if sensors else None
-    return first if isinstance(first, LidarSensor) else None
+    for sensor in sensors[:2]:  # the map may come before it
+        if isinstance(sensor, LidarSensor):
+            return sensor
+    return None
 
 
 def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,15 @@ from acsar_gym.links.base import Link, clock_of, tape_of
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.reading import import_object
-from acsar_gym.sensors.base import LIDAR, Factory, Floats, Sensor
-from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar
+from acsar_gym.sensors.base import LIDAR, MAP, Factory, Floats, Sensor
+from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar, find_lidar
+from acsar_gym.sensors.map import MapSensor
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds import Scene
 
 
 class Sensors(Sequence[Sensor]):
-    """The sensors of a robot, the LiDAR first, in the order of their numbers in the observation.
+    """The sensors of a robot, map and LiDAR first, in the order of their numbers in the observation.
 
     Args:
         wanted: factories, or ready sensors.
@@ -45,7 +47,11 @@ class Sensors(Sequence[Sensor]):
         for sensor in made:
             sensor.follow(odometry)
         self._link = link
-        self._sensors = sorted(made, key=lambda sensor: sensor.name != LIDAR)
+        first = {MAP: 0, LIDAR: 1}
+        self._sensors = sorted(made, key=lambda sensor: first.get(sensor.name, 2))
+        for sensor in self._sensors:
+            if isinstance(sensor, MapSensor):
+                sensor.watch(find_lidar(self._sensors))
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
@@ -320,13 +326,14 @@ def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
 
 
 def sensor_factories(
-    sensors: Iterable[str | Sensor | Factory], lidar: Any = None
+    sensors: Iterable[str | Sensor | Factory], lidar: Any = None, period: float = 0.1
 ) -> list[Sensor | Factory]:
     """Replace names among the sensors of a task or an env by factories.
 
     Args:
-        sensors: "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
+        sensors: "map", "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
         lidar: What "lidar" means, as `open_lidar` takes it.
+        period: Of an env step [s].
 
     Raises:
         ConfigError: A name is unknown.
@@ -343,6 +350,9 @@ def sensor_factories(
             found.append(import_object("sensor", sensor))
         elif sensor == LIDAR:
             found.append(make_lidar)
+        elif sensor == MAP:
+            found.append(partial(MapSensor, period=period))
         else:
-            raise ConfigError(f"unknown sensor {show_value(sensor)}{suggest_name(sensor, [LIDAR])}")
+            known = suggest_name(sensor, [LIDAR, MAP])
+            raise ConfigError(f"unknown sensor {show_value(sensor)}{known}")
     return found

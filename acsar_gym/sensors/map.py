@@ -1,0 +1,407 @@
+"""A map that remembers, as a sensor: what is free around the robot, and the way to the goal.
+
+It keeps what the LiDAR has seen in a grid of cells (`seen`), by the robot's odometry, and the way to the
+goal over it (`way`). What it adds to the observation is in units of the robot, so that one policy can
+drive robots of any size and speed. It is the same function for one robot and in a batch.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.config.footprint import Outline, border_distance, outline_radius, outline_reach
+from acsar_gym.errors import ConfigError
+from acsar_gym.jit import COMPILED, jit, loop, subroutine
+from acsar_gym.links.base import Link
+from acsar_gym.odometry import Odometry
+from acsar_gym.physics.body import GroundTruth
+from acsar_gym.sensors.base import MAP, Sensor
+from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.scan import FULL_TURN, Rays, make_rays
+from acsar_gym.sensors.seen import (
+    CELL_SIDE,
+    CELLS,
+    STAMP_REACH,
+    Floats,
+    Grid,
+    add_scan,
+    cell_at,
+    make_stamp,
+    move_window,
+)
+from acsar_gym.sensors.way import (
+    MOST_POINTS,
+    SCRATCH,
+    Ints,
+    length_left,
+    next_corner,
+    piece_cost,
+    plan_way,
+    point_ahead,
+)
+from acsar_gym.trigonometry import angle_of, cos_sin
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.world import to_odometry
+
+SECTORS = 48
+"""Directions around the robot, in each of which the nearest obstacle counts."""
+REACH_STEPS = 720
+"""Directions in which the footprint's reach is tabulated."""
+NEAR_SHARE = 0.25
+"""Clearances are observed on a logarithmic scale, above this one, in radii of the footprint."""
+FARTHEST_CLEARANCE = 16.0
+"""Clearances beyond count as this one, in radii."""
+FARTHEST_WAY = 64.0
+"""So does a longer way to the goal, in radii."""
+LOOKAHEADS = (2.0, 4.0, 8.0)
+"""Points of the way are observed that lie so far ahead along it, in radii."""
+OLDEST_WAY, NEWEST_WAY = 20, 3
+"""A way is planned anew after so many steps, at most, and at least."""
+DEARER = 1.1
+"""It is planned anew where a piece of it has become dearer by this factor, or by DEARER_CELLS."""
+DEARER_CELLS = 4.0
+GAIN_LIMIT = 2.0
+BODY = (
+    "width",
+    "reach",
+    "top_speed",
+    "top_turn_rate",
+    "stopping",
+    "turn_stopping",
+    "lag",
+    "sight",
+)
+"""What is told about the robot itself."""
+GAINED = 0
+"""Place of the number that says by how much the way has become shorter in the last step, in parts of
+what the robot's top speed would give."""
+MAP_NAMES = (
+    "gained",
+    "way_left",
+    *(f"way_{part}_{n}" for n in range(len(LOOKAHEADS)) for part in ("cos", "sin")),
+    *(f"way_cost_{n}" for n in range(len(LOOKAHEADS))),
+    *BODY,
+    *(f"clearance_{n}" for n in range(SECTORS)),
+)
+"""The numbers that the map adds to the observation."""
+FIRST_SECTOR = len(MAP_NAMES) - SECTORS
+MAP_LOW = np.array(
+    [-GAIN_LIMIT if n == "gained" else -1.0 if n.startswith(("way_cos", "way_sin")) else 0.0 for n in MAP_NAMES]
+)
+MAP_HIGH = np.array([GAIN_LIMIT if n == "gained" else 1.0 for n in MAP_NAMES])
+
+RECORD = np.dtype(
+    [
+        ("side", np.float64),  # of a cell [m]
+        ("radius", np.float64),  # of the footprint's disc [m]
+        ("pace", np.float64),  # what the top speed drives in a step [m]
+        ("body", np.float64, (len(BODY),)),
+        ("reach", np.float64, (REACH_STEPS,)),  # of the footprint, from the base's middle [m]
+        ("stamp", np.uint8, (2 * STAMP_REACH + 1, 2 * STAMP_REACH + 1)),
+        ("counts", np.uint8, (CELLS, CELLS)),
+        ("costs", np.uint8, (CELLS, CELLS)),
+        ("marks", np.uint8, (CELLS, CELLS)),
+        ("points", np.float64, (MOST_POINTS, 4)),
+        ("middle_i", np.float64),  # cell of the robot
+        ("middle_j", np.float64),
+        ("corners", np.float64),  # of the way
+        ("corner", np.float64),  # that the robot drives to
+        ("left", np.float64),  # length of the way [m]
+        ("age", np.float64),  # of the way [steps]
+        ("turn", np.float64),  # scans so far
+    ]
+)
+"""Map of a robot: its own numbers, cells, and the way."""
+
+
+def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
+    """Make the empty map of a robot, an array of one `RECORD`.
+
+    Args:
+        config: of the robot.
+        period: of an env step [s].
+    """
+    made = np.zeros(1, RECORD)
+    outline = config.outline
+    radius, inner = outline_radius(outline), border_distance(outline, 0.0, 0.0)
+    made["side"], made["radius"] = CELL_SIDE * radius, radius
+    made["pace"] = config.max_linear * period
+    made["body"], made["reach"] = describe_body(config), _reach(outline)
+    made["stamp"] = make_stamp(inner, radius)
+    return made
+
+
+@lru_cache(maxsize=1024)
+def _reach(outline: Outline) -> Floats:
+    """(REACH_STEPS,): distance from the base's middle to the edge, in directions from -pi on [m]."""
+    angles = (np.arange(REACH_STEPS) + 0.5) * FULL_TURN / REACH_STEPS - math.pi
+    return np.array([outline_reach(outline, (0.0, 0.0), angle) for angle in angles.tolist()])
+
+
+def describe_body(config: RobotConfig) -> Floats:
+    """Compute what is told about a robot, (len(BODY),), each about 0 to 1.
+
+    From its configuration alone: not what an episode has drawn.
+    """
+    radius = outline_radius(config.outline)
+    inner = border_distance(config.outline, 0.0, 0.0)
+    speed, turn = config.max_linear, config.max_angular
+    slowing = config.motor.of_wheel(0).acceleration * config.wheel_radius
+    most, most_turn = config.linear_limits.max_acceleration, config.angular_limits.max_acceleration
+    slowing_turn = 2.0 * slowing / config.effective_separation
+    slow = min(slowing, slowing if most is None else most)
+    slow_turn = min(slowing_turn, slowing_turn if most_turn is None else most_turn)
+    lag = 1.0 / config.feedback_rate + config.firmware.processing_time + config.encoder.window
+    scale = 4.0
+    return np.clip(
+        [
+            inner / radius,
+            radius,
+            speed / radius / 10.0,
+            turn / scale,
+            speed * speed / (2.0 * slow) / radius / scale,
+            turn * turn / (2.0 * slow_turn) / math.pi,
+            (lag + 1.0 / config.lidar.rate) * speed / radius,
+            config.lidar.max_range / radius / 32.0,
+        ],
+        0.0,
+        1.0,
+    )
+
+
+@subroutine
+def clear_map(record: Any) -> None:
+    """Forget everything, at the begin of an episode."""
+    record.counts[:] = 0
+    record.costs[:] = 0
+    record.marks[:] = 0
+    record.middle_i = record.middle_j = 0.0
+    record.corners = record.corner = record.left = record.turn = 0.0
+    record.age = OLDEST_WAY
+
+
+@subroutine
+def update_map(
+    record: Any,
+    pose: tuple[float, float, float],
+    goal: tuple[float, float],
+    ranges: Floats,
+    rays: Rays,
+    scratch: Ints,
+    out: Floats,
+) -> None:
+    """Add what the robot sees now, follow the way or plan another one, and say what is around.
+
+    Args:
+        record: `RECORD` of the robot.
+        pose: by odometry, x [m], y [m], theta [rad].
+        goal: in the odometry frame [m].
+        ranges: (rays,): the scan [m].
+        rays: of the LiDAR.
+        scratch: (SCRATCH,): for the search.
+        out: (len(MAP_NAMES),): gets what the map adds to the observation.
+    """
+    side, radius, points = record.side, record.radius, record.points
+    grid = Grid(record.counts, record.costs, record.marks)
+    x, y = pose[0], pose[1]
+    middle = cell_at(x, side), cell_at(y, side)
+    move_window(grid, int(record.middle_i), int(record.middle_j), middle[0], middle[1])
+    record.middle_i, record.middle_j = float(middle[0]), float(middle[1])
+    add_scan(grid, record.stamp, side, pose, middle, ranges, rays, int(record.turn))
+    record.turn += 1.0
+
+    count, corner, before = int(record.corners), int(record.corner), record.left
+    gained = 0.0
+    record.age += 1.0
+    stale = count == 0 or record.age >= OLDEST_WAY
+    if count > 0:
+        corner = next_corner(points, count, corner, x, y)
+        gained = before - length_left(points, corner, x, y)
+        if record.age >= NEWEST_WAY and not stale:
+            stale = is_way_dearer(grid, side, points, count, corner, x, y)
+    if stale:
+        count = plan_way(grid, side, middle, (x, y), goal, points, scratch)
+        corner = 1
+        record.corners, record.age = float(count), 0.0
+    record.corner = float(corner)
+    record.left = length_left(points, corner, x, y)
+
+    out[GAINED] = min(max(gained / record.pace, -GAIN_LIMIT), GAIN_LIMIT)
+    out[1] = log_share(record.left / radius, FARTHEST_WAY)
+    cos, sin = cos_sin(pose[2])
+    from_x, from_y, place = x, y, 2
+    for n in range(len(LOOKAHEADS)):
+        to_x, to_y = point_ahead(points, count, corner, x, y, LOOKAHEADS[n] * radius)
+        dx, dy = to_x - x, to_y - y
+        far = max(math.sqrt(dx * dx + dy * dy), 1e-9)
+        out[place] = min(max((dx * cos + dy * sin) / far, -1.0), 1.0)
+        out[place + 1] = min(max((dy * cos - dx * sin) / far, -1.0), 1.0)
+        _, dearest = piece_cost(grid.costs, side, from_x, from_y, to_x, to_y)
+        out[2 + 2 * len(LOOKAHEADS) + n] = min(dearest / 64.0, 1.0)
+        from_x, from_y = to_x, to_y
+        place += 2
+    place += len(LOOKAHEADS)
+    for n in range(len(BODY)):
+        out[place + n] = record.body[n]
+    fill_sectors(record, pose, ranges, rays, out[FIRST_SECTOR:])
+
+
+@jit
+def log_share(value: float, most: float) -> float:
+    """Length or clearance, in radii, on a logarithmic scale from 0 to 1."""
+    share: float = math.log(1.0 + min(max(value, 0.0), most) / NEAR_SHARE) / math.log(
+        1.0 + most / NEAR_SHARE
+    )
+    return share
+
+
+@subroutine
+def is_way_dearer(
+    grid: Grid, side: float, points: Floats, count: int, corner: int, x: float, y: float
+) -> bool:
+    """Whether a piece of the way costs more than when it was planned, or the robot has left it."""
+    for k in range(corner, count):
+        from_x, from_y = (x, y) if k == corner else (points[k - 1, 0], points[k - 1, 1])
+        if abs(cell_at(from_x, side) - cell_at(x, side)) > CELLS // 2:
+            return False  # too far to be known
+        cost, _ = piece_cost(grid.costs, side, from_x, from_y, points[k, 0], points[k, 1])
+        if cost > DEARER * points[k, 3] + DEARER_CELLS:
+            return True
+    return False
+
+
+@subroutine
+def fill_sectors(
+    record: Any, pose: tuple[float, float, float], ranges: Floats, rays: Rays, out: Floats
+) -> None:
+    """Fill in the clearance of the footprint in each direction, see `log_share`.
+
+    Where the LiDAR doesn't look, what was seen before counts.
+
+    Args:
+        record: `RECORD` of the robot.
+        pose: by odometry.
+        ranges: (rays,): the scan [m].
+        rays: of the LiDAR.
+        out: (SECTORS,).
+    """
+    reach, radius, side = record.reach, record.radius, record.side
+    nothing = 2.0 * FARTHEST_CLEARANCE
+    for sector in range(SECTORS):
+        out[sector] = nothing
+    for ray in range(len(ranges)):
+        c, s = cos_sin(rays.start + ray * rays.step)
+        x, y = rays.mount_x + ranges[ray] * c, rays.mount_y + ranges[ray] * s
+        share = (angle_of(x, y) + math.pi) / FULL_TURN
+        sector = int(share * SECTORS) % SECTORS
+        edge = reach[int(share * REACH_STEPS) % REACH_STEPS]
+        clearance = (math.sqrt(x * x + y * y) - edge) / radius
+        if ranges[ray] >= rays.farthest - 1e-3:
+            clearance = max(clearance, FARTHEST_CLEARANCE)
+        out[sector] = min(out[sector], clearance)
+    for sector in range(SECTORS):
+        if out[sector] < nothing:
+            continue
+        # between two rays, or behind the LiDAR
+        left, right = out[(sector + 1) % SECTORS], out[(sector - 1) % SECTORS]
+        if left < nothing and right < nothing:
+            out[sector] = min(left, right) + nothing
+            continue
+        bearing = (sector + 0.5) * FULL_TURN / SECTORS - math.pi
+        c, s = cos_sin(pose[2] + bearing)
+        edge = reach[int((sector + 0.5) / SECTORS * REACH_STEPS)]
+        clearance = FARTHEST_CLEARANCE
+        for step in range(int(8.0 / CELL_SIDE)):
+            far = edge + step * side
+            i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
+            if record.marks[i % CELLS, j % CELLS] > 0:
+                clearance = step * CELL_SIDE
+                break
+        out[sector] = clearance + nothing
+    for sector in range(SECTORS):
+        clearance = out[sector] - nothing if out[sector] >= nothing else out[sector]
+        out[sector] = log_share(clearance, FARTHEST_CLEARANCE)
+
+
+@loop
+def update_alone(
+    records: Any,
+    pose: tuple[float, float, float],
+    goal: tuple[float, float],
+    ranges: Floats,
+    rays: Rays,
+    scratch: Ints,
+    out: Floats,
+) -> None:
+    """`update_map` for the robot of a single environment."""
+    update_map(records[0], pose, goal, ranges, rays, scratch, out)
+
+
+class MapSensor(Sensor):
+    """Adds what has been seen around the robot, and the way to the goal, see `MAP_NAMES`.
+
+    It needs a LiDAR among the robot's sensors, and a goal in the scene.
+
+    Args:
+        link: the wire to the robot.
+        config: of the robot.
+        period: of an env step [s].
+    """
+
+    name, size, low, high = MAP, len(MAP_NAMES), MAP_LOW, MAP_HIGH
+    uses_truth = False
+
+    def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
+        self.config = config
+        made = make_record(config, period)
+        self._record = made.view(np.recarray)[0]
+        self._records = made if COMPILED else made.view(np.recarray)
+        """The same memory, as compiled loops take it."""
+        self._rays = make_rays(config)
+        self._scratch = np.zeros(SCRATCH, np.int32)
+        self._lidar: LidarSensor | None = None
+        self._odometry = Odometry.of(config)
+        self._goal = (0.0, 0.0)
+
+    def watch(self, lidar: LidarSensor | None) -> None:
+        """Take over the LiDAR whose scans are remembered; ConfigError for None."""
+        if lidar is None:
+            raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
+        self._lidar = lidar
+
+    def follow(self, odometry: Odometry) -> None:
+        """Take over the robot's odometry."""
+        self._odometry = odometry
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Forget everything. ConfigError where the scene has no goal."""
+        if scene.goal is None:
+            raise ConfigError("sensor 'map': the scene has no goal, to which it shows the way")
+        self._goal = to_odometry(scene.start, (*scene.goal, 0.0))[:2]
+        clear_map(self._record)
+
+    def read(self, truth: GroundTruth | None, now: float) -> Floats:
+        """Return the numbers that `MAP_NAMES` names."""
+        assert self._lidar is not None
+        out = np.zeros(self.size)
+        update_alone(
+            self._records,
+            self._odometry.pose,
+            self._goal,
+            self._lidar.scan.ranges,
+            self._rays,
+            self._scratch,
+            out,
+        )
+        return out
+
+    @property
+    def way(self) -> Floats:
+        """(corners, 2): the way to the goal, from the robot's place when it was planned [m]."""
+        return np.array(self._record.points[: int(self._record.corners), :2])

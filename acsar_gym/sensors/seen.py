@@ -1,0 +1,200 @@
+"""What a robot has seen: a grid of cells around it, kept by its odometry.
+
+The grid is a torus: cell (i, j) of the odometry frame is element [i % CELLS, j % CELLS]. It holds the
+CELLS x CELLS cells around the robot; what leaves this window is forgotten. A cell has a count, which
+grows where measurements end and shrinks where they pass through, as in Moravec & Elfes, "High
+resolution maps from wide angle sonar" (ICRA 1985), and the cost of a metre for the robot's centre, as
+the inflation layer of ROS's costmap_2d has it. All lengths are in units of the footprint's radius, so
+that a map means the same for every robot.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.jit import jit, subroutine
+from acsar_gym.sensors.scan import Rays
+from acsar_gym.trigonometry import cos_sin
+
+Floats = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+CELLS = 128
+"""Cells along a side of the grid."""
+CELL_SIDE = 0.25
+"""Side of a cell, in radii of the footprint."""
+CELL_SHIFT = 0.37
+"""The odometry frame's origin lies so far inside of its cell, in cells, so that places with round
+numbers don't lie between two cells."""
+HIT, HITS_OCCUPIED, HITS_MOST = 3, 5, 12
+"""A measurement that ends in a cell adds this; a cell is occupied from so many on; and has at most
+so many. One that passes through subtracts 1, and a cell without any is free again."""
+SHARED_RAYS = 4
+"""Every so many-th ray clears the cells that it passes, another one at each scan."""
+STAMP_REACH = 8
+"""Cells around an occupied one that cost more."""
+COST_UNIT = 0.25
+"""Of the costs in cells: the cost of a metre is 1 + COST_UNIT * the cell's number."""
+COST_LETHAL = 60.0
+"""Added to the cost of a metre where the footprint touches an obstacle in any heading."""
+COST_TIGHT, COST_NEAR = 8.0, 4.0
+"""Added where it touches one in some heading, at most; and at one radius from an obstacle."""
+COST_FADE = 0.5
+"""Further away the cost falls by a factor of e in this distance, in radii."""
+
+
+class Grid(NamedTuple):
+    """The cells of one robot."""
+
+    counts: Bytes
+    """(CELLS, CELLS): how often each was hit."""
+    costs: Bytes
+    """(CELLS, CELLS): of a metre, see `COST_UNIT`."""
+    marks: Bytes
+    """(CELLS, CELLS): 1 where a cell is occupied."""
+
+
+def make_stamp(inner: float, outer: float) -> Bytes:
+    """Make the costs around an occupied cell.
+
+    Args:
+        inner: radius of the circle within the footprint [m].
+        outer: of the circle around it [m].
+
+    Returns:
+        (2 STAMP_REACH + 1, 2 STAMP_REACH + 1).
+    """
+    steps = np.arange(-STAMP_REACH, STAMP_REACH + 1) * CELL_SIDE
+    distances, share = np.hypot(steps[:, None], steps), inner / outer
+    costs = COST_NEAR * np.exp(-(np.maximum(distances, 1.0) - 1.0) / COST_FADE)
+    costs += COST_TIGHT * np.clip((1.0 - distances) / (1.0 - share + 1e-3), 0.0, 1.0)
+    costs[distances < share] = COST_LETHAL
+    costs[distances > STAMP_REACH * CELL_SIDE] = 0.0
+    return np.round(costs / COST_UNIT).astype(np.uint8)
+
+
+@jit
+def cell_at(place: float, side: float) -> int:
+    """Number of the cell, along one axis, that a place lies in.
+
+    Args:
+        place: in the odometry frame [m].
+        side: of a cell [m].
+    """
+    return int(math.floor(place / side + CELL_SHIFT))
+
+
+@jit
+def cell_centre(cell: int, side: float) -> float:
+    """Centre of a cell along one axis [m]."""
+    return (cell + 0.5 - CELL_SHIFT) * side
+
+
+@subroutine
+def move_window(grid: Grid, from_i: int, from_j: int, to_i: int, to_j: int) -> None:
+    """Forget the cells that leave the window as its middle moves from one cell to another."""
+    half = CELLS // 2
+    if abs(to_i - from_i) >= CELLS or abs(to_j - from_j) >= CELLS:
+        grid.counts[:] = grid.costs[:] = grid.marks[:] = 0
+        return
+    step = 1 if to_i > from_i else -1
+    for i in range(from_i, to_i, step):
+        row = (i + half if step > 0 else i - half - 1) % CELLS
+        grid.counts[row, :] = grid.costs[row, :] = grid.marks[row, :] = 0
+    step = 1 if to_j > from_j else -1
+    for j in range(from_j, to_j, step):
+        row = (j + half if step > 0 else j - half - 1) % CELLS
+        grid.counts[:, row] = grid.costs[:, row] = grid.marks[:, row] = 0
+
+
+@subroutine
+def raise_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int]) -> None:
+    """Raise the costs around a cell that is occupied now."""
+    half = CELLS // 2
+    for di in range(-STAMP_REACH, STAMP_REACH + 1):
+        p = i + di
+        if p < middle[0] - half or p >= middle[0] + half:
+            continue
+        for dj in range(-STAMP_REACH, STAMP_REACH + 1):
+            q = j + dj
+            if q < middle[1] - half or q >= middle[1] + half:
+                continue
+            cost = stamp[di + STAMP_REACH, dj + STAMP_REACH]
+            if cost > grid.costs[p % CELLS, q % CELLS]:
+                grid.costs[p % CELLS, q % CELLS] = cost
+
+
+@subroutine
+def lower_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int]) -> None:
+    """Compute the costs around a cell anew that isn't occupied any more."""
+    half = CELLS // 2
+    for p in range(i - STAMP_REACH, i + STAMP_REACH + 1):
+        for q in range(j - STAMP_REACH, j + STAMP_REACH + 1):
+            inside = abs(p - middle[0] + 0.5) < half and abs(q - middle[1] + 0.5) < half
+            if inside:
+                grid.costs[p % CELLS, q % CELLS] = 0
+    for p in range(i - 2 * STAMP_REACH, i + 2 * STAMP_REACH + 1):
+        if p < middle[0] - half or p >= middle[0] + half:
+            continue
+        for q in range(j - 2 * STAMP_REACH, j + 2 * STAMP_REACH + 1):
+            if q < middle[1] - half or q >= middle[1] + half:
+                continue
+            if grid.marks[p % CELLS, q % CELLS] > 0:
+                raise_costs(grid, stamp, p, q, middle)
+
+
+@subroutine
+def add_scan(
+    grid: Grid,
+    stamp: Bytes,
+    side: float,
+    pose: tuple[float, float, float],
+    middle: tuple[int, int],
+    ranges: Floats,
+    rays: Rays,
+    turn: int,
+) -> None:
+    """Count the measurements of a scan.
+
+    Args:
+        grid: of the robot; `counts`, `costs` and `marks` change.
+        stamp: see `make_stamp`.
+        side: of a cell [m].
+        pose: of the robot by odometry, x [m], y [m], theta [rad].
+        middle: the cell that the robot is in.
+        ranges: (rays,): the scan [m].
+        rays: of the LiDAR.
+        turn: which rays clear cells; counts up from scan to scan.
+    """
+    half, counts = CELLS // 2, grid.counts
+    cos, sin = cos_sin(pose[2])
+    from_x = pose[0] + cos * rays.mount_x - sin * rays.mount_y
+    from_y = pose[1] + sin * rays.mount_x + cos * rays.mount_y
+    for ray in range(len(ranges)):
+        distance = ranges[ray]
+        c, s = cos_sin(pose[2] + rays.start + ray * rays.step)
+        if (ray + turn) % SHARED_RAYS == 0:
+            for step in range(1, int(min(distance / side, CELLS)) - 1):
+                i = cell_at(from_x + step * side * c, side)
+                j = cell_at(from_y + step * side * s, side)
+                if abs(i - middle[0] + 0.5) > half or abs(j - middle[1] + 0.5) > half:
+                    break
+                p, q = i % CELLS, j % CELLS
+                if counts[p, q] > 0:
+                    counts[p, q] -= 1
+                    if counts[p, q] == 0 and grid.marks[p, q] > 0:
+                        grid.marks[p, q] = 0
+                        lower_costs(grid, stamp, i, j, middle)
+        if distance < rays.farthest - 1e-3:
+            i = cell_at(from_x + distance * c, side)
+            j = cell_at(from_y + distance * s, side)
+            if abs(i - middle[0] + 0.5) > half or abs(j - middle[1] + 0.5) > half:
+                continue
+            p, q = i % CELLS, j % CELLS
+            counts[p, q] = min(counts[p, q] + HIT, HITS_MOST)
+            if grid.marks[p, q] == 0 and counts[p, q] >= HITS_OCCUPIED:
+                grid.marks[p, q] = 1
+                raise_costs(grid, stamp, i, j, middle)
