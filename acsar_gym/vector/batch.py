@@ -17,6 +17,8 @@ from acsar_gym.physics.randomization import drawn_places
 from acsar_gym.safety.rules import make_rules
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges
+from acsar_gym.sensors.map import MapSensor, make_record
+from acsar_gym.sensors.way import SCRATCH
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, check_observation
@@ -99,7 +101,8 @@ class Batch:
         if not self._setup.sees:
             return self.python.kinds
         lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
-        return [LidarSensor(lidar, self._config), *self.python.kinds]
+        found: list[Sensor] = [LidarSensor(lidar, self._config), *self.python.kinds]
+        return [MapSensor(None, self._config), *found] if self._setup.maps else found
 
     def _make_tables(self, randomization: Randomization) -> layout.Tables:
         """Make all arrays. Columns for Python sensors are added to the observations later."""
@@ -130,8 +133,12 @@ class Batch:
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
             trails=np.zeros((2, robots, trail_slots(setup, ranges, self._config), 4)),
+            maps=np.repeat(
+                make_record(self._config, setup.ticks * setup.period), robots * setup.maps
+            ),
+            scratch=np.zeros((len(blocks) * setup.maps, SCRATCH), np.int32),
             edges=footprint_edges(self._config)[:rays],
-            observations=np.zeros((robots, setup.numbers + rays), np.float32),
+            observations=np.zeros((robots, setup.first_ray + rays), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),
             ring=np.array([0, 0, 0, setup.ticks], np.int64),

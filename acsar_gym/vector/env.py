@@ -16,7 +16,7 @@ from acsar_gym import jit
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
 from acsar_gym.errors import CommandError, ConfigError, show_value
 from acsar_gym.physics import Randomization
-from acsar_gym.sensors import LIDAR
+from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.factory import (
@@ -213,7 +213,14 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         varied = Randomization.of(varied, config)
         ticks, numbers = self.ticks_per_step, len(self.task.observation)
         setup = make_setup(
-            config, ticks, limit, numbers, faults, sees=LIDAR in sensors, varied=varied
+            config,
+            ticks,
+            limit,
+            numbers,
+            faults,
+            sees=LIDAR in sensors,
+            maps=MAP in sensors,
+            varied=varied,
         )
         self.batch = Batch(self.num_envs, config, self.task, self._spawn, sensors, setup, varied)
         self.sensors = self.batch.sensors

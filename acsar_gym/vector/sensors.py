@@ -19,7 +19,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
 from acsar_gym.jit import COMPILED, NumbaError, overloads
 from acsar_gym.physics.body import GroundTruth
-from acsar_gym.sensors import LIDAR, Factory, Sensor, Truths, draw_uniform
+from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.base import name_memory
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import (
@@ -410,8 +410,11 @@ def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | F
     Raises:
         ConfigError: A name is unknown, or the LiDAR is named twice.
     """
-    check_names([LIDAR for sensor in sensors if sensor == LIDAR])
-    rest = [sensor for sensor in sensors if sensor != LIDAR]
+    compiled = [sensor for sensor in sensors if isinstance(sensor, str) and sensor in (LIDAR, MAP)]
+    check_names(compiled)
+    if MAP in compiled and LIDAR not in compiled:
+        raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
+    rest = [sensor for sensor in sensors if sensor not in compiled]
     return sensor_factories(rest)
 
 

@@ -16,6 +16,7 @@ from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_tim
 from acsar_gym.physics.randomization import DrawnRanges, Randomization, longest_delay
 from acsar_gym.safety import rules
 from acsar_gym.sensors.lidar import stale_after
+from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.sensors.scan import count_trail_rows, make_rays, ray_spec
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, path_from_start
@@ -106,6 +107,7 @@ def make_setup(
     faults: Faults,
     *,
     sees: bool,
+    maps: bool,
     varied: Randomization,
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share.
@@ -117,6 +119,7 @@ def make_setup(
         numbers: how many numbers of the observation are the task's own.
         faults: of the wire.
         sees: whether the robots have a LiDAR.
+        maps: whether they have a map.
         varied: what every robot draws for every episode.
     """
     dt, encoder, firmware = loop_period(config), config.encoder, config.firmware
@@ -165,6 +168,8 @@ def make_setup(
         stale=stale_after(config),
         rays=make_rays(config),
         numbers=numbers,
+        maps=maps,
+        first_ray=numbers + maps * len(MAP_NAMES),
     )
 
 

@@ -469,7 +469,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                     for row in range(EPISODE_ROWS):
                         tables.kept[block, row, i] = tables.numbers[block, row, i]
                     for k in range(tables.ranges.shape[1]):
-                        ray = tables.observations[robot, setup.numbers + k]
+                        ray = tables.observations[robot, setup.first_ray + k]
                         tables.kept_rays[robot, k] = ray
         slot = (tables.ring[0] + start * setup.loops) % slots
         line = (tables.ring[1] + start) % lines
@@ -514,7 +514,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 robots.fault[i] = SILENCE
                 for k in range(tables.ranges.shape[1]):
                     ray = tables.kept_rays[robot, k]
-                    tables.observations[robot, setup.numbers + k] = ray
+                    tables.observations[robot, setup.first_ray + k] = ray
             robots.steps[i] += 1.0
 
 

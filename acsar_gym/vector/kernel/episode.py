@@ -147,7 +147,9 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                 robots.last_line[i] = newest_line(loops, delay, every)
             if robots.silent[i] > 0.0:
                 for k in range(tables.ranges.shape[1]):
-                    tables.ranges[robot, k] = tables.observations[robot, setup.numbers + k] = 0.0
+                    tables.ranges[robot, k] = tables.observations[robot, setup.first_ray + k] = 0.0
+                for k in range(setup.numbers, setup.first_ray):
+                    tables.observations[robot, k] = 0.0
             elif setup.sees:
                 robots.scan_start[i] = robots.loops[i] * setup.dt
                 robots.scan_phase[i] = uniform(random, robot)

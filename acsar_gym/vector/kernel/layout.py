@@ -354,8 +354,12 @@ class Setup(NamedTuple):
     rays: Rays
     """Of the LiDAR."""
     numbers: int
-    """Numbers of an observation that are the task's own; those of the sensors follow, the LiDAR
-    first."""
+    """Numbers of an observation that are the task's own; those of the sensors follow, those of map and
+    LiDAR first."""
+    maps: bool
+    """Whether the robots have a map."""
+    first_ray: int
+    """Place of the LiDAR's first number in an observation."""
 
 
 class Spawns(NamedTuple):
@@ -424,6 +428,10 @@ class Tables(NamedTuple):
     trails: Floats
     """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
     `Trail.rows`; no slots without a LiDAR."""
+    maps: NDArray[Any]
+    """(R,): `sensors.map.RECORD`; no robots where they have no map."""
+    scratch: NDArray[np.int32]
+    """(blocks, numbers): for the search of ways; no blocks without a map."""
     edges: Floats
     """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from acsar_gym.jit import jit, subroutine
+from acsar_gym.sensors.map import MAP_NAMES, clear_map, update_map
 from acsar_gym.sensors.scan import begin_trail, fill_scan
 from acsar_gym.sensors.simulated import LidarTraits, make_beams, measure_revolution
 from acsar_gym.trigonometry import sincos
@@ -50,12 +53,12 @@ def mark_trails(tables: Tables, block: int, i: int, tick: float, setup: Setup) -
 def read_scans(
     tables: Tables, block: int, count: int, setup: Setup, around: Surroundings, begins: bool
 ) -> None:
-    """Read the LiDARs of a block's robots that drive, or of those in `over` that begin an episode.
+    """Read LiDARs and maps of a block's robots that drive, or of those in `over` that begin an episode.
 
     Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """
     robots, rays = tables.blocks[block], tables.ranges.shape[1]
-    beams = make_beams(rays)
+    beams, seen = make_beams(rays), np.zeros(len(MAP_NAMES))
     for i in range(count):
         robot = block * BLOCK_ROBOTS + i
         silent = robots.silent[i] > 0.0
@@ -84,4 +87,18 @@ def read_scans(
         measured = beams.bearings, beams.distances, beams.times
         fill_scan(*measured, told, newest, setup.rays, ranges)
         for k in range(rays):
-            tables.observations[robot, setup.numbers + k] = ranges[k] / around.reach
+            tables.observations[robot, setup.first_ray + k] = ranges[k] / around.reach
+        if setup.maps:
+            if begins:
+                clear_map(tables.maps[robot])
+            update_map(
+                tables.maps[robot],
+                (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
+                (robots.goal_x[i], robots.goal_y[i]),
+                ranges,
+                setup.rays,
+                tables.scratch[block],
+                seen,
+            )
+            for k in range(len(seen)):
+                tables.observations[robot, setup.numbers + k] = seen[k]
