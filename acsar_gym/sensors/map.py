@@ -27,6 +27,7 @@ from acsar_gym.sensors.scan import FULL_TURN, Rays, make_rays
 from acsar_gym.sensors.seen import (
     CELL_SIDE,
     CELLS,
+    LAST_CELL,
     STAMP_REACH,
     Floats,
     Grid,
@@ -320,7 +321,7 @@ def fill_sectors(
         for step in range(int(8.0 / CELL_SIDE)):
             far = edge + step * side
             i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
-            if record.marks[i % CELLS, j % CELLS] > 0:
+            if record.marks[i & LAST_CELL, j & LAST_CELL] > 0:
                 clearance = step * CELL_SIDE
                 break
         out[sector] = clearance + nothing

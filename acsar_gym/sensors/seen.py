@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 CELLS = 128
 """Cells along a side of the grid."""
+LAST_CELL = CELLS - 1
+"""CELLS is a power of two: i & LAST_CELL is i % CELLS, and faster."""
 CELL_SIDE = 0.25
 """Side of a cell, in radii of the footprint."""
 CELL_SHIFT = 0.37
@@ -32,7 +34,7 @@ numbers don't lie between two cells."""
 HIT, HITS_OCCUPIED, HITS_MOST = 3, 5, 12
 """A measurement that ends in a cell adds this; a cell is occupied from so many on; and has at most
 so many. One that passes through subtracts 1, and a cell without any is free again."""
-SHARED_RAYS = 4
+SHARED_RAYS = 8
 """Every so many-th ray clears the cells that it passes, another one at each scan."""
 STAMP_REACH = 8
 """Cells around an occupied one that cost more."""
@@ -102,11 +104,11 @@ def move_window(grid: Grid, from_i: int, from_j: int, to_i: int, to_j: int) -> N
         return
     step = 1 if to_i > from_i else -1
     for i in range(from_i, to_i, step):
-        row = (i + half if step > 0 else i - half - 1) % CELLS
+        row = (i + half if step > 0 else i - half - 1) & LAST_CELL
         grid.counts[row, :] = grid.costs[row, :] = grid.marks[row, :] = 0
     step = 1 if to_j > from_j else -1
     for j in range(from_j, to_j, step):
-        row = (j + half if step > 0 else j - half - 1) % CELLS
+        row = (j + half if step > 0 else j - half - 1) & LAST_CELL
         grid.counts[:, row] = grid.costs[:, row] = grid.marks[:, row] = 0
 
 
@@ -123,8 +125,8 @@ def raise_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int
             if q < middle[1] - half or q >= middle[1] + half:
                 continue
             cost = stamp[di + STAMP_REACH, dj + STAMP_REACH]
-            if cost > grid.costs[p % CELLS, q % CELLS]:
-                grid.costs[p % CELLS, q % CELLS] = cost
+            if cost > grid.costs[p & LAST_CELL, q & LAST_CELL]:
+                grid.costs[p & LAST_CELL, q & LAST_CELL] = cost
 
 
 @subroutine
@@ -135,14 +137,14 @@ def lower_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int
         for q in range(j - STAMP_REACH, j + STAMP_REACH + 1):
             inside = abs(p - middle[0] + 0.5) < half and abs(q - middle[1] + 0.5) < half
             if inside:
-                grid.costs[p % CELLS, q % CELLS] = 0
+                grid.costs[p & LAST_CELL, q & LAST_CELL] = 0
     for p in range(i - 2 * STAMP_REACH, i + 2 * STAMP_REACH + 1):
         if p < middle[0] - half or p >= middle[0] + half:
             continue
         for q in range(j - 2 * STAMP_REACH, j + 2 * STAMP_REACH + 1):
             if q < middle[1] - half or q >= middle[1] + half:
                 continue
-            if grid.marks[p % CELLS, q % CELLS] > 0:
+            if grid.marks[p & LAST_CELL, q & LAST_CELL] > 0:
                 raise_costs(grid, stamp, p, q, middle)
 
 
@@ -169,32 +171,35 @@ def add_scan(
         rays: of the LiDAR.
         turn: which rays clear cells; counts up from scan to scan.
     """
-    half, counts = CELLS // 2, grid.counts
+    counts, marks = grid.counts, grid.marks
+    first_i, first_j = middle[0] - CELLS // 2, middle[1] - CELLS // 2
     cos, sin = cos_sin(pose[2])
     from_x = pose[0] + cos * rays.mount_x - sin * rays.mount_y
     from_y = pose[1] + sin * rays.mount_x + cos * rays.mount_y
+    u, v = from_x / side + CELL_SHIFT - first_i, from_y / side + CELL_SHIFT - first_j  # in cells
     for ray in range(len(ranges)):
         distance = ranges[ray]
         c, s = cos_sin(pose[2] + rays.start + ray * rays.step)
         if (ray + turn) % SHARED_RAYS == 0:
-            for step in range(1, int(min(distance / side, CELLS)) - 1):
-                i = cell_at(from_x + step * side * c, side)
-                j = cell_at(from_y + step * side * s, side)
-                if abs(i - middle[0] + 0.5) > half or abs(j - middle[1] + 0.5) > half:
+            a, b = u, v
+            for _ in range(1, int(min(distance / side, CELLS)) - 1):
+                a, b = a + c, b + s
+                if not (0.0 <= a < CELLS and 0.0 <= b < CELLS):
                     break
-                p, q = i % CELLS, j % CELLS
+                i, j = int(a) + first_i, int(b) + first_j
+                p, q = i & LAST_CELL, j & LAST_CELL
                 if counts[p, q] > 0:
                     counts[p, q] -= 1
-                    if counts[p, q] == 0 and grid.marks[p, q] > 0:
-                        grid.marks[p, q] = 0
+                    if counts[p, q] == 0 and marks[p, q] > 0:
+                        marks[p, q] = 0
                         lower_costs(grid, stamp, i, j, middle)
         if distance < rays.farthest - 1e-3:
-            i = cell_at(from_x + distance * c, side)
-            j = cell_at(from_y + distance * s, side)
-            if abs(i - middle[0] + 0.5) > half or abs(j - middle[1] + 0.5) > half:
+            a, b = u + c * distance / side, v + s * distance / side
+            if not (0.0 <= a < CELLS and 0.0 <= b < CELLS):
                 continue
-            p, q = i % CELLS, j % CELLS
+            i, j = int(a) + first_i, int(b) + first_j
+            p, q = i & LAST_CELL, j & LAST_CELL
             counts[p, q] = min(counts[p, q] + HIT, HITS_MOST)
-            if grid.marks[p, q] == 0 and counts[p, q] >= HITS_OCCUPIED:
-                grid.marks[p, q] = 1
+            if marks[p, q] == 0 and counts[p, q] >= HITS_OCCUPIED:
+                marks[p, q] = 1
                 raise_costs(grid, stamp, i, j, middle)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.sensors.seen import CELLS, Bytes, Floats, Grid, cell_at, cell_centre
+from acsar_gym.sensors.seen import CELLS, LAST_CELL, Bytes, Floats, Grid, cell_at, cell_centre
 
 Ints = NDArray[np.int32]
 MOST_POINTS = 64
@@ -92,7 +92,7 @@ def search_way(
                 if di == 0 and dj == 0:
                     continue
                 p, q = i + di, j + dj
-                cost = int(costs[(p + first_i) % CELLS, (q + first_j) % CELLS])
+                cost = int(costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
                 step = DIAGONAL if di != 0 and dj != 0 else STRAIGHT
                 total = so_far + ((step * (4 + cost)) >> 2)
                 other = p * CELLS + q
@@ -127,7 +127,7 @@ def piece_cost(
     for step in range(1, count + 1):
         share = step / count
         i, j = cell_at(ax + share * (bx - ax), side), cell_at(ay + share * (by - ay), side)
-        cost = float(costs[i % CELLS, j % CELLS])
+        cost = float(costs[i & LAST_CELL, j & LAST_CELL])
         total += cost
         most = max(most, cost)
     return length * (1.0 + 0.25 * total / count), most
@@ -172,7 +172,7 @@ def plan_way(
         i, j = way[at] // CELLS, way[at] % CELLS
         for k in range(at - 1, max(at - 1 - LONGEST_PIECE, -1), -1):
             p, q = way[k] // CELLS, way[k] % CELLS
-            cost = float(grid.costs[(p + first_i) % CELLS, (q + first_j) % CELLS])
+            cost = float(grid.costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
             diagonal = p != i and q != j
             stepwise += (1.4142135623730951 if diagonal else 1.0) * (1.0 + 0.25 * cost)
             i, j = p, q
