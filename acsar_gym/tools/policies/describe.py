@@ -143,6 +143,7 @@ def describe_policy(
     training: TrainingSummary | None = None,
     metrics: Mapping[str, Mapping[str, float | None]] | None = None,
     state: Sequence[StateLayout] = (),
+    width: int | None = None,
 ) -> Bundle:
     """Describe a policy that was trained in an environment.
 
@@ -153,13 +154,14 @@ def describe_policy(
         training: how it was trained; None where that isn't known.
         metrics: figures of the policy by occasion; NaN becomes null.
         state: the states of a recurrent policy.
+        width: how many numbers of an observation the policy takes, the first ones; None for all.
 
     Raises:
         PolicyError: something of it can't be written in a bundle.
     """
     config, spec, task = robot_config(env), env.spec, env.task
     options: Any = dataclasses.fields(task) if dataclasses.is_dataclass(task) else ()
-    ranges = None
+    ranges, sensors = None, take_sensors(task, env.sensors, width)
     if randomization is not None:
         ranges = {name: tuple(getattr(randomization, name)) for name in randomization.names}
     try:
@@ -170,14 +172,14 @@ def describe_policy(
                 worlds="" if env.pool is None else str(env.pool),
                 max_episode_steps=None if spec is None else spec.max_episode_steps,
             ),
-            observation=describe_observation(task, env.sensors),
+            observation=describe_observation(task, sensors),
             state=tuple(state),
             rates=PolicyRates(policy=env_policy_rate(env), control=config.control_rate),
             robot=RobotSummary(
                 name=config.name,
                 sha256=hash_config(config),
                 calibration_sha256=hash_calibration(config),
-                values=robot_values(config, env.sensors),
+                values=robot_values(config, sensors),
             ),
             randomization=ranges,
             training=training,
@@ -188,6 +190,27 @@ def describe_policy(
         )
     except AcsarError as error:
         raise PolicyError(f"the policy can't be described: {error}") from None
+
+
+def take_sensors(task: Task, sensors: Sequence[Sensor], width: int | None) -> Sequence[Sensor]:
+    """The sensors whose numbers a policy takes.
+
+    Args:
+        task: of the env.
+        sensors: of the env, in the order of the observation.
+        width: how many numbers of an observation the policy takes, the first ones; None for all.
+
+    Raises:
+        PolicyError: it takes some of a sensor's numbers, or more than there are.
+    """
+    ends = list(itertools.accumulate((s.size for s in sensors), initial=len(task.observation)))
+    if width is None:
+        return sensors
+    if width not in ends:
+        raise PolicyError(
+            f"the policy takes {width} numbers, the observation has {' or '.join(map(str, ends))}"
+        )
+    return sensors[: ends.index(width)]
 
 
 def robot_config(env: AnyEnv) -> RobotConfig:
@@ -264,7 +287,9 @@ def check_bundle(
         if not equal:
             raise PolicyError(f"{name} is {_quote(said)} in the file and {wanted} {where}")
 
-    task_text, file, own = task_name(task), bundle.observation, describe_observation(task, sensors)
+    task_text, file = task_name(task), bundle.observation
+    sensors = sensors[: max(len(file.sensors), 1)]  # a policy may leave out the last ones
+    own = describe_observation(task, sensors)
     here, in_this = f"in {task_text}: {RETRAIN_HINT}", f"in this {task_text}: {ARGUMENTS_HINT}"
     robot = {} if config is None else robot_values(config, sensors)
     for name in LAYOUT_FIELDS:

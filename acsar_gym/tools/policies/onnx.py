@@ -136,12 +136,12 @@ class OnnxPolicy(FilePolicy):
         Raises:
             PolicyError: the observation has another shape.
         """
-        if observation.shape != (self.width,):
+        if observation.ndim != 1 or len(observation) < self.width:
             raise PolicyError(
                 f"{self.path}: got an observation of shape {observation.shape}: must be "
-                f"({self.width},)"
+                f"({self.width},), or longer"
             )
-        self._observation[0] = observation
+        self._observation[0] = observation[: self.width]
         self._run(self._binding)
         for before, after in self._states:
             before[...] = after

@@ -106,10 +106,11 @@ def make_decider(model: BaseAlgorithm) -> Decide:
     A recurrent policy's state begins at the first call, and is kept for all robots from then on.
     """
     policy: Any = model.policy
-    device, state = policy.device, None
+    device, state, width = policy.device, None, policy.observation_space.shape[0]
 
     def decide(seen: NDArray[np.float32]) -> NDArray[np.float32]:
         """As the policy's `predict`, in half the time."""
+        seen = np.ascontiguousarray(seen[:, :width])
         with torch.no_grad():
             action = policy._predict(torch.from_numpy(seen).to(device), deterministic=True)  # noqa: SLF001
         clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
@@ -118,7 +119,7 @@ def make_decider(model: BaseAlgorithm) -> Decide:
     def decide_with_state(seen: NDArray[np.float32]) -> NDArray[np.float32]:
         nonlocal state
         begun = np.full(len(seen), state is None)
-        action, state = policy.predict(seen, state, begun, deterministic=True)
+        action, state = policy.predict(seen[:, :width], state, begun, deterministic=True)
         return np.asarray(action, np.float32)
 
     return decide_with_state if hasattr(policy, "lstm_actor") else decide

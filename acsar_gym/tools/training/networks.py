@@ -130,30 +130,37 @@ class MirrorPolicy(ActorCriticPolicy):
     of n pairs of units costs half of a layer of 2 n units.
 
     Args:
-        *args: as of ActorCriticPolicy; the features must be laid out as the observation, such as
-            those of `RayClearance`, with the rays at the end.
-        odd: indices of the numbers before the rays that change their sign in the mirror.
-        robot: whose LiDAR it is; see `RobotConfig.of`.
+        *args: as of ActorCriticPolicy.
+        odd: indices of the features that change their sign in the mirror.
+        reversed_at: first and count of the features whose order it reverses, such as directions
+            around the robot.
         **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer. Classes
             may be given by the names in `classes`, as RL Zoo does with a recipe's.
 
     Raises:
-        ConfigError: the features are fewer than the rays, or `odd` names none of them.
+        ConfigError: these aren't indices of the features.
     """
 
     def __init__(
-        self, *args: Any, odd: Sequence[int] = (), robot: RobotSource = None, **kwargs: Any
+        self,
+        *args: Any,
+        odd: Sequence[int] = (),
+        reversed_at: tuple[int, int] = (0, 0),
+        **kwargs: Any,
     ) -> None:
-        self._odd, self._robot = tuple(odd), robot
+        first, count = reversed_at
+        self._odd, self._reversed_at = tuple(odd), (first, count)
         super().__init__(*args, **find_classes(kwargs))
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | {"odd": self._odd, "robot": self._robot}
+        return super()._get_constructor_parameters() | {
+            "odd": self._odd,
+            "reversed_at": self._reversed_at,
+        }
 
     def _build_mlp_extractor(self) -> None:
         """Make the hidden layers of actor and critic."""
-        images = getattr(self.features_extractor, "images", ())
-        split = _Split(self.features_dim, self._odd, RobotConfig.of(self._robot), images)
+        split = _Split(self.features_dim, self._odd, self._reversed_at)
         given: Any = self.net_arch
         widths = given if isinstance(given, dict) else {"pi": given, "vf": given}
         built = _Hidden(split, list(widths["pi"]), list(widths["vf"]), self.activation_fn)
@@ -196,34 +203,25 @@ class _Split(torch.nn.Module):
     """Features as coordinates of their even and odd parts, by one matrix.
 
     Args:
-        width: of the features; the last ones are the rays.
+        width: of the features.
         odd: indices of the numbers that change their sign in the mirror.
-        config: of the robot.
-        images: of the features right before the rays: number of each one's mirror image.
+        reversed_at: (first, count) of numbers whose order the mirror reverses.
 
     Raises:
-        ConfigError: the features are fewer than the rays, or `odd` names none of them.
+        ConfigError: they aren't indices of the features.
     """
 
-    def __init__(
-        self, width: int, odd: Sequence[int], config: RobotConfig, images: Sequence[int] = ()
-    ) -> None:
+    def __init__(self, width: int, odd: Sequence[int], reversed_at: tuple[int, int]) -> None:
         super().__init__()
-        angles = ray_spec(config).angles()
-        first = width - len(angles)
-        numbers = first - len(images)
-        if numbers < 0 or not all(0 <= number < numbers for number in odd):
+        first, count = reversed_at
+        single = [k for k in range(width) if not first <= k < first + count]
+        if not (set(odd) <= set(single) and 0 <= first <= first + count <= width):
             raise ConfigError(
-                f"MirrorPolicy: odd = {tuple(odd)}: must be indices of the numbers before "
-                f"{len(angles)} rays, of {width} features"
+                f"MirrorPolicy: odd = {tuple(odd)}, reversed_at = {tuple(reversed_at)}: must be "
+                f"different ones of {width} numbers"
             )
         image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
-        image[numbers:, numbers:] = 0.0
-        for feature, other in enumerate(images):
-            image[numbers + other, numbers + feature] = 1.0
-        for ray, angle in enumerate(angles.tolist()):
-            apart = torch.tensor(angles + angle)  # 0, or a full turn, at the ray's mirror image
-            image[first + int(torch.cos(apart).argmax()), first + ray] = 1.0
+        image[first : first + count, first : first + count] = torch.eye(count).flip(0)
         kept: dict[float, list[torch.Tensor]] = {1.0: [], -1.0: []}
         for parity, rows in kept.items():
             for row in torch.eye(len(image)) + parity * image:

@@ -42,6 +42,7 @@ KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
         BATCH_WRAPPER,
         "acsar_gym.tools.training.wrappers.Detours",
         "acsar_gym.tools.training.wrappers.detours",
+        "acsar_gym.tools.training.wrappers.without_rays",
         NORMALIZE_WRAPPER,
     ),
     "activation_fn": tuple(f"torch.nn.{name}" for name in ACTIVATIONS),

@@ -62,7 +62,10 @@ def train(options: TrainingOptions) -> int:
 
         def describe(**facts: Any) -> Bundle:
             varied, states = plan.randomization, sb3.recurrent_states(model.policy)
-            return describe_policy(env, plan.env_id, randomization=varied, state=states, **facts)
+            width = model.observation_space.shape[0]  # type: ignore[union-attr, index]
+            return describe_policy(
+                env, plan.env_id, randomization=varied, state=states, width=width, **facts
+            )
 
         sb3.label(model, describe())
         before = 0.0 if state is None else state.seconds

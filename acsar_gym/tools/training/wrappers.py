@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecMonitor
@@ -21,6 +22,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Randomization
+from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tools.policies.sb3 import BatchVecEnv, make_batch
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds.search import measure_goal_distances
@@ -137,6 +139,47 @@ def detours(env: VecEnv, weight: float = 2.0) -> VecEnv:
         weight: see `Detours`.
     """
     return env if find_robots(env) is None else Detours(env, weight)
+
+
+class WithoutRays(VecEnvWrapper):
+    """Leaves the LiDAR's own numbers, and what follows them, out of observations.
+
+    What the map says about them is in units of the robot: a policy that sees no more than that can
+    drive robots whose LiDAR has other rays.
+
+    Args:
+        venv: a batch, see `sb3.make_batch`, itself in wrappers or not.
+
+    Raises:
+        ConfigError: the robots have no map.
+    """
+
+    def __init__(self, venv: VecEnv) -> None:
+        robots = find_robots(venv)
+        names = [] if robots is None else [sensor.name for sensor in robots.sensors]
+        if robots is None or names[:2] != [MAP, LIDAR]:
+            raise ConfigError("WithoutRays: must wrap a batch of robots with a map and a LiDAR")
+        self._size = len(robots.task.observation) + robots.sensors[0].size
+        space: Any = venv.observation_space
+        super().__init__(venv, Box(space.low[: self._size], space.high[: self._size]))
+
+    def reset(self) -> VecEnvObs:
+        """Start a new episode of every robot; returns observations (robots, n)."""
+        observations: Any = self.venv.reset()
+        return observations[:, : self._size]
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Return what the batch returns, with shorter observations."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        for index in np.flatnonzero(dones):
+            last = infos[index]["terminal_observation"]
+            infos[index]["terminal_observation"] = last[: self._size]
+        return observations[:, : self._size], rewards, dones, infos  # type: ignore[call-overload, index]
+
+
+def without_rays(env: VecEnv) -> VecEnv:
+    """Wrap a batch in `WithoutRays`; single envs, which RL Zoo evaluates with, have all numbers."""
+    return env if find_robots(env) is None else WithoutRays(env)
 
 
 def find_robots(env: VecEnv) -> RobotVectorEnv | None:
