@@ -48,7 +48,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     """
     numbers = drawn.parse_numbers(source) if isinstance(source, str) else None
     each: Sequence[RobotSource]
-    if numbers is not None:
+    if numbers is not None and len(numbers) > 1:
         each = [f"{drawn.PREFIX}{number}" for number in numbers]
     elif isinstance(source, list | tuple):
         each = source
