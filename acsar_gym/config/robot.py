@@ -181,6 +181,7 @@ class BodyConfig(Section):
     1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
 
 
+MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 MISFIT = "doesn't fit: "
 """Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
 LEAST_RATE = 0.01
@@ -620,7 +621,8 @@ class RobotConfig(Section):
         """Return the config that a value of an env's `robot` argument means.
 
         Args:
-            robot: a config, a mapping of fields, a file, the name of a preset, or None for acsar.
+            robot: a config, a mapping of fields, a file, the name of a preset, the number of a
+                robot drawn at random, such as "drawn:17", or None for acsar.
 
         Raises:
             ConfigError: for other types, and see `load` and `preset`.
@@ -631,11 +633,21 @@ class RobotConfig(Section):
             return cls.model_validate(dict(robot))
         if robot is None:
             return cls.preset("acsar")
+        if isinstance(robot, list | tuple):
+            raise ConfigError(f"robot: {MANY_ROBOTS}, such as the first of them")
         if not isinstance(robot, str | Path):
             raise ConfigError(
                 f"robot = {show_value(robot)}: must be a RobotConfig, its fields, a "
                 "preset or a file"
             )
+        from acsar_gym.config import drawn  # noqa: PLC0415 - needs NumPy
+
+        numbers = drawn.parse_numbers(robot) if isinstance(robot, str) else None
+        if numbers is not None:
+            first = f"{drawn.PREFIX}{numbers[0]}"
+            if len(numbers) > 1:
+                raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}, such as {first!r}")
+            return cls.model_validate(drawn.draw_robot(numbers[0]))
         if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
             return cls.load(robot)
         return cls.preset(robot)

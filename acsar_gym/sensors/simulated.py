@@ -155,7 +155,7 @@ def add_errors(
 
 
 @loop
-def measure_revolution(
+def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     trail: Floats,
     newest: int,
     which: int,
@@ -164,6 +164,7 @@ def measure_revolution(
     episode: tuple[float, float, float],
     traits: LidarTraits,
     beams: Beams,
+    kind: int = 0,
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
 
@@ -176,6 +177,7 @@ def measure_revolution(
         episode: when it began [s], phase of the revolution then, and key of its errors.
         traits: of the LiDAR.
         beams: written.
+        kind: of the robot, for `around`.
 
     Returns:
         When the revolution ended [s].
@@ -184,7 +186,7 @@ def measure_revolution(
     number, ended = newest_revolution(trail[newest, 0], first, traits.scan_rate, phase)
     aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
     x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
-    cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances)
+    cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances, kind)
     add_errors(beams.distances, key, number, traits, rays)
     return ended
 

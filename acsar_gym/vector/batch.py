@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import TaskError
-from acsar_gym.jit import compiled_beside, record_of
+from acsar_gym.jit import COMPILED, compiled_beside, record_of
 from acsar_gym.physics import Randomization, compute_physics
-from acsar_gym.physics.randomization import drawn_places
-from acsar_gym.safety.rules import make_rules
+from acsar_gym.physics.randomization import DrawnRanges, drawn_places
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges
-from acsar_gym.sensors.map import MapSensor, make_record
+from acsar_gym.sensors.map import RECORD, MapSensor, make_record
 from acsar_gym.sensors.way import SCRATCH
+from acsar_gym.sensors.scan import make_rays
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, check_observation
@@ -29,6 +29,7 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.setup import (
     ResetOptions,
     command_slots,
+    compute_build,
     count_slots,
     make_worlds,
     pad_surroundings,
@@ -36,6 +37,14 @@ from acsar_gym.vector.setup import (
     trail_slots,
 )
 from acsar_gym.vector.task import TaskLoops, make_loops
+from acsar_gym.worlds.geometry import pad_rows
+
+
+def _stack_records(each: Sequence[Any]) -> NDArray[Any]:
+    """Records of named tuples of the same kind, one after the other."""
+    stacked = np.concatenate([record_of(one, changes=True) for one in each])
+    return stacked if COMPILED else stacked.view(np.recarray)
+
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
@@ -48,12 +57,13 @@ class Batch:
 
     Args:
         robots: how many.
-        config: of every robot.
+        fleet: the kinds of robots; robot i is of kind i % len(fleet).
         task: of every robot.
-        spawn: has the worlds.
+        spawns: of each kind, have the worlds; the same object where footprints are as large.
         sensors: names, sensors or factories, as `RobotVectorEnv` takes them.
         setup: numbers that all robots share.
-        randomization: what every robot draws anew for every episode.
+        varied: what the robots of each kind draw anew for every episode.
+        ranges: of these.
 
     Attributes: `robots`, how many; `tables`, the arrays; `python`, the sensors written in Python;
     `seeded`, whether the robots have generators.
@@ -62,23 +72,26 @@ class Batch:
     def __init__(
         self,
         robots: int,
-        config: RobotConfig,
+        fleet: Sequence[RobotConfig],
         task: Task,
-        spawn: Spawn,
+        spawns: Sequence[Spawn],
         sensors: Sequence[str | Sensor | Factory],
         setup: layout.Setup,
-        randomization: Randomization,
+        varied: Sequence[Randomization],
+        ranges: Sequence[DrawnRanges],
     ) -> None:
-        self.robots, self._config, self._task, self._setup = robots, config, task, setup
-        sees = setup.sees
-        self._pool, worlds = spawn.pool, make_worlds(spawn.pool, follow=task.follows)
-        self._spawns = spawn_arrays(task, spawn.pool, worlds)
-        self._around = pad_surroundings(worlds, config, sees=sees)
-        self._setups, self._rules = record_of(setup), make_rules(config)
-        self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in randomization.names}
-        self.tables = self._make_tables(randomization)
+        self.robots, self._fleet, self._task, self._setup = robots, fleet, task, setup
+        sees, pools = setup.sees, [spawn.pool for spawn in spawns]
+        self._pool, (worlds, places) = pools[0], make_worlds(pools, follow=task.follows)
+        self._spawns = spawn_arrays(task, worlds, pools, places)
+        self._around = pad_surroundings(worlds, fleet, sees=sees)
+        self._setups = record_of(setup)
+        names = dict.fromkeys(name for one in varied for name in one.names)
+        self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in names}
+        self.tables = self._make_tables(ranges)
+        self._build_robots(places)
         self._view = BatchView(self.tables.numbers, self.tables.random, setup.dt, worlds)
-        self.python = BatchSensors(python_sensors(sensors), config, robots, self._view)
+        self.python = BatchSensors(python_sensors(sensors), fleet, robots, self._view)
         self._first_python = self.tables.observations.shape[1]
         """The first column of the observation that belongs to a sensor written in Python."""
         width = self._first_python + self.python.size
@@ -88,7 +101,7 @@ class Batch:
         """Whether a robot's task can run right after its physics, on the same thread."""
         self._info = dict(layout.INFO_FIELDS)
         """Keys of info, and their fields."""
-        self._info |= {} if spawn.pool is None else {"world": "world"}
+        self._info |= {} if self._pool is None else {"world": "world"}
         self._info |= {"scan_age": "scan_age", "scan_stale": "scan_stale"} if sees else {}
         self._info |= {"fault": "fault"} if setup.faults.possible else {}
         self.seeded = False
@@ -100,16 +113,37 @@ class Batch:
         """One instance of each kind of sensor, in the order of their numbers in the observation."""
         if not self._setup.sees:
             return self.python.kinds
-        lidar = SimulatedLidar(RobotLink(self._view, 0), self._config)
-        found: list[Sensor] = [LidarSensor(lidar, self._config), *self.python.kinds]
-        return [MapSensor(None, self._config), *found] if self._setup.maps else found
+        lidar = SimulatedLidar(RobotLink(self._view, 0), self._fleet[0])
+        found: list[Sensor] = [LidarSensor(lidar, self._fleet[0]), *self.python.kinds]
+        return [MapSensor(None, self._fleet[0]), *found] if self._setup.maps else found
 
-    def _make_tables(self, randomization: Randomization) -> layout.Tables:
+    def _build_robots(self, places: Sequence[range]) -> None:
+        """Write what follows from the robots' configurations; `places` are the kinds' worlds."""
+        kinds = enumerate(zip(self._fleet, places, strict=True))
+        built = np.array([compute_build(one, self._setup, k, at) for k, (one, at) in kinds])
+        numbers = self.tables.numbers[:, layout.BUILD_ROW :]
+        which = np.arange(len(numbers) * layout.BLOCK_ROBOTS).reshape(len(numbers), -1)
+        for row, column in enumerate(built.T):
+            numbers[:, row] = column[which % len(built)]
+
+    def _make_maps(self) -> NDArray[Any]:
+        """(robots,): the robots' empty maps; none where they have no map."""
+        if not self._setup.maps:
+            return np.zeros(0, RECORD)
+        step = self._setup.ticks * self._setup.period
+        kinds = np.concatenate([make_record(one, step) for one in self._fleet])
+        return kinds[np.arange(self.robots) % len(kinds)]
+
+    def _make_tables(self, ranges: Sequence[DrawnRanges]) -> layout.Tables:
         """Make all arrays. Columns for Python sensors are added to the observations later."""
-        robots, setup, rays = self.robots, self._setup, len(self._around.directions)
+        robots, setup, rays = self.robots, self._setup, self._around.directions.shape[1]
         blocks = layout.make_blocks(robots)
-        ranges = randomization.ranges(self._config, setup.ticks * setup.period)
-        lines = command_slots(setup, ranges, self._config)
+        kinds = list(zip(ranges, self._fleet, strict=True))
+        lines = max(command_slots(setup, *kind) for kind in kinds)
+        turns = max(count_slots(setup, *kind) for kind in kinds)
+        slots = max(trail_slots(setup, *kind) for kind in kinds)
+        delays = [np.reshape(drawn.delays, (-1, 1)) for drawn in ranges]
+        edges = [np.reshape(footprint_edges(one)[:rays], (-1, 1)) for one in self._fleet]
 
         def make_rings(*shape: int) -> NDArray[np.float64]:
             return np.zeros((len(blocks), *shape, layout.BLOCK_ROBOTS))
@@ -117,27 +151,27 @@ class Batch:
         return layout.Tables(
             blocks=blocks,
             numbers=layout.view_numbers(blocks),
-            counts=make_rings(count_slots(setup, ranges, self._config), 4),
+            counts=make_rings(turns, 4),
             commands=make_rings(lines if setup.guarded else 0, 2),
             arrivals=make_rings(lines if setup.faults.possible else 0, 3),
             random=np.zeros((robots, 4), np.uint64),
-            nominal=record_of(compute_physics(self._config), changes=True),
-            low=np.array(ranges.low),
-            high=np.array(ranges.high),
-            delays=np.array(ranges.delays),
-            drawn=np.zeros((robots, len(ranges.low) if self._drawn else 0)),
+            nominal=_stack_records([compute_physics(one) for one in self._fleet]),
+            low=np.array([drawn.low for drawn in ranges]),
+            high=np.array([drawn.high for drawn in ranges]),
+            delays=pad_rows(delays, (0.0,))[:, :, 0],
+            delay_counts=np.array([len(each) for each in delays], np.int64),
+            rays=_stack_records([make_rays(one) for one in self._fleet]),
+            drawn=np.zeros((robots, len(ranges[0].low) if self._drawn else 0)),
             actions=np.zeros((robots, 2)),
             over=np.zeros(robots, np.bool_),
             idle=np.zeros(robots, np.bool_),
             kept=make_rings(layout.EPISODE_ROWS if setup.falls_silent else 0),
             kept_rays=np.zeros((robots if setup.falls_silent else 0, rays), np.float32),
             ranges=np.zeros((robots, rays)),
-            trails=np.zeros((2, robots, trail_slots(setup, ranges, self._config), 4)),
-            maps=np.repeat(
-                make_record(self._config, setup.ticks * setup.period), robots * setup.maps
-            ),
+            trails=np.zeros((2, robots, slots, 4)),
+            maps=self._make_maps(),
             scratch=np.zeros((len(blocks) * setup.maps, SCRATCH), np.int32),
-            edges=footprint_edges(self._config)[:rays],
+            edges=pad_rows(edges, (0.0,))[:, :, 0],
             observations=np.zeros((robots, setup.first_ray + rays), np.float32),
             rewards=np.zeros(robots),
             ends=np.zeros((2, robots), np.bool_),
@@ -177,9 +211,7 @@ class Batch:
         tables.over[:], tables.idle[:] = mask, True
         another: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
         if self._new:  # compile the step in another process, while this one compiles the rest
-            another = compiled_beside(
-                drive.step, tables, 0, 1, self._setups, self._rules, self._around
-            )
+            another = compiled_beside(drive.step, tables, 0, 1, self._setups, self._around)
         with another:
             share(self._begin, len(self.tables.blocks))
         self._new = False
@@ -190,8 +222,8 @@ class Batch:
 
     def _begin(self, first: int, last: int) -> None:
         """Begin new episodes of the robots of blocks first to last that are in `tables.over`."""
-        setups, rules = self._setups, self._rules
-        episode.reset(self.tables, first, last, setups, rules, self._spawns, self._around)
+        setups, spawns = self._setups, self._spawns
+        episode.reset(self.tables, first, last, setups, spawns, self._around)
         if self._together:
             self._loops.run(first, last)
 
@@ -228,7 +260,7 @@ class Batch:
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of blocks first to last, and their task where `_together`."""
         tables = self.tables
-        drive.step(tables, first, last, self._setups, self._rules, self._around)
+        drive.step(tables, first, last, self._setups, self._around)
         begun = tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS]
         if tables.ring[3] == self._setup.ticks and begun.any():
             self._begin(first, last)
@@ -259,7 +291,7 @@ class Batch:
         """Info with the keys of the single env, each an array with a row for each robot."""
         info = dict(zip(self._info, self.read(*self._info.values()), strict=True))
         if self._pool is not None:
-            info["world"] += self._pool.numbers[0]
+            info["world"] += self._pool.numbers[0] - self.read("first_world")[0]
         info |= self._loops.info()
         for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
             numbers = self.tables.drawn[:, places]

@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from acsar_gym import jit
-from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.config import whole_ratio
+from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
 from acsar_gym.errors import CommandError, ConfigError, show_value
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
@@ -30,6 +31,7 @@ from acsar_gym.tasks.factory import (
 from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
 from acsar_gym.vector.threads import Threads
+from acsar_gym.worlds.search import footprint_radius
 
 MAX_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
@@ -138,9 +140,17 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
       truncated with `fault` 1 in info, as in the single env. Where it stays away during the reset,
       the episode is truncated in its first step.
 
-    All worlds, at most 10,000, are made when the batch is. Seeds: `reset(seed=s)` seeds robot i
-    with s + i, or a list has one seed for each. Every robot has its own generator, the same as the
-    single env's.
+    ## Fleets
+
+    With `robot=["acsar", "jackal", "husky"]`, a list of what `RobotConfig.of` takes, or a range of
+    drawn robots such as "drawn:train" (see `acsar_gym.config.drawn`), robot i of the batch is
+    number i % (robots of the fleet), for good. Each is what a single env of that robot would be,
+    worlds that fit its footprint included. `fleet` has the configurations, and `config` the first
+    one. All must have the same timing of wire and board, and as many rays where these are observed.
+
+    All worlds, at most 10,000 for each size of footprint, are made when the batch is. Seeds:
+    `reset(seed=s)` seeds robot i with s + i, or a list has one seed for each. Every robot has its
+    own generator, the same as the single env's.
 
     ## Options of a reset
 
@@ -171,7 +181,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self,
         task: Task | type[Task] | str,
         num_envs: int = 1,
-        robot: RobotSource = None,
+        robot: FleetSource = None,
         **options: Any,
     ) -> None:
         """Make the batch, and all its worlds.
@@ -179,13 +189,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Args:
             task: a task, its class, or "module:Class".
             num_envs: number of robots.
-            robot: configuration of every robot; see `RobotConfig.of`.
+            robot: configuration of every robot, see `RobotConfig.of`; or a fleet, see the class.
             **options: of the batch, see the class, and of the task.
 
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
         """
-        self.config = config = RobotConfig.of(robot)
         asked, rest = BatchOptions.split(options)
         if asked.link != "planar":
             raise ConfigError(
@@ -198,33 +207,48 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             said = "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'"
             warnings.warn(said, RuntimeWarning, stacklevel=3)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
+        fleet = make_fleet(robot, self.num_envs)
+        self.fleet, self.config = fleet.robots, fleet.robots[0]
         limit = asked.max_episode_steps
         if limit is not None:
             limit = check_count("max_episode_steps", limit, MAX_STEPS)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.task = make_task(task, rest, BatchOptions.names())
-        self._spawn = Spawn(self.task, asked.worlds, asked.difficulty, config)
+        given = self.task, asked.worlds, asked.difficulty
+        by_radius: dict[float, Spawn] = {}
+        for one in self.fleet:
+            radius = footprint_radius(one)
+            by_radius[radius] = by_radius.get(radius) or Spawn(*given, one)
+        spawns = [by_radius[footprint_radius(one)] for one in self.fleet]
+        self._spawn = spawns[0]
         self.pool = self._spawn.pool
         rate = asked.policy_rate
-        self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
+        ticks = whole_ratio("control_rate", self.config.control_rate, "policy_rate", rate)
+        self.ticks_per_step, step = ticks, ticks * self.config.period
         sensors = (*self.task.sensors, *asked.sensors)
-        faults, varied = check_faults(asked.faults, config), asked.randomization
-        varied = Randomization.of(varied, config)
-        ticks, numbers = self.ticks_per_step, len(self.task.observation)
+        sees = LIDAR in sensors
+        for place in range(1, len(self.fleet) if sees else 0):
+            check_equal(fleet, place, "lidar.rays")  # each is a column of the observation
+        faults, *_ = (check_faults(asked.faults, one) for one in self.fleet)
+        varied = [Randomization.of(asked.randomization, one) for one in self.fleet]
+        each = zip(self.fleet, varied, strict=True)
+        ranges = [drawn.ranges(one, step) for one, drawn in each]
         setup = make_setup(
-            config,
+            self.fleet,
+            ranges,
             ticks,
             limit,
-            numbers,
+            len(self.task.observation),
             faults,
-            sees=LIDAR in sensors,
+            sees=sees,
             maps=MAP in sensors,
-            varied=varied,
+            turns_vary=any(drawn.turn_factor is not None for drawn in varied),
         )
-        self.batch = Batch(self.num_envs, config, self.task, self._spawn, sensors, setup, varied)
+        robots = self.num_envs, self.fleet
+        self.batch = Batch(*robots, self.task, spawns, sensors, setup, varied, ranges)
         self.sensors = self.batch.sensors
-        validate_task(self.task, config, self.sensors)
+        validate_task(self.task, self.config, self.sensors)
         spaces = task_spaces(self.task, self.sensors)
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)

@@ -166,10 +166,14 @@ class BatchSensors:
     """
 
     def __init__(
-        self, wanted: Iterable[Sensor | Factory], config: RobotConfig, robots: int, view: BatchView
+        self,
+        wanted: Iterable[Sensor | Factory],
+        fleet: Sequence[RobotConfig],
+        robots: int,
+        view: BatchView,
     ) -> None:
         self._view = view
-        self._groups = [_group(factory, config, robots, view) for factory in wanted]
+        self._groups = [_group(factory, fleet, robots, view) for factory in wanted]
         self.kinds: list[Sensor] = [group.kind for group in self._groups]
         check_names([kind.name for kind in self.kinds])
         self.clocked = any(overrides(kind, "poll") for kind in self.kinds)
@@ -418,9 +422,14 @@ def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | F
     return sensor_factories(rest)
 
 
-def _group(factory: Any, config: RobotConfig, robots: int, view: BatchView) -> _Each | _Whole:
-    """Make the sensors of one factory for all robots. ConfigError where a batch can't use them."""
-    one = make_sensor(factory, RobotLink(view, 0), config)
+def _group(
+    factory: Any, fleet: Sequence[RobotConfig], robots: int, view: BatchView
+) -> _Each | _Whole:
+    """Make the sensors of one factory for all robots. ConfigError where a batch can't use them.
+
+    One that has `read_batch` is made for the first robot of a fleet.
+    """
+    one = make_sensor(factory, RobotLink(view, 0), fleet[0])
     if one.name == LIDAR or isinstance(one, LidarSensor):
         raise ConfigError(
             f"sensor {one.name!r}: a batch has no LiDAR but its own: name it {LIDAR!r} in sensors"
@@ -436,8 +445,16 @@ def _group(factory: Any, config: RobotConfig, robots: int, view: BatchView) -> _
         raise ConfigError(
             f"sensor {one.name!r}: a batch needs one for each robot: pass its class or a factory"
         )
-    sensors = [make_sensor(factory, RobotLink(view, robot), config) for robot in range(1, robots)]
-    return _Each([one, *sensors])
+    sensors = [one]
+    for robot in range(1, robots):
+        made = make_sensor(factory, RobotLink(view, robot), fleet[robot % len(fleet)])
+        if made.size != one.size:
+            raise ConfigError(
+                f"sensor {one.name!r}: has {one.size} numbers for robot 0 of the fleet and "
+                f"{made.size} for robot {robot}: must have as many for all"
+            )
+        sensors.append(made)
+    return _Each(sensors)
 
 
 def overrides(sensor: Sensor, method: str) -> bool:

@@ -13,11 +13,11 @@ from acsar_gym.config import LINE_BYTES, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.links.faults import WIRE_BUFFER, Faults
 from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_time
-from acsar_gym.physics.randomization import DrawnRanges, Randomization, longest_delay
+from acsar_gym.physics.randomization import DrawnRanges, longest_delay
 from acsar_gym.safety import rules
 from acsar_gym.sensors.lidar import stale_after
 from acsar_gym.sensors.map import MAP_NAMES
-from acsar_gym.sensors.scan import count_trail_rows, make_rays, ray_spec
+from acsar_gym.sensors.scan import count_trail_rows, ray_spec
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, path_from_start
 from acsar_gym.tasks.factory import check_reset_options
@@ -27,7 +27,6 @@ from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, cache, geometry
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
-from acsar_gym.worlds.world import Floats
 
 Array = NDArray[Any]
 ResetOptions = dict[str, Array]
@@ -100,7 +99,8 @@ BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "directio
 
 
 def make_setup(
-    config: RobotConfig,
+    fleet: Sequence[RobotConfig],
+    ranges: Sequence[DrawnRanges],
     ticks: int,
     max_steps: int | None,
     numbers: int,
@@ -108,46 +108,34 @@ def make_setup(
     *,
     sees: bool,
     maps: bool,
-    varied: Randomization,
+    turns_vary: bool,
 ) -> layout.Setup:
     """Compute the numbers that all robots of a batch share.
 
     Args:
-        config: of every robot.
+        fleet: the kinds of robots, whose `SHARED_FIELDS` are equal.
+        ranges: what each kind draws for every episode.
         ticks: control periods in an env step.
         max_steps: time limit of an episode [env steps].
         numbers: how many numbers of the observation are the task's own.
         faults: of the wire.
         sees: whether the robots have a LiDAR.
         maps: whether they have a map.
-        varied: what every robot draws for every episode.
+        turns_vary: whether any kind's turn factor is drawn.
     """
-    dt, encoder, firmware = loop_period(config), config.encoder, config.firmware
-    limited = config.geofence is not None or not rules.is_unlimited(config)
-    left_radius, right_radius = config.wheel_radii
-    delay = command_loops(config, varied.ranges(config, ticks * config.period))
+    config = fleet[0]
+    dt, firmware = loop_period(config), config.firmware
+    limited = any(one.geofence is not None or not rules.is_unlimited(one) for one in fleet)
+    delay = max(command_loops(one, drawn) for one, drawn in zip(fleet, ranges, strict=True))
     late = delay * dt > ticks * config.period - dt / 2.0
-    window = round(encoder.window * firmware.loop_rate)
-    per_radian = encoder.counts_per_revolution / (2.0 * math.pi)
-    accelerations = [config.motor.of_wheel(wheel).acceleration for wheel in range(4)]
     return layout.Setup(
         dt=dt,
         period=config.period,
         wire_time=wire_time(config),
-        ramps=layout.Ramps(*(acceleration * dt for acceleration in accelerations)),
-        isotropic=config.body.turn_factor is None and varied.turn_factor is None,
-        top=config.motor.max_speed,
-        counts_per_radian=per_radian,
-        speed_per_count=1.0 / (per_radian * window * dt),
-        quantum=encoder.quantum or 0.0,
-        window=window,
+        isotropic=not turns_vary and all(one.body.turn_factor is None for one in fleet),
+        window=round(config.encoder.window * firmware.loop_rate),
         ticks=ticks,
         loops=whole_ratio("firmware.loop_rate", firmware.loop_rate, "", config.control_rate),
-        left_radius=left_radius,
-        right_radius=right_radius,
-        separation=config.effective_separation,
-        max_linear=config.max_linear,
-        max_angular=config.max_angular,
         max_steps=math.inf if max_steps is None else float(max_steps),
         guarded=limited or late or faults.possible,
         faults=LineFaults(
@@ -165,12 +153,42 @@ def make_setup(
         ),
         falls_silent=faults.possible and faults.direction != "commands",
         sees=sees,
-        stale=stale_after(config),
-        rays=make_rays(config),
         numbers=numbers,
         maps=maps,
         first_ray=numbers + maps * len(MAP_NAMES),
     )
+
+
+def compute_build(
+    config: RobotConfig, setup: layout.Setup, kind: int, worlds: range
+) -> list[float]:
+    """Compute the numbers of `layout.Build` for one kind of robots, and those of its rules.
+
+    Args:
+        config: of the kind.
+        setup: of the batch.
+        kind: its index.
+        worlds: indices of the worlds that were made for its footprint.
+    """
+    per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
+    accelerations = [config.motor.of_wheel(wheel).acceleration for wheel in range(4)]
+    built = {
+        "kind": [kind],
+        "ramp": [acceleration * setup.dt for acceleration in accelerations],
+        "counts_per_radian": [per_radian],
+        "speed_per_count": [1.0 / (per_radian * setup.window * setup.dt)],
+        "quantum": [config.encoder.quantum or 0.0],
+        "max_linear": [config.max_linear],
+        "max_angular": [config.max_angular],
+        "stale": [stale_after(config)],
+        "rays": [config.lidar.rays if setup.sees else 0],
+        "first_world": [worlds.start],
+        "worlds": [len(worlds)],
+    }
+    own = rules.make_rules(config)[1:]  # but for the period
+    guards = [[*value] if isinstance(value, tuple) else [value] for value in own]
+    each = [*(built[name] for name in layout.BUILD), *guards]
+    return [float(number) for numbers in each for number in numbers]
 
 
 def command_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
@@ -251,39 +269,54 @@ PADDING_PLACE = 1e6
 """Coordinates of the unused circles and segments that pad the arrays [m]."""
 
 
-def make_worlds(pool: Pool | None, *, follow: bool) -> list[World]:
-    """Make all worlds of a pool.
+def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[World], list[range]]:
+    """Make all worlds of all pools, each pool's once.
 
     Args:
-        pool: the worlds; None on an open floor, for which the list is empty.
+        pools: of each kind of robots, the same object where footprints are as large; None on an
+            open floor.
         follow: whether robots follow the worlds' paths, from their beginnings.
 
+    Returns:
+        The worlds of one pool after another's, and where those of each kind are.
+
     Raises:
-        WorldError: for more than 10,000, before any is made.
+        WorldError: for more than 10,000 of a footprint, before any is made.
     """
-    if pool is None:
-        return []
-    if len(pool) > MAX_WORLDS:
-        raise WorldError(
-            f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
-            f"them all when it begins: at most {MAX_WORLDS:,}"
-        )
-    with cache.keep_worlds():
-        worlds = list(pool)
-    return [align_with_path(world) for world in worlds] if follow else worlds
+    worlds: list[World] = []
+    places: dict[int, range] = {}
+    for pool in pools:
+        if pool is None or id(pool) in places:
+            continue
+        if len(pool) > MAX_WORLDS:
+            raise WorldError(
+                f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
+                f"them all when it begins: at most {MAX_WORLDS:,}"
+            )
+        with cache.keep_worlds():
+            made = [align_with_path(world) if follow else world for world in pool]
+        places[id(pool)] = range(len(worlds), len(worlds) + len(made))
+        worlds += made
+    return worlds, [range(0) if pool is None else places[id(pool)] for pool in pools]
 
 
-def spawn_arrays(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layout.Spawns:
+def spawn_arrays(
+    task: Task, worlds: Sequence[World], pools: Sequence[Pool | None], places: Sequence[range]
+) -> layout.Spawns:
     """Make the arrays of starts, goals and paths.
 
     Args:
         task: of the batch; has the goal distances for an open floor.
-        pool: the worlds, or None.
-        worlds: all worlds of the pool, in its order.
+        worlds: all worlds, from `make_worlds`.
+        pools: of each kind of robots.
+        places: where their worlds are.
     """
     low, high = task.goal_distance
     starts = [world.start for world in worlds]
     order = np.arange(len(worlds), dtype=np.int64)
+    for pool, place in zip(pools, places, strict=True):
+        if pool is not None and pool.generated:
+            order[place.start : place.stop] = place.start + pool.by_difficulty[0]
     paths = [path_from_start(world) for world in worlds] if task.follows else []
     return layout.Spawns(
         min_distance=float(low),
@@ -293,35 +326,26 @@ def spawn_arrays(task: Task, pool: Pool | None, worlds: Sequence[World]) -> layo
         ).reshape(-1, 4),
         goals=np.array([(w.goal.x, w.goal.y, w.goal.radius) for w in worlds]).reshape(-1, 3),
         lengths=np.array([world.length for world in worlds], np.float64),
-        paths=_pad_arrays(paths, (0.0, 0.0, 0.0)),
+        paths=geometry.pad_rows(paths, (0.0, 0.0, 0.0)),
         samples=np.array([len(samples) for samples in paths], np.int64),
-        order=pool.by_difficulty[0] if pool is not None and pool.generated else order,
+        order=order,
     )
 
 
 def pad_surroundings(
-    worlds: Sequence[World], config: RobotConfig, *, sees: bool
+    worlds: Sequence[World], fleet: Sequence[RobotConfig], *, sees: bool
 ) -> geometry.Surroundings:
     """Make the arrays of obstacles of all worlds, padded to the world with most of them, and rays.
 
     Args:
         worlds: of the batch; none on an open floor.
-        config: of the robots.
+        fleet: the kinds of robots.
         sees: whether the robots have a LiDAR.
     """
     far = PADDING_PLACE
     obstacles = geometry.Obstacles(
-        _pad_arrays([world.circles for world in worlds], (far, far, 0.0)),
-        _pad_arrays([world.segments for world in worlds], (far, far, far, far)),
+        geometry.pad_rows([world.circles for world in worlds], (far, far, 0.0)),
+        geometry.pad_rows([world.segments for world in worlds], (far, far, far, far)),
     )
-    spec = ray_spec(config) if sees else None
-    return geometry.make_surroundings(obstacles, spec, max(len(worlds), 1), config)
-
-
-def _pad_arrays(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
-    """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
-    longest = max((len(array) for array in rows), default=0)
-    padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))
-    for number, array in enumerate(rows):
-        padded[number, : len(array)] = array
-    return padded
+    specs = [ray_spec(config) if sees else None for config in fleet]
+    return geometry.surround_kinds(obstacles, specs, max(len(worlds), 1), fleet)

@@ -30,6 +30,7 @@ STATE_FIELDS = (
     *("odom_x", "odom_y", "odom_theta", "linear", "angular", "read_speed"),
     *("action_linear", "action_angular", "sent_linear", "sent_angular", "reason"),
     *("steps", "age", "contact", "goal_x", "goal_y", "world", "goal_given"),
+    *("max_linear", "max_angular", "kind", "rays"),
 )
 """The fields that a State is made of."""
 
@@ -156,7 +157,7 @@ class PythonLoops:
         tables, setup = self._tables, self._setup
         numbers = read_fields(view_numbers(tables.blocks), STATE_FIELDS, robots).T.tolist()
         ranges, sensed = tables.ranges[robots], tables.observations[robots, setup.numbers :]
-        max_twist, period = (setup.max_linear, setup.max_angular), setup.ticks * setup.period
+        period = setup.ticks * setup.period
         return [
             State(
                 (x, y, theta),
@@ -165,20 +166,21 @@ class PythonLoops:
                 (ahead, turn),
                 (sent_linear, sent_angular),
                 int(reason),
-                ranges[place],
-                tables.edges,
+                ranges[place, : int(rays)],
+                tables.edges[int(kind), : int(rays)],
                 sensed[place],
                 steps * setup.ticks * setup.period,
                 age,
                 contact > 0.0,
                 (goal_x, goal_y),
                 *self._way(int(world), given > 0.0),
-                max_twist,
+                (max_linear, max_angular),
                 period,
             )
             for place, (
                 x, y, theta, linear, angular, a, b, c, d, ahead, turn, sent_linear, sent_angular,
-                reason, steps, age, contact, goal_x, goal_y, world, given,
+                reason, steps, age, contact, goal_x, goal_y, world, given, max_linear, max_angular,
+                kind, rays,
             ) in enumerate(numbers)
         ]  # fmt: skip
 

@@ -100,12 +100,28 @@ class RaySpec:
 
 
 class Surroundings(NamedTuple):
-    """Obstacles, rays and footprint as compiled loops need them."""
+    """Obstacles of many worlds, rays and footprints of one or more kinds of robots, for loops."""
 
     circles: Floats
     """(sets, circles, 3): x, y, radius [m]."""
     segments: Floats
     """(sets, segments, 4): x1, y1, x2, y2 [m]."""
+    directions: Floats
+    """(kinds, rays, 2): cosine and sine of each ray's angle; unused rows are zero."""
+    lidars: Floats
+    """(kinds, 5): the other fields of `Fan`."""
+    boxes: Floats
+    """(kinds, 2): half the length and half the width of a box around the origin of the base frame
+    that contains the footprint [m]."""
+    sides: Floats
+    """(kinds, sides, 4): x1, y1, x2, y2 of polygonal footprints [m]; unused rows are zero."""
+    corners: NDArray[np.int64]
+    """(kinds,): how many sides a kind's footprint has; 0 where it is the box."""
+
+
+class Fan(NamedTuple):
+    """The rays of one robot."""
+
     directions: Floats
     """(rays, 2): cosine and sine of each ray's angle."""
     start: float
@@ -118,39 +134,75 @@ class Surroundings(NamedTuple):
     """Position of the LiDAR in the base frame, ahead [m]."""
     mount_y: float
     """Position of the LiDAR in the base frame, to the left [m]."""
-    half_length: float
-    """Half the length of a box around the origin of the base frame that contains the footprint
-    [m]."""
-    half_width: float
-    """Half the width of that box [m]."""
-    sides: Floats
-    """(sides, 4): x1, y1, x2, y2 of a polygonal footprint; none where the footprint is the box
-    [m]."""
 
 
 def make_surroundings(
     obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
 ) -> Surroundings:
-    """Make the arrays around a batch of robots.
+    """Make the arrays around robots of one kind.
 
     `spec` are the rays of the LiDAR, None without one. Raises ConfigError for obstacles of a wrong
     shape, or that aren't finite numbers.
     """
+    return surround_kinds(obstacles, [spec], robots, [config])
+
+
+def surround_kinds(
+    obstacles: Obstacles,
+    specs: Sequence[RaySpec | None],
+    robots: int,
+    configs: Sequence[RobotConfig],
+) -> Surroundings:
+    """Make the arrays around robots of several kinds; `specs` has the rays of each kind.
+
+    Raises ConfigError as `make_surroundings`.
+    """
     circles, segments = obstacles.arrays(robots)
-    angles = spec.angles() if spec else np.zeros(0)
-    sides = footprint.outline_sides(config.footprint) if config.footprint is not None else ()
+    angles = [spec.angles() if spec else np.zeros(0) for spec in specs]
+    outlines = [config.footprint for config in configs]
+    sides = [list(footprint.outline_sides(one)) if one else [] for one in outlines]
     return Surroundings(
         circles,
         segments,
-        np.stack([np.cos(angles), np.sin(angles)], axis=1),
-        float(angles[0]) if spec else 0.0,
-        spec.step if spec else 1.0,
-        spec.reach if spec else 1.0,
-        config.lidar_x_offset,
-        config.lidar_y_offset,
-        max(abs(x) for x, _ in config.outline),
-        max(abs(y) for _, y in config.outline),
-        np.array([(*a, *b) for a, b in sides]).reshape(-1, 4),
+        pad_rows([np.stack([np.cos(each), np.sin(each)], axis=1) for each in angles], (0.0, 0.0)),
+        np.array(
+            [
+                (
+                    float(each[0]) if spec else 0.0,
+                    spec.step if spec else 1.0,
+                    spec.reach if spec else 1.0,
+                    config.lidar_x_offset,
+                    config.lidar_y_offset,
+                )
+                for spec, each, config in zip(specs, angles, configs, strict=True)
+            ]
+        ),
+        np.array([np.abs(config.outline).max(axis=0) for config in configs]),
+        pad_rows([np.reshape(each, (-1, 4)) for each in sides], (0.0, 0.0, 0.0, 0.0)),
+        np.array([len(each) for each in sides], np.int64),
+    )
+
+
+def pad_rows(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
+    """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
+    longest = max((len(array) for array in rows), default=0)
+    padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))
+    for number, array in enumerate(rows):
+        padded[number, : len(array)] = array
+    return padded
+
+
+@jit
+def fan_of(around: Surroundings, kind: int, rays: int) -> Fan:
+    """The rays of a kind of robots, which has so many of them."""
+    lidar = around.lidars
+    return Fan(
+        around.directions[kind, :rays],
+        lidar[kind, 0],
+        lidar[kind, 1],
+        lidar[kind, 2],
+        lidar[kind, 3],
+        lidar[kind, 4],
     )
 
 
@@ -171,15 +223,15 @@ def see_circle(
     radius: float,
     origins: Floats,
     margin: float,
-    around: Surroundings,
+    fan: Fan,
 ) -> None:
     """Shorten the rays that meet a circle at (x, y) in the sensor's frame.
 
     The origins of the rays lie within `margin` of the sensor.
     """
-    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     half = widest_angle(radius + margin, math.sqrt(x * x + y * y)) * density
-    middle = (angle_of(x, y) - around.start) * density
+    middle = (angle_of(x, y) - fan.start) * density
     for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
         if middle + shift + half < 0.0 or middle + shift - half > last:
             continue
@@ -205,7 +257,7 @@ def see_segment(
     by: float,
     origins: Floats,
     margin: float,
-    around: Surroundings,
+    fan: Fan,
 ) -> None:
     """Shorten the rays that meet a segment from a to b in the sensor's frame, as `see_circle`."""
     ex, ey = bx - ax, by - ay
@@ -213,11 +265,11 @@ def see_segment(
     share = min(max(share, 0.0), 1.0)
     near_x, near_y = ax + share * ex, ay + share * ey
     distance = math.sqrt(near_x * near_x + near_y * near_y)
-    if distance > around.reach + margin:
+    if distance > fan.reach + margin:
         return
-    last, directions, density = len(ranges) - 1, around.directions, 1.0 / around.step
+    last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     extra = widest_angle(margin, distance) * density
-    one = (angle_of(ax, ay) - around.start) * density
+    one = (angle_of(ax, ay) - fan.start) * density
     width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * density
     first, top = min(one, one + width) - extra, max(one, one + width) + extra
     top = min(top, first + FULL_TURN * density)
@@ -237,7 +289,7 @@ def see_segment(
 
 
 @loop
-def cast_lines(
+def cast_lines(  # noqa: PLR0913, PLR0917 - as `cast_rays`
     x: float,
     y: float,
     cos: float,
@@ -246,6 +298,7 @@ def cast_lines(
     around: Surroundings,
     origins: Floats,
     ranges: Floats,
+    kind: int = 0,
 ) -> None:
     """Compute the ranges of rays that begin at places of their own; otherwise as `cast_rays`.
 
@@ -259,28 +312,30 @@ def cast_lines(
         origins: (rays, 2): where each ray begins, from the LiDAR's place at this pose, in the frame
             of the base [m].
         ranges: (rays,) [m]; written.
+        kind: of the robot, whose rays these are.
     """
-    x += cos * around.mount_x - sin * around.mount_y
-    y += sin * around.mount_x + cos * around.mount_y
+    fan = fan_of(around, kind, len(ranges))
+    x += cos * fan.mount_x - sin * fan.mount_y
+    y += sin * fan.mount_x + cos * fan.mount_y
     circles, segments, margin = around.circles, around.segments, 0.0
-    ranges[:] = around.reach
+    ranges[:] = fan.reach
     for k in range(len(ranges)):
         margin = max(margin, origins[k, 0] ** 2 + origins[k, 1] ** 2)
     margin = math.sqrt(margin)
     for n in range(circles.shape[1]):
         dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
-        far = around.reach + radius + margin
+        far = fan.reach + radius + margin
         if dx * dx + dy * dy <= far * far:
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-            see_circle(ranges, ahead, left, radius, origins, margin, around)
+            see_circle(ranges, ahead, left, radius, origins, margin, fan)
     for n in range(segments.shape[1]):
         px, py = segments[which, n, 0] - x, segments[which, n, 1] - y
         qx, qy = segments[which, n, 2] - x, segments[which, n, 3] - y
         ax, ay = px * cos + py * sin, py * cos - px * sin
         bx, by = qx * cos + qy * sin, qy * cos - qx * sin
-        see_segment(ranges, ax, ay, bx, by, origins, margin, around)
+        see_segment(ranges, ax, ay, bx, by, origins, margin, fan)
     for k in range(len(ranges)):
-        ranges[k] = min(max(ranges[k], 0.0), around.reach)
+        ranges[k] = min(max(ranges[k], 0.0), fan.reach)
 
 
 @loop
@@ -337,7 +392,7 @@ def measure_ranges(
 
 @loop
 def footprint_collides(
-    x: float, y: float, cos: float, sin: float, which: int, around: Surroundings
+    x: float, y: float, cos: float, sin: float, which: int, around: Surroundings, kind: int = 0
 ) -> bool:
     """Whether the footprint touches an obstacle.
 
@@ -347,18 +402,20 @@ def footprint_collides(
         cos: of the heading.
         sin: of the heading.
         which: index of the set of obstacles.
-        around: obstacles and footprint.
+        around: obstacles and footprints.
+        kind: of the robot, whose footprint it is.
     """
-    half_x, half_y = around.half_length, around.half_width
+    half_x, half_y, corners = around.boxes[kind, 0], around.boxes[kind, 1], around.corners[kind]
     outer = math.sqrt(half_x * half_x + half_y * half_y)
-    circles, segments, is_box = around.circles, around.segments, len(around.sides) == 0
+    circles, segments = around.circles, around.segments
     for n in range(circles.shape[1]):
         dx, dy, radius = circles[which, n, 0] - x, circles[which, n, 1] - y, circles[which, n, 2]
         near = outer + radius
         if dx * dx + dy * dy <= near * near:
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
             if circle_meets_box(ahead, left, radius, half_x, half_y) and (
-                is_box or circle_meets_polygon(ahead, left, radius, around.sides)
+                corners == 0
+                or circle_meets_polygon(ahead, left, radius, around.sides[kind, :corners])
             ):
                 return True
     for n in range(segments.shape[1]):
@@ -368,7 +425,8 @@ def footprint_collides(
             a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
             b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
             if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y) and (
-                is_box or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides)
+                corners == 0
+                or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides[kind, :corners])
             ):
                 return True
     return False

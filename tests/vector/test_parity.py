@@ -39,6 +39,7 @@ FORK = ACSAR.with_(
 )
 FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
 FREE = {"max_acceleration": None}
+LIMITS = ("linear_limits", "angular_limits")
 WORN = ACSAR.with_(left_wheel_radius_multiplier=0.97, right_wheel_radius_multiplier=1.01)
 UNEVEN = ACSAR.with_(
     motor={
@@ -127,6 +128,33 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
     "near LiDAR": ("ObstacleGoal", ACSAR.with_(lidar={"noise": 0.02, "min_range": 0.3})),
 }
 
+NAMED = ["acsar", "jackal", "husky"]
+PLAIN = ["acsar", RobotConfig().with_(lidar={"rate": 7.0, "max_range": 3.5}), UNLIMITED, "acsar"]
+FLEETS: dict[str, tuple[str, list[Any], dict[str, Any]]] = {
+    "open floor": ("PointGoal", NAMED, {}),
+    "drawn": ("PointGoal", ["drawn:3", "drawn:4", "acsar", "drawn:5"], {}),
+    "free ones among limited ones": (
+        "PointGoal",
+        [UNLIMITED, LIMITED, UNEVEN, FITTED.with_(firmware={"loop_rate": 200.0})],
+        {},
+    ),
+    "free ones": ("PathFollow", [UNLIMITED, FORK.with_(**dict.fromkeys(LIMITS, FREE))], {}),
+    "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", FORK], {"worlds": "clutter:6"}),
+    "obstacles and one footprint": ("ObstacleGoal", PLAIN, {"worlds": REGIONS}),
+    "paths": ("PathFollow", [*NAMED, "drawn:4"], {"worlds": "smooth_path:6"}),
+    "randomized": ("ObstacleGoal", NAMED, {"worlds": "open:6", "randomization": RANGES}),
+    "as trained": (
+        "PointGoal",
+        [ACSAR, "husky", ACSAR.with_(firmware={"delay_samples": [0.01, 0.02, 0.03]})],
+        {"randomization": True},
+    ),
+    "lost lines": (
+        "PointGoal",
+        [*NAMED, ACSAR.with_(feedback_timeout=0.06), FENCED],
+        {"faults": {"dropped_lines": 0.5}},
+    ),
+}
+"""Task, robots and options of batches whose robots differ."""
 
 SILENT = "silent in the reset"
 
@@ -164,14 +192,18 @@ class Single:
         self._env.close()
 
 
+def make_batch(env_id: str, robots: int, **arguments: Any) -> Any:
+    return gymnasium.make_vec(
+        env_id, robots, vectorization_mode="vector_entry_point", threads=1, **arguments
+    )
+
+
 def compare(
     kind: str, arguments: dict[str, Any], steps: int, seed: int = 41, options: Any = None
 ) -> Counter[str]:
     """Every number of robot 1 against the single env; how often what happened."""
     env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
-    many: Any = gymnasium.make_vec(
-        env_id, 3, vectorization_mode="vector_entry_point", threads=1, **arguments
-    )
+    many = make_batch(env_id, 3, **arguments)
     mine = {name: of_robot_1(value) for name, value in (options or {}).items()}
     one = Single(env_id, arguments, mine)
     one.reset(seed)
@@ -179,17 +211,12 @@ def compare(
     rewards, ends, count = np.zeros(3), np.zeros((2, 3)), Counter[str]()
     rng = np.random.default_rng(0)
     for step in range(steps):
+        compare_told(one, 1, seen, rewards, ends, infos)
         if one.told is SILENT:
             count["failed"] += one.over
-            assert not one.over or (rewards[1], *ends[:, 1], infos["fault"][1]) == (0.0, 0, 1, 1.0)
         else:
-            expected, reward, *end, info = one.told
-            assert seen[1] == pytest.approx(expected, abs=1e-6)  # float32
-            assert (rewards[1], *ends[:, 1]) == (pytest.approx(float(reward), abs=1e-9), *end)
-            info.pop("fault_reason", None)
-            got = {key: infos[key][1] for key in info}
-            assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
-            count["ends"] += any(end)
+            *_, end, cut, info = one.told
+            count["ends"] += end or cut
             count["cut"] += info.get("fault") == 1.0
             count["stale"] += info["sent_reason"] == 3.0
         actions = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
@@ -201,6 +228,21 @@ def compare(
     many.close()
     one.close()
     return count
+
+
+def compare_told(
+    one: Single, i: int, seen: Any, rewards: Any, ends: Any, infos: dict[str, Any]
+) -> None:
+    """Every number that robot i of a batch is told against the single env's."""
+    if one.told is SILENT:
+        assert not one.over or (rewards[i], *ends[:, i], infos["fault"][i]) == (0.0, 0, 1, 1.0)
+        return
+    expected, reward, *end, info = one.told
+    assert seen[i] == pytest.approx(expected, abs=1e-6)  # float32
+    assert (rewards[i], *ends[:, i]) == (pytest.approx(float(reward), abs=1e-9), *end)
+    info = {key: value for key, value in info.items() if key != "fault_reason"}
+    got = {key: infos[key][i] for key in info}
+    assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
 
 
 def numbers(info: dict[str, Any]) -> dict[str, float]:
@@ -227,6 +269,34 @@ def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
     kind, robot = ROBOTS[name]
     worlds = {"PointGoal": {}, "ObstacleGoal": {"worlds": REGIONS}}.get(kind, {"worlds": PATH})
     assert compare(kind, {"robot": robot, **worlds}, 100)["ends"] >= 1
+
+
+@pytest.mark.parametrize("name", FLEETS)
+def test_each_robot_of_a_fleet_is_the_single_planar_one(name: str) -> None:
+    kind, fleet, options = FLEETS[name]
+    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 25, **options}
+    robots = 2 * len(fleet) - 1
+    many = make_batch(env_id, robots, robot=fleet, **arguments)
+    each = [
+        Single(env_id, {"robot": fleet[i % len(fleet)], **arguments}, {}) for i in range(robots)
+    ]
+    for i, one in enumerate(each):
+        one.reset(41 + i)
+    seen, infos = many.reset(seed=41)
+    rewards, ends = np.zeros(robots), np.zeros((2, robots))
+    rng = np.random.default_rng(0)
+    for step in range(60):
+        for i, one in enumerate(each):
+            compare_told(one, i, seen, rewards, ends, infos)
+        actions = rng.uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
+        actions *= step % 17 != 0
+        seen, rewards, *both, infos = many.step(actions)
+        ends = np.array(both)
+        for action, one in zip(actions, each, strict=True):
+            one.step(action)
+    many.close()
+    for one in each:
+        one.close()
 
 
 @pytest.mark.parametrize("name", RANGES)

@@ -43,7 +43,7 @@ def scene(seed: int) -> tuple[Any, Any]:
 
 
 def seen(around: Surroundings, pose: Pose) -> np.ndarray[Any, Any]:
-    ranges = np.empty(len(around.directions))
+    ranges = np.empty(around.directions.shape[1])
     cast_rays(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), 0, around, ranges)
     return ranges
 

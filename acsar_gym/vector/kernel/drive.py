@@ -31,7 +31,6 @@ from acsar_gym.physics.model import move_towards, round_printed, tyre_step, whee
 from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.rules import (
     SafetyMemory,
-    SafetyRules,
     compute_wheels,
     explain_sent,
     is_silent,
@@ -49,6 +48,7 @@ from acsar_gym.vector.kernel.layout import (
     Setup,
     Tables,
     robots_of_block,
+    rules_of,
 )
 from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails, read_scans
 from acsar_gym.worlds.geometry import Surroundings
@@ -67,11 +67,13 @@ def round_as_sent(speed: float) -> float:
 
 
 @jit
-def command_once(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
+def command_once(robots: Robots, count: int, setup: Setup) -> None:
     """Compute the wheel targets of this step's command line. Only without limits or faults."""
-    ahead, turn, top = setup.max_linear, setup.max_angular, setup.top  # loads don't vectorize
+    period = setup.period  # loads don't vectorize
     for i in range(count):
-        linear, angular = robots.action_linear[i] * ahead, robots.action_angular[i] * turn
+        rules, top = rules_of(robots, i, period), robots.physics.max_speed[i]
+        linear = robots.action_linear[i] * robots.max_linear[i]
+        angular = robots.action_angular[i] * robots.max_angular[i]
         right, left = compute_wheels(linear, angular, rules)
         sent = explain_sent(linear, angular, right, left, 0.0, rules)
         robots.sent_linear[i], robots.sent_angular[i], robots.reason[i] = sent
@@ -81,11 +83,13 @@ def command_once(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -
 
 
 @jit
-def limit_twists(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
+def limit_twists(robots: Robots, count: int, setup: Setup) -> None:
     """Compute the twist that every robot is sent in this tick."""
-    ahead, turn = setup.max_linear, setup.max_angular
+    period = setup.period
     for i in range(count):
-        linear, angular = robots.action_linear[i] * ahead, robots.action_angular[i] * turn
+        rules = rules_of(robots, i, period)
+        linear = robots.action_linear[i] * robots.max_linear[i]
+        angular = robots.action_angular[i] * robots.max_angular[i]
         newest, past = robots.new_linear[i], robots.past_linear[i]
         newest_turn, past_turn = robots.new_angular[i], robots.past_angular[i]
         before = SafetyMemory(
@@ -99,29 +103,25 @@ def limit_twists(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -
 
 
 @jit
-def store_commands(
-    robots: Robots,
-    commands: Floats,
-    count: int,
-    slot: int,
-    setup: Setup,
-    rules: SafetyRules,
-) -> None:
+def store_commands(robots: Robots, commands: Floats, count: int, slot: int, setup: Setup) -> None:
     """Compute and store this tick's command lines: wheel speeds right and left [rad/s]."""
-    limit_twists(robots, count, setup, rules)
-    top = setup.top
+    limit_twists(robots, count, setup)
+    period = setup.period
     for i in range(count):
+        rules, top = rules_of(robots, i, period), robots.physics.max_speed[i]
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
         commands[slot, 0, i] = min(max(round_as_sent(right), -top), top)
         commands[slot, 1, i] = min(max(round_as_sent(left), -top), top)
 
 
 @jit
-def explain_commands(robots: Robots, count: int, setup: Setup, rules: SafetyRules) -> None:
+def explain_commands(robots: Robots, count: int, setup: Setup) -> None:
     """Store the twist of the newest command line, and the reason why it isn't the one asked for."""
+    period = setup.period
     for i in range(count):
-        linear = robots.action_linear[i] * setup.max_linear
-        angular = robots.action_angular[i] * setup.max_angular
+        rules = rules_of(robots, i, period)
+        linear = robots.action_linear[i] * robots.max_linear[i]
+        angular = robots.action_angular[i] * robots.max_angular[i]
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
         sent = explain_sent(linear, angular, right, left, robots.reason[i], rules)
         robots.sent_linear[i], robots.sent_angular[i], robots.reason[i] = sent
@@ -262,31 +262,30 @@ def obey_commands(
 
 
 @jit
-def move_set_points(robots: Robots, count: int, setup: Setup) -> None:
+def move_set_points(robots: Robots, count: int) -> None:
     """Move the set points of all wheels towards the boards' targets."""
-    a, b, c, d = setup.ramps.a, setup.ramps.b, setup.ramps.c, setup.ramps.d
-    points = robots.set_point
+    points, ramp = robots.set_point, robots.ramp
     for i in range(count):
         right, left = robots.target_right[i], robots.target_left[i]
-        points[0, i] = move_towards(points[0, i], right, a)
-        points[1, i] = move_towards(points[1, i], left, b)
-        points[2, i] = move_towards(points[2, i], left, c)
-        points[3, i] = move_towards(points[3, i], right, d)
+        points[0, i] = move_towards(points[0, i], right, ramp[0, i])
+        points[1, i] = move_towards(points[1, i], left, ramp[1, i])
+        points[2, i] = move_towards(points[2, i], left, ramp[2, i])
+        points[3, i] = move_towards(points[3, i], right, ramp[3, i])
 
 
 @jit
 def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
-    own, top, dt, counts_per_radian = robots.physics, setup.top, setup.dt, setup.counts_per_radian
+    own, dt = robots.physics, setup.dt
     for k in range(4):
         for i in range(count):
             before, wanted = robots.wheel_speed[k, i], robots.set_point[k, i]
             gain, blend, deadband = own.gain[k, i], own.blend[k, i], own.deadband[k, i]
-            speed = wheel_speed(before, wanted, gain, blend, deadband, top)
+            speed = wheel_speed(before, wanted, gain, blend, deadband, own.max_speed[i])
             angle = robots.wheel_angle[k, i] + speed * dt
             robots.wheel_speed[k, i] = speed
             robots.wheel_angle[k, i] = angle
-            counts[slot, k, i] = np.floor(angle * counts_per_radian)
+            counts[slot, k, i] = np.floor(angle * robots.counts_per_radian[i])
 
 
 class Chassis(NamedTuple):
@@ -341,20 +340,15 @@ def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None
 
 
 @jit
-def read_encoders(
-    robots: Robots, counts: Floats, i: int, slot: int, ago: int, encoder: tuple[int, float, float]
-) -> None:
-    """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago.
-
-    `encoder` has the setup's window, speed_per_count and quantum.
-    """
-    slots, (window, speed_per_count, quantum) = counts.shape[0], encoder
+def read_encoders(robots: Robots, counts: Floats, i: int, slot: int, ago: int, window: int) -> None:
+    """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago."""
+    slots, quantum = counts.shape[0], robots.quantum[i]
     new = slot - ago
     new += slots if new < 0 else 0
     old = new - window
     old += slots if old < 0 else 0
     for k in range(4):
-        speed = (counts[new, k, i] - counts[old, k, i]) * speed_per_count
+        speed = (counts[new, k, i] - counts[old, k, i]) * robots.speed_per_count[i]
         if quantum > 0.0:
             speed = round_printed(speed, quantum)
         robots.read_speed[k, i] = round_as_sent(speed)
@@ -399,7 +393,7 @@ def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: 
     """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
     every, delays = robots.physics.feedback_loops, robots.feedback_delay
     faulty, period, turns = setup.faults.possible, setup.period, setup.loops
-    encoder = setup.window, setup.speed_per_count, setup.quantum
+    window = setup.window
     for i in range(count):
         robots.loops[i] += turns
         if faulty:
@@ -411,7 +405,7 @@ def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: 
             robots.last_line[i] = max(robots.last_line[i], line)
             robots.age[i] = 0.0
             made = np.ceil(line * every[i] - 1e-9)
-            read_encoders(robots, counts, i, slot, int(robots.loops[i] - made), encoder)
+            read_encoders(robots, counts, i, slot, int(robots.loops[i] - made), window)
         else:
             robots.age[i] += period
 
@@ -419,11 +413,16 @@ def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: 
 @jit
 def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
-    left, right, separation = setup.left_radius, setup.right_radius, setup.separation
-    read, dt = robots.read_speed, setup.period
+    read, dt, own = robots.read_speed, setup.period, robots.rules
     for i in range(count):
         linear, angular = forward(
-            read[0, i], read[1, i], read[2, i], read[3, i], left, right, separation
+            read[0, i],
+            read[1, i],
+            read[2, i],
+            read[3, i],
+            own.left_radius[i],
+            own.right_radius[i],
+            own.separation[i],
         )
         x, y, theta = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
         sin, cos = sincos(theta)
@@ -439,7 +438,6 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
     first: int,
     last: int,
     setups: Records,
-    rules: SafetyRules,
     around: Surroundings,
 ) -> None:
     """Run physics and driver of these blocks over the ticks that `tables.ring` says.
@@ -461,7 +459,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 robots.action_angular[i] = min(max(tables.actions[begin + i, 1], -1.0), 1.0)
                 tables.idle[begin + i] = tables.over[begin + i]
             if not setup.guarded:
-                command_once(robots, count, setup, rules)
+                command_once(robots, count, setup)
             if setup.falls_silent:
                 for i in range(count):
                     robot = begin + i
@@ -476,7 +474,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
         for tick in range(start, stop):
             line = (line + 1) % lines
             if setup.guarded:
-                store_commands(robots, commands, count, line, setup, rules)
+                store_commands(robots, commands, count, line, setup)
             if setup.faults.possible:
                 dispatch_commands(robots, commands, arrivals, count, line, setup)
             for turn in range(setup.loops):
@@ -486,7 +484,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                     follow_commands(robots, commands, count, line, turn, setup.loops)
                 else:
                     hear_newest(robots, count, tick * setup.loops + turn)
-                move_set_points(robots, count, setup)
+                move_set_points(robots, count)
                 turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
                 move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots
@@ -495,13 +493,14 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             read_feedback(robots, counts, count, slot, setup)
             if setup.faults.possible:
                 for i in range(count):
-                    tables.idle[begin + i] |= is_silent(robots.age[i], rules)
+                    silent = is_silent(robots.age[i], rules_of(robots, i, setup.period))
+                    tables.idle[begin + i] |= silent
             update_odometry(robots, count, setup)
             if setup.sees:
                 for i in range(count):
                     mark_trails(tables, block, i, robots.steps[i] * setup.ticks + tick + 1.0, setup)
         if setup.guarded:
-            explain_commands(robots, count, setup, rules)
+            explain_commands(robots, count, setup)
         if stop < setup.ticks:
             continue
         if setup.sees:
@@ -519,12 +518,12 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
 
 
 @jit
-def settle_with_faults(robots: Robots, i: int, setup: Setup, rules: SafetyRules) -> None:
+def settle_with_faults(robots: Robots, i: int, setup: Setup) -> None:
     """Run robot i's reset with faults: it waits for two fresh readings, as `Robot.reset`.
 
     Where the single env would raise BoardSilentError, `silent` is set.
     """
-    ticks, fresh, age = 0.0, 0, 0.0
+    ticks, fresh, age, rules = 0.0, 0, 0.0, rules_of(robots, i, setup.period)
     robots.last_command[i] = -1.0
     while fresh < 2:
         send_command(robots, i, ticks, setup)

@@ -12,7 +12,6 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.links.faults import WHOLE_EPISODE, line_hash
 from acsar_gym.physics.model import whole_loops
 from acsar_gym.physics.randomization import draw_robot
-from acsar_gym.safety.rules import SafetyRules
 from acsar_gym.tasks.base import point_in_disc, relative_point
 from acsar_gym.tasks.episode import goal_at
 from acsar_gym.vector.kernel.drive import newest_line, settle_with_faults
@@ -70,11 +69,12 @@ def draw_start(
     u0, u1, u2 = uniform(random, robot), uniform(random, robot), uniform(random, robot)
     u3, u4, u5 = uniform(random, robot), uniform(random, robot), uniform(random, robot)
     low, high = int(robots.first_rank[i]), int(robots.last_rank[i])
-    world = min(int(u0 * len(spawns.starts)), len(spawns.starts) - 1)
+    first, worlds = int(robots.first_world[i]), int(robots.worlds[i])
+    world = first + min(int(u0 * worlds), worlds - 1)
     if robots.wished_world[i] > 0.0:
-        world = int(robots.wished_world[i]) - 1
+        world = first + int(robots.wished_world[i]) - 1
     elif high > low:
-        world = spawns.order[low + min(int(u0 * (high - low)), high - low - 1)]
+        world = spawns.order[first + low + min(int(u0 * (high - low)), high - low - 1)]
     start, goal = spawns.starts[world], spawns.goals[world]
     x, y = point_in_disc(start[0], start[1], start[2], u1, u2)
     theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
@@ -96,7 +96,6 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
     first: int,
     last: int,
     setups: Records,
-    rules: SafetyRules,
     spawns: Spawns,
     around: Surroundings,
 ) -> None:
@@ -106,7 +105,7 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
     because the board is silent, `silent` is set.
     """
     setup, random, faulty = setups[0], tables.random, setups[0].faults.possible
-    samples = np.zeros(len(tables.low))
+    samples = np.zeros(tables.low.shape[1])
     for block in range(first, last):
         robots, count, anew = tables.blocks[block], robots_of_block(block, len(tables.over)), False
         for i in range(count):
@@ -125,12 +124,14 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                 draw_goal(robots, i, random, robot, spawns)
             else:
                 draw_start(robots, i, random, robot, spawns)
+            kind = int(robots.kind[i])
+            low, high = tables.low[kind], tables.high[kind]
             for k in range(len(samples)):
-                if tables.high[k] > tables.low[k]:
+                if high[k] > low[k]:
                     samples[k] = uniform(random, robot)
-            own, drawn = draw_robot(
-                tables.nominal, tables.low, tables.high, tables.delays, samples, setup.dt
-            )
+            nominal = tables.nominal[kind : kind + 1]
+            delays = tables.delays[kind, : tables.delay_counts[kind]]
+            own, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
             for k in range(len(own)):
                 tables.numbers[block, PHYSICS_ROW + k, i] = own[k]
             for k in range(tables.drawn.shape[1]):
@@ -139,7 +140,7 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
             robots.command_loops[i] = late + whole_loops(wire + own.command_delay, setup.dt)
             robots.feedback_delay[i] = late + whole_loops(wire, setup.dt)
             if faulty:
-                settle_with_faults(robots, i, setup, rules)
+                settle_with_faults(robots, i, setup)
             else:
                 delay, every = robots.feedback_delay[i], own.feedback_loops
                 loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
@@ -176,4 +177,4 @@ def update_info(blocks: Any, first: int, last: int, setups: Records) -> None:
             if setup.sees:
                 age = robots.loops[i] * setup.dt - robots.scan_stamp[i]
                 robots.scan_age[i] = age
-                robots.scan_stale[i] = 1.0 if age > setup.stale else 0.0
+                robots.scan_stale[i] = 1.0 if age > robots.stale[i] else 0.0

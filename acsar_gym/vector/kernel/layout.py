@@ -5,7 +5,8 @@ over the block's robots: `robots = blocks[block]`, then `robots.goal_x[i]`. So l
 robots of a block run over contiguous memory and can be vectorized, which they can't where every
 robot is a record of its own.
 
-To add a number of a robot: add a field to `Episode`, or to `Robots` where it outlives episodes.
+To add a number of a robot: add a field to `Episode`, to `Build` where its configuration decides, or
+to `Robots` where it outlives episodes otherwise. What all robots share is in `Setup`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import COMPILED, jit
 from acsar_gym.physics import Physics
-from acsar_gym.sensors.scan import Rays
+from acsar_gym.safety.rules import AxisLimits, SafetyRules
 
 Floats = NDArray[np.float64]
 Number = Annotated[Floats, ()]
@@ -173,7 +174,34 @@ class Options:
     last_rank: Number
 
 
-class Robots(Episode, Options):
+class Build:
+    """What follows from a robot's configuration; written once, when the batch is made."""
+
+    kind: Number
+    """Which of the batch's configurations it has: an index into arrays of kinds."""
+    ramp: WheelNumber
+    """Most that the set points of the four wheels change in a firmware loop [rad/s]."""
+    counts_per_radian: Number
+    """Encoder counts per angle of a wheel [1/rad]."""
+    speed_per_count: Number
+    """Wheel speed for one count within the encoders' window [rad/s]."""
+    quantum: Number
+    """Printed speeds are rounded to multiples of this [rad/s]; 0 where they aren't."""
+    max_linear: Number
+    """Linear velocity of a full action [m/s]."""
+    max_angular: Number
+    """Angular velocity of a full action [rad/s]."""
+    stale: Number
+    """Age from which a scan counts as stale [s]."""
+    rays: Number
+    """How many rays its LiDAR has."""
+    first_world: Number
+    """Index of the first world that was made for its footprint."""
+    worlds: Number
+    """How many there are."""
+
+
+class Robots(Episode, Options, Build):
     """The robots of a block."""
 
     command_loops: Number
@@ -182,6 +210,8 @@ class Robots(Episode, Options):
     """How long this episode's feedback is on its way [firmware loops]."""
     physics: Any
     """The fields of `Physics`, drawn for the episode; numbers of wheels as `gain`, (4, robots)."""
+    rules: Any
+    """The fields of `SafetyRules`, see `rules_of`; those of an axis as `linear_max_velocity`."""
 
 
 def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
@@ -205,8 +235,24 @@ def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
     return found
 
 
+def _rules_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
+    """Fields of a record for `SafetyRules`, but for the period, which robots share."""
+    names: list[str] = []
+    for name in SafetyRules._fields[1:]:
+        axis = name in ("linear", "angular")
+        names += [f"{name}_{limit}" for limit in AxisLimits._fields] if axis else [name]
+    return [(name, np.float64, (BLOCK_ROBOTS,)) for name in names]
+
+
 BLOCK = np.dtype(
-    [*_fields(Episode), *_fields(Options), *_fields(Robots), ("physics", _physics_fields())]
+    [
+        *_fields(Episode),
+        *_fields(Options),
+        *_fields(Robots),
+        ("physics", _physics_fields()),
+        *_fields(Build),
+        ("rules", _rules_fields()),
+    ]
 )
 """The record of a block: `Robots`."""
 ROWS = {
@@ -218,6 +264,9 @@ EPISODE_ROWS = ROWS[_fields(Episode)[-1][0]].stop
 """How many rows an episode has; they are the first ones."""
 OPTIONS = tuple(name for name, *_ in _fields(Options))
 PHYSICS_ROW = ROWS["physics"].start
+BUILD = tuple(name for name, *_ in _fields(Build))
+BUILD_ROW = ROWS[BUILD[0]].start
+"""The first row of `Build` and `rules`; they are the last ones."""
 INFO_FIELDS = {
     "is_success": "success",
     "odom_x": "odom_x",
@@ -288,15 +337,6 @@ class LineFaults(NamedTuple):
     """A board that gets no command for so long stops its motors [s]."""
 
 
-class Ramps(NamedTuple):
-    """A number for each wheel, in the order of the wheels."""
-
-    a: float
-    b: float
-    c: float
-    d: float
-
-
 Records = Any
 """A record of Setup, see `jit.record_of`: named tuples of so many numbers take long to compile."""
 
@@ -310,34 +350,14 @@ class Setup(NamedTuple):
     """Duration of a tick, the control period [s]."""
     wire_time: float
     """Time from writing a line to its use, without further delays [s]."""
-    ramps: Ramps
-    """Most that the set points of the four wheels change in a firmware loop [rad/s]."""
     isotropic: bool
     """Whether the tyres of all robots have equal friction in all directions."""
-    top: float
-    """Top speed of a motor [rad/s]."""
-    counts_per_radian: float
-    """Encoder counts per angle of a wheel [1/rad]."""
-    speed_per_count: float
-    """Wheel speed for one count within the encoders' window [rad/s]."""
-    quantum: float
-    """Printed speeds are rounded to multiples of this [rad/s]; 0 where they aren't."""
     window: int
     """Firmware loops over which the encoders average."""
     ticks: int
     """Control periods in an env step."""
     loops: int
     """Firmware loops in a control period."""
-    left_radius: float
-    """The radius of the left wheels that the odometry assumes [m]."""
-    right_radius: float
-    """The radius of the right wheels that the odometry assumes [m]."""
-    separation: float
-    """The effective wheel separation that the odometry assumes [m]."""
-    max_linear: float
-    """Linear velocity of a full action [m/s]."""
-    max_angular: float
-    """Angular velocity of a full action [rad/s]."""
     max_steps: float
     """Time limit of an episode [env steps]; infinite for none."""
     guarded: bool
@@ -349,10 +369,6 @@ class Setup(NamedTuple):
     """Whether feedback may stay away for so long that the episode ends."""
     sees: bool
     """Whether the robots have a LiDAR."""
-    stale: float
-    """Age from which a scan counts as stale [s]."""
-    rays: Rays
-    """Of the LiDAR."""
     numbers: int
     """Numbers of an observation that are the task's own; those of the sensors follow, those of map and
     LiDAR first."""
@@ -381,7 +397,8 @@ class Spawns(NamedTuple):
     samples: NDArray[np.int64]
     """(worlds,): number of samples of each path."""
     order: NDArray[np.int64]
-    """(worlds,): indices of the worlds from the easiest to the hardest."""
+    """(worlds,): indices of the worlds from the easiest to the hardest, of one footprint's worlds
+    after another's."""
 
 
 class Tables(NamedTuple):
@@ -402,13 +419,17 @@ class Tables(NamedTuple):
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
     nominal: NDArray[Any]
-    """The configured robot's, a record of `Physics`."""
+    """(kinds,): records of `Physics`, as configured."""
     low: Floats
-    """Least value of each randomized number: `randomization.Drawn`."""
+    """(kinds, numbers): least value of each randomized number: `randomization.Drawn`."""
     high: Floats
-    """Largest value of each randomized number."""
+    """(kinds, numbers): largest value of each randomized number."""
     delays: Floats
-    """What randomized delays of commands are drawn from [s]."""
+    """(kinds, delays): what randomized delays of commands are drawn from [s]."""
+    delay_counts: NDArray[np.int64]
+    """(kinds,): how many of these a kind has."""
+    rays: NDArray[Any]
+    """(kinds,): records of `Rays`."""
     drawn: Floats
     """(R, numbers): what the episodes have drawn; no numbers where nothing varies."""
     actions: Floats
@@ -424,7 +445,7 @@ class Tables(NamedTuple):
     kept_rays: NDArray[np.float32]
     """(R, rays): the observed ranges before the step; no robots where boards can't fall silent."""
     ranges: Floats
-    """(R, rays): the LiDAR's newest scan [m]."""
+    """(R, rays): the LiDAR's newest scan [m]; a robot may have fewer, see `Build.rays`."""
     trails: Floats
     """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
     `Trail.rows`; no slots without a LiDAR."""
@@ -433,7 +454,7 @@ class Tables(NamedTuple):
     scratch: NDArray[np.int32]
     """(blocks, numbers): for the search of ways; no blocks without a map."""
     edges: Floats
-    """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
+    """(kinds, rays): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]
     """(R, numbers)."""
     rewards: Floats
@@ -457,6 +478,46 @@ class TaskTables(NamedTuple):
     observations: NDArray[np.float32]
     rewards: Floats
     ends: NDArray[np.bool_]
+
+
+@jit
+def rules_of(robots: Robots, i: int, period: float) -> SafetyRules:
+    """The safety rules of robot i; `period` is the setup's."""
+    own = robots.rules
+    return SafetyRules(
+        period,
+        own.free[i] > 0.0,
+        AxisLimits(
+            own.linear_min_velocity[i],
+            own.linear_max_velocity[i],
+            own.linear_min_acceleration[i],
+            own.linear_max_acceleration[i],
+            own.linear_min_jerk[i],
+            own.linear_max_jerk[i],
+            own.linear_min_reverse[i],
+            own.linear_max_reverse[i],
+        ),
+        AxisLimits(
+            own.angular_min_velocity[i],
+            own.angular_max_velocity[i],
+            own.angular_min_acceleration[i],
+            own.angular_max_acceleration[i],
+            own.angular_min_jerk[i],
+            own.angular_max_jerk[i],
+            own.angular_min_reverse[i],
+            own.angular_max_reverse[i],
+        ),
+        own.min_x[i],
+        own.max_x[i],
+        own.min_y[i],
+        own.max_y[i],
+        own.stale[i],
+        own.timeout[i],
+        own.left_radius[i],
+        own.right_radius[i],
+        own.separation[i],
+        own.top[i],
+    )
 
 
 @jit

@@ -28,7 +28,8 @@ def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
     for i in range(count):
         if robots.contact[i] == 0.0:
             x, y, cos, sin = true_pose(robots, i)
-            if footprint_collides(x, y, cos, sin, int(robots.world[i]), around):
+            kind = int(robots.kind[i])
+            if footprint_collides(x, y, cos, sin, int(robots.world[i]), around, kind):
                 robots.contact[i] = 1.0
 
 
@@ -57,8 +58,8 @@ def read_scans(
 
     Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """
-    robots, rays = tables.blocks[block], tables.ranges.shape[1]
-    beams, seen = make_beams(rays), np.zeros(len(MAP_NAMES))
+    robots = tables.blocks[block]
+    beams, mapped = make_beams(tables.ranges.shape[1]), np.zeros(len(MAP_NAMES))
     for i in range(count):
         robot = block * BLOCK_ROBOTS + i
         silent = robots.silent[i] > 0.0
@@ -66,6 +67,10 @@ def read_scans(
             continue
         tick = 0.0 if begins else (robots.steps[i] + 1.0) * setup.ticks
         newest, own = int(tick) % tables.trails.shape[2], robots.physics
+        kind, seen = int(robots.kind[i]), int(robots.rays[i])
+        rays = tables.rays[kind]
+        if len(beams.times) != seen:
+            beams = make_beams(seen)
         traits = LidarTraits(
             own.scan_rate[i],
             own.range_noise[i],
@@ -78,16 +83,17 @@ def read_scans(
             newest,
             int(robots.world[i]),
             around,
-            setup.rays,
+            rays,
             (robots.scan_start[i], robots.scan_phase[i], robots.scan_key[i]),
             traits,
             beams,
+            kind,
         )
-        ranges, told = tables.ranges[robot], tables.trails[0, robot]
+        ranges, told = tables.ranges[robot, :seen], tables.trails[0, robot]
         measured = beams.bearings, beams.distances, beams.times
-        fill_scan(*measured, told, newest, setup.rays, ranges)
-        for k in range(rays):
-            tables.observations[robot, setup.first_ray + k] = ranges[k] / around.reach
+        fill_scan(*measured, told, newest, rays, ranges)
+        for k in range(seen):
+            tables.observations[robot, setup.first_ray + k] = ranges[k] / rays.farthest
         if setup.maps:
             if begins:
                 clear_map(tables.maps[robot])
@@ -96,9 +102,9 @@ def read_scans(
                 (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
                 (robots.goal_x[i], robots.goal_y[i]),
                 ranges,
-                setup.rays,
+                rays,
                 tables.scratch[block],
-                seen,
+                mapped,
             )
-            for k in range(len(seen)):
-                tables.observations[robot, setup.numbers + k] = seen[k]
+            for k in range(len(mapped)):
+                tables.observations[robot, setup.numbers + k] = mapped[k]

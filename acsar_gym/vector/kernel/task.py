@@ -34,6 +34,7 @@ def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> 
     read, world = robots.read_speed, int(robots.world[i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
     samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
+    kind, rays = int(robots.kind[i]), int(robots.rays[i])
     known = len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0
     return State(
         (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
@@ -42,8 +43,8 @@ def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> 
         (robots.action_linear[i], robots.action_angular[i]),
         (robots.sent_linear[i], robots.sent_angular[i]),
         int(robots.reason[i]),
-        tables.ranges[robot],
-        tables.edges,
+        tables.ranges[robot, :rays],
+        tables.edges[kind, :rays],
         tables.observations[robot, setup.numbers :],
         robots.steps[i] * setup.ticks * setup.period,
         robots.age[i],
@@ -51,7 +52,7 @@ def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> 
         (robots.goal_x[i], robots.goal_y[i]),
         path[:samples],
         spawns.lengths[world] if known else np.nan,
-        (setup.max_linear, setup.max_angular),
+        (robots.max_linear[i], robots.max_angular[i]),
         setup.ticks * setup.period,
     )
 

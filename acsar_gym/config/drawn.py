@@ -1,0 +1,157 @@
+"""Robots drawn at random, numbered as worlds are: "drawn:17" is the same robot on every machine.
+
+They are 0.22 to 1 m long, drive 0.3 to 2 m/s, and differ in shape, in how nimble they are, in the
+lag of motors and board, and in the LiDAR and its place. The presets lie within these ranges. The
+timing of wire and board is the default one, as a batch shares it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from acsar_gym.config.footprint import Outline
+from acsar_gym.errors import ConfigError, show_value
+
+PREFIX = "drawn:"
+SPLITS = {"train": range(512), "validation": range(1000, 1032), "test": range(2000, 2100)}
+"""Numbers of the robots that policies learn with, are chosen by, and are measured with."""
+RADII = (0.16, 0.193, 0.233, 0.282, 0.341, 0.411, 0.497, 0.6)
+"""Radii of the discs around footprints [m]: robots of equal radius share their worlds."""
+LARGEST_CIRCLE = 0.45
+"""Robots of a larger radius are rectangles [m]."""
+CIRCLE_CORNERS = 16
+RAYS = (64,)
+"""How many rays a LiDAR has, one of these."""
+FIELDS_OF_VIEW = (2.0 * math.pi,) * 7 + (1.5 * math.pi,) * 2 + (math.pi,)
+"""Angles that a LiDAR sees, one of these [rad]."""
+_NAME = re.compile(rf"{PREFIX}(?:(\d{{1,9}})(?:-(\d{{1,9}}))?|({'|'.join(SPLITS)}))")
+
+
+def is_drawn(text: str) -> bool:
+    """Whether a robot's name is meant to be that of drawn ones."""
+    return text.startswith(PREFIX)
+
+
+def parse_numbers(text: str) -> range | None:
+    """Return the numbers of the drawn robots of a name.
+
+    Args:
+        text: such as "drawn:17", "drawn:0-63" or "drawn:train"; None for the names of others.
+
+    Raises:
+        ConfigError: the name of drawn robots is malformed, or holds none.
+    """
+    if not is_drawn(text):
+        return None
+    found = _NAME.fullmatch(text)
+    if found is None:
+        names = ", ".join(repr(PREFIX + name) for name in SPLITS)
+        raise ConfigError(
+            f"robot = {show_value(text)}: must be like 'drawn:17', 'drawn:0-63' or {names}"
+        )
+    first, last, split = found.groups()
+    if split:
+        return SPLITS[split]
+    numbers = range(int(first), int(last or first) + 1)
+    if not numbers:
+        raise ConfigError(f"robot = {show_value(text)}: holds no robot")
+    return numbers
+
+
+def draw_robot(number: int) -> dict[str, Any]:
+    """Return the fields of a drawn robot.
+
+    All numbers are rounded, so that the last digits of a machine's logarithm don't matter.
+
+    Args:
+        number: of the robot.
+    """
+    rng = np.random.default_rng([crc32(b"drawn"), number])
+
+    def draw(low: float, high: float) -> float:
+        return round(float(rng.uniform(low, high)), 4)
+
+    def draw_factor(low: float, high: float) -> float:
+        return round(math.exp(rng.uniform(math.log(low), math.log(high))), 4)
+
+    radius = RADII[int(rng.integers(len(RADII)))]
+    is_round, aspect = rng.random() < 0.35 and radius < LARGEST_CIRCLE, draw(0.62, 1.0)
+    length, width = 2.0 * radius, 2.0 * radius
+    if not is_round:
+        length = round(2.0 * radius / math.hypot(1.0, aspect), 3)
+        width = _fit_width(length, radius)
+    wheel = round(length * (draw(0.08, 0.14) if is_round else draw(0.11, 0.19)), 4)
+    separation = round(width * (draw(0.55, 0.68) if is_round else draw(0.8, 0.92)), 4)
+    wheelbase = round(length * (draw(0.3, 0.45) if is_round else draw(0.45, 0.66)), 4)
+    height, turn_factor = round(length * draw(0.3, 0.5), 3), draw(1.2, 2.0)
+    # From nimble to slow: top speeds, and the times in which limits and motors allow to reach them.
+    linear, angular = draw_factor(0.3, 2.0), draw_factor(0.8, 4.0)
+    rim = angular * separation * turn_factor / 2.0  # of the wheels on the spot [m/s]
+    fastest = max(linear, rim, 0.7 * (linear + rim)) * draw(1.1, 1.6) / wheel
+    fastest = round(min(fastest, 99.0), 3)  # 99.99 rad/s is what the wire's format can say
+    top = 0.9 * fastest * wheel
+    linear, angular = min(linear, round(top, 4)), min(angular, round(angular * top / rim, 4))
+    speeds_up = min(linear / draw_factor(0.1, 0.8), 20.0), angular / draw_factor(0.12, 0.6)
+    pushes = max(max(linear, rim) / draw_factor(0.12, 0.5), 1.2) / wheel
+    view, ahead, aside = FIELDS_OF_VIEW[int(rng.integers(10))], draw(-0.4, 0.4), draw(-0.15, 0.15)
+    ahead *= float(view < 6.0 or rng.random() < 0.5)  # half of those that see all stand amidships
+    return {
+        "name": f"{PREFIX}{number}",
+        "wheel_radius": wheel,
+        "wheel_separation": separation,
+        "wheelbase": wheelbase,
+        "wheel_separation_multiplier": turn_factor,
+        "max_linear": linear,
+        "max_angular": angular,
+        "max_wheel_speed": fastest,
+        "linear_limits": {"max_acceleration": round(speeds_up[0], 3)},
+        "angular_limits": {"max_acceleration": round(speeds_up[1], 3)},
+        "footprint": _make_circle(radius) if is_round else None,
+        "lidar_x_offset": round(length * (abs(ahead) if view < 6.0 else ahead), 3),
+        "lidar_y_offset": round(width * aside * float(rng.random() < 0.3), 3),
+        "lidar_z_offset": round(height + 0.1, 3),
+        "motor": {
+            "max_speed": fastest,
+            "acceleration": round(pushes, 2),
+            "time_constant": draw(0.03, 0.15),
+        },
+        "firmware": {"command_delay": draw(0.0, 0.04)},
+        "body": {
+            "length": length,
+            "width": width,
+            "height": height,
+            "mass": round(length * width * draw_factor(30.0, 90.0), 2),
+            "turn_factor": turn_factor,
+        },
+        "lidar": {
+            "field_of_view": view,
+            "max_range": round(draw(3.5, 12.0), 1),
+            "rate": round(draw(5.0, 15.0), 1),
+            "rays": RAYS[int(rng.integers(len(RAYS)))],
+        },
+    }
+
+
+def _fit_width(length: float, radius: float) -> float:
+    """Width of a rectangle whose corners are at exactly this distance from its middle [m]."""
+    half, other = length / 2.0, math.sqrt(radius * radius - length * length / 4.0)
+    while math.hypot(half, other) < radius:
+        other = math.nextafter(other, math.inf)
+    while math.hypot(half, other) > radius:
+        other = math.nextafter(other, 0.0)
+    return 2.0 * other
+
+
+def _make_circle(radius: float) -> Outline:
+    """Corners of a circle; the first is at exactly this distance, others a hair nearer."""
+    angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
+    near = radius - 2e-6
+    others = [
+        (round(near * math.cos(a), 6) + 0.0, round(near * math.sin(a), 6) + 0.0) for a in angles
+    ]
+    return ((radius, 0.0), *others)
