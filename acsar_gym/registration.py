@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["IDS", "register"]
 IDS: dict[str, dict[str, Any]] = {
     "PointGoal-v0": {"max_episode_steps": 200, "reward_threshold": 4.0},
-    "ObstacleGoal-v1": {"max_episode_steps": 400, "reward_threshold": 12.0},
+    "ObstacleGoal-v1": {"max_episode_steps": 600, "reward_threshold": 12.0},
     "Barn-v1": {"max_episode_steps": 1000, "reward_threshold": 18.0},
     "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }

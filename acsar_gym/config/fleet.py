@@ -39,17 +39,16 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
 
     Args:
         source: one robot, as for `RobotConfig.of`; a range of drawn ones, such as "drawn:train" or
-            "drawn:0-63"; or a list of robots.
+            "drawn:0-63"; several of these with commas between; or a list of robots.
         most: how many of them are used; the first ones.
 
     Raises:
         ConfigError: for a robot as `RobotConfig.of`, no robot, more than 10,000, or robots whose
             `SHARED_FIELDS` differ.
     """
-    numbers = drawn.parse_numbers(source) if isinstance(source, str) else None
     each: Sequence[RobotSource]
-    if numbers is not None and len(numbers) > 1:
-        each = [f"{drawn.PREFIX}{number}" for number in numbers]
+    if isinstance(source, str):
+        each = [name for part in source.split(",") for name in drawn.expand_name(part)]
     elif isinstance(source, list | tuple):
         each = source
     else:

@@ -50,7 +50,7 @@ class ObstacleGoalEnv(RobotEnv):
     Every episode takes place in one of the env's numbered worlds. The robot stands at the world's
     start, which is the origin of the odometry frame. The episode terminates when odometry says that
     the robot is within `goal_tolerance` of the goal (success), or when a simulated robot touches an
-    obstacle (collision; a real one can't tell). It is truncated after 400 steps.
+    obstacle (collision; a real one can't tell). It is truncated after 600 steps.
 
     `reset(options={"world": 1017})` chooses the world by its number, or gives a World;
     `{"goal": (x, y)}` sets the goal in the odometry frame, which is what hardware needs: a real

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from acsar_gym import reading
@@ -76,6 +77,7 @@ class ZipPolicy(FilePolicy):
         """Whether it was trained with a VecNormalize; only then are both observations saved."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
+        self._width = (self.network.observation_space.shape or (0,))[0]
         self._state: tuple[NDArray[Any], ...] | None = None
 
     def check(
@@ -97,8 +99,11 @@ class ZipPolicy(FilePolicy):
             PolicyError: the policy was made for other spaces than this env has.
         """
         super().check(task, sensors, policy_rate, config)
+        action, seen = task_spaces(task, sensors)
         spaces = self.network.action_space, self.network.observation_space
-        for space, wanted in zip(spaces, task_spaces(task, sensors), strict=True):
+        low, high = (np.asarray(bound)[: self._width] for bound in (seen.low, seen.high))
+        first = Box(low, high)  # a policy may leave out the last numbers
+        for space, wanted in zip(spaces, (action, first), strict=True):
             if space != wanted:
                 raise PolicyError(
                     f"{self.path}: made for {space}, but {task_name(task)} has {wanted}"
@@ -112,7 +117,7 @@ class ZipPolicy(FilePolicy):
         """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
         begun = np.array([self._state is None])
         action, self._state = self.network.predict(
-            observation, self._state, begun, deterministic=True
+            observation[: self._width], self._state, begun, deterministic=True
         )
         return np.asarray(action, np.float32)
 

@@ -15,7 +15,8 @@ import gymnasium
 import tyro
 from pydantic import Field, model_validator
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, drawn
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.config.section import Section
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, require_extra, suggest_name
@@ -142,6 +143,7 @@ class TrainingPlan:
     threads: int
     out: Path
     robot: RobotConfig
+    """The first one, where several are trained on."""
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
@@ -162,7 +164,8 @@ class TrainingPlan:
             threads = measure_free_cores()
         else:
             threads = check_threads("--threads", options.threads)
-        robot, kind = RobotConfig.of(options.robot), find_algorithm(options.algo)
+        kind = find_algorithm(options.algo)
+        robot = make_fleet(options.robot, 1).robots[0]
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
         try:
@@ -181,11 +184,20 @@ class TrainingPlan:
 
     @property
     def randomization(self) -> Randomization:
-        """What every episode of the training draws anew: the recipe's ranges if it has any."""
-        if not self.options.randomize:
-            return Randomization()
-        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY)
-        return Randomization.of(True if ranges is None else ranges, self.robot)
+        """What every episode of the training draws anew, of the (first) robot."""
+        return Randomization.of(self._ranges, self.robot)
+
+    @property
+    def _ranges(self) -> Any:
+        """The recipe's ranges if it has any, or True for those of each robot; None for nothing."""
+        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY, True)
+        return ranges if self.options.randomize else None
+
+    @property
+    def held_out_robot(self) -> str | None:
+        """The robots that are evaluated: others than those of the training where they are drawn."""
+        asked = self.options.robot
+        return "drawn:validation" if asked and drawn.is_drawn(asked) else asked
 
     @property
     def evaluations(self) -> int:
@@ -202,7 +214,7 @@ class TrainingPlan:
             robot=self.options.robot,
             autoreset_mode="SameStep",
             threads=max(1, min(self.threads, robots // ROBOTS_PER_THREAD)),
-            randomization=self.randomization,
+            randomization=self._ranges,
             **self._arguments,
         )
 
@@ -215,7 +227,7 @@ class TrainingPlan:
         if beside is not None:
             arguments["worlds"] = beside
         count = 1 if few else max(1, min(self.threads, robots // ROBOTS_PER_THREAD))
-        robot = self.options.robot
+        robot = self.held_out_robot
         return ids.make_vec(self.env_id, robots, robot=robot, threads=count, **arguments)
 
     @property
