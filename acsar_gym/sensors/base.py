@@ -22,10 +22,11 @@ Numbers = NDArray[np.floating | np.integer | np.bool_]
 Bound = float | Sequence[float] | Floats
 """One bound for all numbers of a sensor, or one for each."""
 MAP = "map"
-"""Name of the map in a task's `sensors`, and of the sensor; it is the first of a robot's sensors."""
+"""Name of the map in a task's `sensors`, and of the sensor; it is the first of a robot's
+sensors."""
 LIDAR = "lidar"
-"""Name of the LiDAR in a task's `sensors`, and of the sensor; its numbers follow those of the map, and
-come before those of all others."""
+"""Name of the LiDAR in a task's `sensors`, and of the sensor; its numbers follow those of the map,
+and come before those of all others."""
 
 
 class Truths(NamedTuple):

@@ -1,8 +1,8 @@
 """A map that remembers, as a sensor: what is free around the robot, and the way to the goal.
 
-It keeps what the LiDAR has seen in a grid of cells (`seen`), by the robot's odometry, and the way to the
-goal over it (`way`). What it adds to the observation is in units of the robot, so that one policy can
-drive robots of any size and speed. It is the same function for one robot and in a batch.
+It keeps what the LiDAR has seen in a grid of cells (`seen`), by the robot's odometry, and the way
+to the goal over it (`way`). What it adds to the observation is in units of the robot, so that one
+policy can drive robots of any size and speed. One robot and a batch call the same function.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ BODY = (
 )
 """What is told about the robot itself."""
 GAINED = 0
-"""Place of the number that says by how much the way has become shorter in the last step, in parts of
-what the robot's top speed would give."""
+"""Place of the number that says by how much the way has become shorter in the last step, in parts
+of what the robot's top speed would give."""
 MAP_NAMES = (
     "gained",
     "way_left",
@@ -93,7 +93,10 @@ MAP_NAMES = (
 """The numbers that the map adds to the observation."""
 FIRST_SECTOR = len(MAP_NAMES) - SECTORS
 MAP_LOW = np.array(
-    [-GAIN_LIMIT if n == "gained" else -1.0 if n.startswith(("way_cos", "way_sin")) else 0.0 for n in MAP_NAMES]
+    [
+        -GAIN_LIMIT if n == "gained" else -1.0 if n.startswith(("way_cos", "way_sin")) else 0.0
+        for n in MAP_NAMES
+    ]
 )
 MAP_HIGH = np.array([GAIN_LIMIT if n == "gained" else 1.0 for n in MAP_NAMES])
 
@@ -140,7 +143,7 @@ def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
 
 @lru_cache(maxsize=1024)
 def _reach(outline: Outline) -> Floats:
-    """(REACH_STEPS,): distance from the base's middle to the edge, in directions from -pi on [m]."""
+    """(REACH_STEPS,): from the base's middle to the edge, in directions from -pi on [m]."""
     angles = (np.arange(REACH_STEPS) + 0.5) * FULL_TURN / REACH_STEPS - math.pi
     return np.array([outline_reach(outline, (0.0, 0.0), angle) for angle in angles.tolist()])
 
@@ -357,6 +360,8 @@ class MapSensor(Sensor):
 
     name, size, low, high = MAP, len(MAP_NAMES), MAP_LOW, MAP_HIGH
     uses_truth = False
+    _lidar: LidarSensor
+    """Of the robot, see `watch`."""
 
     def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
         self.config = config
@@ -366,7 +371,6 @@ class MapSensor(Sensor):
         """The same memory, as compiled loops take it."""
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
-        self._lidar: LidarSensor | None = None
         self._odometry = Odometry.of(config)
         self._goal = (0.0, 0.0)
 
@@ -389,7 +393,6 @@ class MapSensor(Sensor):
 
     def read(self, truth: GroundTruth | None, now: float) -> Floats:
         """Return the numbers that `MAP_NAMES` names."""
-        assert self._lidar is not None
         out = np.zeros(self.size)
         update_alone(
             self._records,

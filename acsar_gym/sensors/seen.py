@@ -1,11 +1,11 @@
 """What a robot has seen: a grid of cells around it, kept by its odometry.
 
-The grid is a torus: cell (i, j) of the odometry frame is element [i % CELLS, j % CELLS]. It holds the
-CELLS x CELLS cells around the robot; what leaves this window is forgotten. A cell has a count, which
-grows where measurements end and shrinks where they pass through, as in Moravec & Elfes, "High
-resolution maps from wide angle sonar" (ICRA 1985), and the cost of a metre for the robot's centre, as
-the inflation layer of ROS's costmap_2d has it. All lengths are in units of the footprint's radius, so
-that a map means the same for every robot.
+The grid is a torus: cell (i, j) of the odometry frame is element [i % CELLS, j % CELLS]. It holds
+the CELLS x CELLS cells around the robot; what leaves this window is forgotten. A cell has a count,
+which grows where measurements end and shrinks where they pass through, as in Moravec & Elfes, "High
+resolution maps from wide angle sonar" (ICRA 1985), and the cost of a metre for the robot's centre,
+as the inflation layer of ROS's costmap_2d has it. All lengths are in units of the footprint's
+radius, so that a map means the same for every robot.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def cell_at(place: float, side: float) -> int:
         place: in the odometry frame [m].
         side: of a cell [m].
     """
-    return int(math.floor(place / side + CELL_SHIFT))
+    return int(math.floor(place / side + CELL_SHIFT))  # noqa: RUF046 - a float when compiled
 
 
 @jit
@@ -125,7 +125,7 @@ def raise_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int
             if q < middle[1] - half or q >= middle[1] + half:
                 continue
             cost = stamp[di + STAMP_REACH, dj + STAMP_REACH]
-            if cost > grid.costs[p & LAST_CELL, q & LAST_CELL]:
+            if cost > grid.costs[p & LAST_CELL, q & LAST_CELL]:  # noqa: PLR1730 - a byte
                 grid.costs[p & LAST_CELL, q & LAST_CELL] = cost
 
 

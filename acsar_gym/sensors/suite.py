@@ -23,7 +23,7 @@ from acsar_gym.worlds import Scene
 
 
 class Sensors(Sequence[Sensor]):
-    """The sensors of a robot, map and LiDAR first, in the order of their numbers in the observation.
+    """The sensors of a robot in the order of their numbers in the observation, map and LiDAR first.
 
     Args:
         wanted: factories, or ready sensors.

@@ -1,8 +1,8 @@
 """The way to the goal over what has been seen: A* on the cells, then straight pieces.
 
-What hasn't been seen is free, as planners of mobile robots take it (Stentz, "Optimal and efficient path
-planning for partially-known environments", ICRA 1994): the way changes where the robot sees that it
-doesn't lead on.
+What hasn't been seen is free, as planners of mobile robots take it (Stentz, "Optimal and efficient
+path planning for partially-known environments", ICRA 1994): the way changes where the robot sees
+that it doesn't lead on.
 """
 
 from __future__ import annotations
@@ -39,9 +39,7 @@ def octile(di: int, dj: int) -> int:
 
 
 @subroutine
-def search_way(
-    costs: Bytes, middle: tuple[int, int], goal: tuple[int, int], scratch: Ints
-) -> int:
+def search_way(costs: Bytes, middle: tuple[int, int], goal: tuple[int, int], scratch: Ints) -> int:
     """Find the cheapest way over the cells; A* with a bucket queue, as Dial (1969) has it.
 
     Args:
@@ -213,7 +211,8 @@ def length_left(points: Floats, corner: int, x: float, y: float) -> float:
 def next_corner(points: Floats, count: int, corner: int, x: float, y: float) -> int:
     """The corner that a robot drives to: the next one, once the robot is beyond this one."""
     while corner < count - 1:
-        dx, dy = points[corner + 1, 0] - points[corner, 0], points[corner + 1, 1] - points[corner, 1]
+        dx = points[corner + 1, 0] - points[corner, 0]
+        dy = points[corner + 1, 1] - points[corner, 1]
         if (x - points[corner, 0]) * dx + (y - points[corner, 1]) * dy <= 0.0:
             break
         corner += 1

@@ -262,24 +262,6 @@ def relative_point(
 
 
 @compilable
-def scan_clearance(ranges: Floats, edges: Floats, most: float) -> float:
-    """Compute the least clearance of the footprint along the rays of a scan.
-
-    Args:
-        ranges: (rays,): `State.ranges` [m].
-        edges: (rays,): `State.edges` [m].
-        most: what is returned where nothing is nearer [m].
-
-    Returns:
-        0 to `most` [m].
-    """
-    least = most
-    for ray in range(len(ranges)):
-        least = min(least, ranges[ray] - edges[ray])
-    return max(least, 0.0)
-
-
-@compilable
 def clip_to(value: float, limit: float) -> float:
     """Clip a value to -limit to limit."""
     return min(max(value, -limit), limit)

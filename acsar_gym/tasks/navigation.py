@@ -1,7 +1,7 @@
 """Tasks with a goal behind obstacles: a cluttered floor, or the worlds of BARN.
 
-The robot sees with a LiDAR and remembers in a map what it has seen; reward counts the way to the goal
-over that map, so that turning back in a dead end pays.
+The robot sees with a LiDAR and remembers in a map what it has seen; reward counts the way to the
+goal over that map, so that turning back in a dead end pays.
 
 The score of the BARN challenge (Xiao et al., ICRA 2022) for one run is
 
@@ -121,10 +121,10 @@ def navigation_reward(state: State, outcome: int, end: float, crash: float) -> f
 
         0.1 gained - 0.02 - 0.15 near + 0.05 min(linear, 0) + (end, -crash or 0)
 
-    `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts of
-    what its top speed would give; `near` is 0 where the footprint's least clearance is half its radius
-    or more, and 1 where it touches something. Driving backwards costs up to 0.05 a step, because
-    sensors look ahead.
+    `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
+    of what its top speed would give; `near` is 0 where the footprint's least clearance is half its
+    radius or more, and 1 where it touches something. Driving backwards costs up to 0.05 a step,
+    because sensors look ahead.
 
     Args:
         state: after the step; `sensed` begins with the numbers of the map.

@@ -17,9 +17,9 @@ from acsar_gym.physics.randomization import DrawnRanges, drawn_places
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges
 from acsar_gym.sensors.map import RECORD, MapSensor, make_record
-from acsar_gym.sensors.way import SCRATCH
 from acsar_gym.sensors.scan import make_rays
 from acsar_gym.sensors.simulated import SimulatedLidar
+from acsar_gym.sensors.way import SCRATCH
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn, check_observation
 from acsar_gym.tasks.factory import task_name

@@ -98,7 +98,7 @@ BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "directio
 """Faults that a batch can simulate: lines that are lost or late."""
 
 
-def make_setup(
+def make_setup(  # noqa: PLR0913 - all that a batch is made of
     fleet: Sequence[RobotConfig],
     ranges: Sequence[DrawnRanges],
     ticks: int,

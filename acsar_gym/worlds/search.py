@@ -1,4 +1,4 @@
-"""Shortest paths for a footprint, distances to the goal from anywhere, and paths to follow.
+"""Shortest paths for a footprint, costs near obstacles, and paths to follow.
 
 In shortest paths the footprint counts as the disc around it: a skid-steer robot turns on the spot,
 so it can follow any path that the disc can.
@@ -7,7 +7,6 @@ so it can follow any path that the disc can.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -47,10 +46,6 @@ MANY_OBSTACLES = 500
 """With more obstacles than this, only those near a part of the path are considered."""
 POINTS_AT_ONCE = 64
 """Points of a path that are checked at once for a straight line to them."""
-FIELD_MARGIN = 1.0
-"""Width of a grid of goal distances around all obstacles, start and goal [m]."""
-MAX_FIELD_CELLS = 250_000
-"""Most cells of a world's grid of goal distances; larger worlds get larger cells."""
 COST_FADE = 0.12
 """Distance over which the cost beyond the outer radius falls to 1/e [m]."""
 MAX_SWEEPS = 60
@@ -262,80 +257,7 @@ class Costs(NamedTuple):
     """Additional cost up to the outer radius, which fades beyond it."""
 
 
-DEFAULT_COSTS = Costs(lethal=15.0, tight=3.0, heavy=0.5)
-
-
-class GoalDistances(NamedTuple):
-    """Distances around obstacles to the goals of some worlds, from the centres of cells.
-
-    Made by `measure_goal_distances`; `lengths` reads them.
-    """
-
-    values: NDArray[np.float32]
-    """(cells of all worlds,): distances [m], tight places counting as longer."""
-    firsts: NDArray[np.int64]
-    """(worlds,): each world's first cell."""
-    sizes: NDArray[np.int64]
-    """(worlds, 2): cells along x and y."""
-    corners: Floats
-    """(worlds, 3): x and y of the first cell's centre, and a cell's side [m]."""
-
-    def lengths(self, worlds: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
-        """Read the distances from some places.
-
-        Args:
-            worlds: (n,): index of each one's world.
-            x: (n,): x in the world's frame [m].
-            y: (n,): y in the world's frame [m].
-
-        Returns:
-            (n,) [m], interpolated between cells.
-        """
-        found = np.empty(len(x))
-        _interpolate(self.values, self.firsts, self.sizes, self.corners, worlds, x, y, found)
-        return found
-
-
-def measure_goal_distances(worlds: Sequence[World], config: RobotConfig) -> GoalDistances:
-    """Compute the distances to the goals of worlds from anywhere, around obstacles.
-
-    The distance T solves |grad T| = cost, on a grid by fast sweeping (Zhao, "A fast sweeping method
-    for Eikonal equations", Mathematics of Computation 74, 2005). A graph search over eight
-    neighbours would overrate slanting ways by 8 %.
-
-    Args:
-        worlds: with the obstacles and goals.
-        config: of the robot, which has the footprint.
-    """
-    radii = footprint.border_distance(config.outline, 0.0, 0.0), footprint_radius(config)
-    fields, sizes, corners = [], [], []
-    for world in worlds:
-        ends = np.array([[end.x, end.y] for end in (world.start, world.goal)])
-        margin = (-FIELD_MARGIN, -FIELD_MARGIN, FIELD_MARGIN, FIELD_MARGIN)
-        box = bounds_with(world, ends) + margin
-        side = CELL_SIDE * max(1.0, math.sqrt(count_cells(box, 0.0, CELL_SIDE) / MAX_FIELD_CELLS))
-        (x, y), widths = box[:2].tolist(), (box[2:] - box[:2]).tolist()
-        size = (math.ceil(widths[0] / side) + 1, math.ceil(widths[1] / side) + 1)
-        places = np.indices(size).reshape(2, -1).T * side + box[:2]
-        costs = clearance_costs(point_clearance(places, world).reshape(size), radii)
-        values = np.full(size, UNREACHED)
-        goal = round((world.goal.x - x) / side), round((world.goal.y - y) / side)
-        sweep_distances(values, costs * side, *goal)
-        fields.append(values.ravel())
-        sizes.append(size)
-        corners.append((x, y, side))
-    counts = [len(field) for field in fields]
-    return GoalDistances(
-        np.concatenate(fields, dtype=np.float32),
-        np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64),
-        np.array(sizes, np.int64).reshape(-1, 2),
-        np.array(corners).reshape(-1, 3),
-    )
-
-
-def clearance_costs(
-    distances: Floats, radii: tuple[float, float], costs: Costs = DEFAULT_COSTS
-) -> Floats:
+def clearance_costs(distances: Floats, radii: tuple[float, float], costs: Costs) -> Floats:
     """Cost of a metre at some distances from the nearest obstacle.
 
     Args:
@@ -385,30 +307,6 @@ def sweep_distances(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> 
                     values[i, j] = new
         if number >= 3 and change < SWEEP_TOLERANCE:
             break
-
-
-@loop
-def _interpolate(
-    values: NDArray[np.float32],
-    firsts: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-    corners: Floats,
-    worlds: NDArray[np.int64],
-    x: Floats,
-    y: Floats,
-    found: Floats,
-) -> None:
-    """Write the interpolated lengths at places into `found`; outside, those of the edge."""
-    for k in range(len(x)):
-        world = worlds[k]
-        first, ny, side = firsts[world], sizes[world, 1], corners[world, 2]
-        u = min(max((x[k] - corners[world, 0]) / side, 0.0), sizes[world, 0] - 1.001)
-        v = min(max((y[k] - corners[world, 1]) / side, 0.0), ny - 1.001)
-        i, j = int(u), int(v)
-        a, b, cell = u - i, v - j, first + i * ny + j
-        low = (1.0 - b) * values[cell] + b * values[cell + 1]
-        high = (1.0 - b) * values[cell + ny] + b * values[cell + ny + 1]
-        found[k] = (1.0 - a) * low + a * high
 
 
 def world_along(path: Floats) -> World:

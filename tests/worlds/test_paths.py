@@ -1,4 +1,4 @@
-"""Paths to follow and distances to the goal, against ones that are known."""
+"""Paths to follow, against ones that are known."""
 
 from __future__ import annotations
 
@@ -7,22 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.generators import make_smooth_path, make_waypoint_path
-from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import (
     PATH_SPACING,
-    GoalDistances,
     drop_repeated,
-    measure_goal_distances,
     path_length,
     sample_path,
     world_along,
 )
-from acsar_gym.worlds.world import Region, World
 
 
 def array(*rows: Any) -> Any:
@@ -114,53 +108,3 @@ def test_made_paths_are_along_themselves(make: Any) -> None:
         samples = sample_path(world.path)
         assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= PATH_SPACING + 1e-9
         assert samples[0].tolist() == pytest.approx([0.0, 0.0, world.start.theta])
-
-
-ROBOT = RobotConfig.of(None)
-
-
-def length(ways: GoalDistances, x: float, y: float, world: int = 0) -> float:
-    """The length of one way."""
-    return float(ways.lengths(np.array([world]), np.array([x]), np.array([y]))[0])
-
-
-def test_on_an_open_floor_the_way_is_straight_in_every_direction() -> None:
-    ways = measure_goal_distances([World(start=Region(-3.0, -3.0), goal=Region(0.0, 0.0))], ROBOT)
-    for angle in np.linspace(-3.0, -1.6, 7):
-        x, y = 2.5 * math.cos(angle), 2.5 * math.sin(angle)
-        assert length(ways, x, y) == pytest.approx(2.5, rel=0.03)
-
-
-def test_the_way_goes_round_a_wall() -> None:
-    wall = World(
-        segments=np.array([[1.0, -2.0, 1.0, 2.0]]), start=Region(0.0, 0.0), goal=Region(2.0, 0.0)
-    )
-    ways = measure_goal_distances([wall], ROBOT)
-    around = 2.0 * math.hypot(1.0, 2.24)
-    assert around < length(ways, 0.0, 0.0) < 1.2 * around  # near the wall it counts as longer
-    assert length(ways, 0.0, 1.5) < length(ways, 0.0, 0.0)  # nearer to the wall's end
-    assert length(ways, 1.5, 0.0) < 1.5  # behind it
-
-
-def test_outside_the_grid_the_edge_counts() -> None:
-    ways = measure_goal_distances([World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))], ROBOT)
-    assert length(ways, -1e6, 0.0) == pytest.approx(length(ways, -2.0, 0.0), abs=0.01)
-
-
-def test_worlds_of_different_sizes_keep_apart() -> None:
-    small = World(start=Region(-1.0, 0.0), goal=Region(0.0, 0.0))
-    large = World(start=Region(-9.0, 4.0), goal=Region(1.0, 0.0))
-    ways = measure_goal_distances([small, large, small], ROBOT)
-    assert len(ways.values) == int(ways.sizes.prod(axis=1).sum())
-    found = ways.lengths(np.arange(3), np.full(3, -0.5), np.zeros(3))
-    assert_allclose(found, [0.5, 1.5, 0.5], rtol=0.02)
-
-
-def test_ways_of_generated_worlds_are_near_the_shortest_ones() -> None:
-    pool = Pool.of("clutter:1000-1004")
-    starts = np.array([[world.start.x, world.start.y] for world in pool])
-    ways = measure_goal_distances(list(pool), ROBOT)
-    found = ways.lengths(np.arange(len(pool)), *starts.T)
-    shortest = np.array([world.length for world in pool])
-    assert (found > 0.9 * shortest).all()
-    assert (found < 1.5 * shortest).all()

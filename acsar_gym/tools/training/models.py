@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -47,13 +46,6 @@ def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
     steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
     if isinstance(steps, int) and isinstance(size, int):
         arguments["batch_size"] = min(size, steps * env.num_envs)
-    if plan.options.robot:  # also for the policy and features extractor that take it
-        policy_kwargs = arguments.get("policy_kwargs") or {}
-        if _takes_robot(arguments["policy"]):
-            policy_kwargs.setdefault("robot", plan.robot)
-        if _takes_robot(policy_kwargs.get("features_extractor_class")):
-            own = policy_kwargs.get("features_extractor_kwargs") or {}
-            policy_kwargs["features_extractor_kwargs"] = {"robot": plan.robot} | own
     given: dict[str, Any] = (
         {"stats_window_size": env.num_envs} | arguments | _common_arguments(plan)
     )
@@ -87,11 +79,6 @@ def load_model(
     return plan.algorithm.load().load(
         saved.path, batch, force_reset=not go_on, **_common_arguments(plan)
     )
-
-
-def _takes_robot(kind: Any) -> bool:
-    """Return whether a class has a parameter `robot`; False for a name such as "MlpPolicy"."""
-    return isinstance(kind, type) and "robot" in signature(kind).parameters
 
 
 def _common_arguments(plan: TrainingPlan) -> dict[str, Any]:

@@ -1,117 +1,22 @@
-"""Networks for policies that see a LiDAR. Imports torch.
+"""Networks for policies that know that the robot is symmetric left to right. Imports torch.
 
-The classes are named in a recipe's `policy_kwargs`, for `acsar-gym train` and for RL Zoo. They are
-made of plain torch modules, so that a policy's ONNX file contains them. Features are the clearances
-of rays and along arcs. A ray that ends at some range stops each arc at a place that depends on
-nothing else, so it is looked up in a table. `MirrorPolicy` knows that the robot is symmetric left
-to right: such a network has half as much to learn.
+`MirrorPolicy` is named in a recipe's `policy`, for `acsar-gym train` and for RL Zoo. Such a network
+has half as much to learn. It is made of plain torch modules, so that a policy's ONNX file contains
+it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
-import gymnasium
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.type_aliases import Schedule
 
-from acsar_gym.config import RobotConfig, RobotSource, footprint
-from acsar_gym.config.footprint import Outline
 from acsar_gym.errors import ConfigError
-from acsar_gym.sensors.lidar import footprint_edges
-from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.training.recipes import find_classes
-from acsar_gym.worlds.geometry import RaySpec
-
-Floats = NDArray[np.float64]
-Arc = tuple[int, float]
-FORWARD, TURN, BACK = 1, 0, -1
-
-CURVATURES = (-0.96, -0.48, -0.24, -0.12, 0.0, 0.12, 0.24, 0.48, 0.96)
-"""Of the arcs ahead, times the footprint's radius; positive to the left."""
-ARCS: tuple[Arc, ...] = (
-    *((FORWARD, curvature) for curvature in CURVATURES),
-    (TURN, -1.0),
-    (TURN, 1.0),
-    (BACK, 0.0),
-)
-"""Direction and curvature of each arc; TURN is on the spot, to the right and to the left."""
-ARC_IMAGES = tuple(ARCS.index((direction, -curvature)) for direction, curvature in ARCS)
-"""Number of each arc's mirror image."""
-ARC_LENGTH = {FORWARD: 4.0, TURN: math.pi / 2.0, BACK: 2.0}
-"""Length of an arc in radii of the footprint, or angle of a turn [rad]."""
-ARC_POSES = 50
-"""Poses that are tried along an arc."""
-TOUCH_MARGIN = 0.125
-"""Distance within which the footprint counts as touched, in radii of it."""
-CELL_LENGTH = 1.0 / 12.0
-"""Length of a cell of the table, in radii of the footprint."""
-TABLE_CELLS = 100
-
-
-def cell_length(config: RobotConfig) -> float:
-    """Length of a cell of the table [m]."""
-    return CELL_LENGTH * footprint.outline_radius(config.outline)
-
-
-def free_ways(config: RobotConfig) -> Floats:
-    """Make the table of free ways of a robot.
-
-    Returns:
-        Shape (rays, CELLS, arcs): the share of each arc that is free where a ray ends in a cell,
-        0 to 1. The last cell stands for all that is farther.
-    """
-    return _table(config.outline, ray_spec(config), config.lidar_x_offset, config.lidar_y_offset)
-
-
-@lru_cache(maxsize=16)
-def _table(outline: Outline, rays: RaySpec, x: float, y: float) -> Floats:
-    """As `free_ways`."""
-    radius, angles = footprint.outline_radius(outline), rays.angles()
-    ranges = (np.arange(TABLE_CELLS) + 0.5) * CELL_LENGTH * radius
-    points = np.stack((np.outer(np.cos(angles), ranges) + x, np.outer(np.sin(angles), ranges) + y))
-    table = np.ones((*points.shape[1:], len(ARCS)))
-    for number, (direction, curvature) in enumerate(ARCS):
-        # from the end: the first touch wins
-        for share in np.linspace(1.0, 0.0, ARC_POSES, endpoint=False):
-            way = share * ARC_LENGTH[direction]
-            heading = curvature * way
-            if direction == TURN:
-                px, py = 0.0, 0.0
-            elif curvature == 0.0:
-                px, py = direction * way * radius, 0.0
-            else:
-                px = radius * math.sin(heading) / curvature
-                py = radius * (1.0 - math.cos(heading)) / curvature
-            cos, sin = math.cos(heading), math.sin(heading)
-            dx, dy = points[0] - px, points[1] - py
-            x_there, y_there = cos * dx + sin * dy, cos * dy - sin * dx
-            touched = _within(outline, x_there, y_there, TOUCH_MARGIN * radius)
-            table[touched, number] = share - 1.0 / ARC_POSES
-    table[:, -1] = 1.0
-    return table
-
-
-def _within(outline: Outline, x: Floats, y: Floats, margin: float) -> NDArray[np.bool_]:
-    """Whether points in the base frame are inside of the footprint, or within a margin of it."""
-    inside, near = np.zeros(x.shape, np.bool_), np.zeros(x.shape, np.bool_)
-    for (ax, ay), (bx, by) in footprint.outline_sides(outline):
-        ex, ey = bx - ax, by - ay
-        along = np.clip(((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey), 0.0, 1.0)
-        near |= np.hypot(x - ax - along * ex, y - ay - along * ey) < margin
-        if ay != by:
-            crossed = (ay > y) != (by > y)
-            inside ^= crossed & (x < ax + (y - ay) * ex / ey)
-    return inside | near
-
 
 RECTIFIER_GAIN = 2.0**0.5
 """Of the first weights, for rectified units."""
@@ -325,117 +230,3 @@ def _linear(
     if bias:
         torch.nn.init.zeros_(layer.bias)
     return layer
-
-
-LOG_MARGIN = 0.05
-"""Added to a clearance before its logarithm is taken [m]; five times the LiDAR's noise."""
-LOG_SCALE, LOG_OFFSET = 0.5, 0.4
-"""Of the logarithm; clearances of 0 to 5 m become numbers of -1.1 to 1.2."""
-
-
-class RayClearance(BaseFeaturesExtractor):
-    """Replaces the range of each ray by the logarithm of the footprint's clearance along the ray.
-
-    An observation has `range / max_range`, in which the last 5 cm before a collision are 0.01, less
-    than a small network can tell apart. Here they are a third of the input's whole width:
-
-        0.5 log(max(range - edge, 0) + 0.05) + 0.4
-
-    where `edge` is the distance from the LiDAR to the edge of the footprint in the direction of the
-    ray [m]. All other numbers of the observation stay as they are.
-
-    Args:
-        observation_space: of a task with the LiDAR.
-        robot: whose LiDAR and footprint these are; see `RobotConfig.of`.
-        first: index of the first ray in the observation; None where the rays come last.
-
-    Raises:
-        ConfigError: the observation is too small for the robot's rays.
-    """
-
-    def __init__(
-        self,
-        observation_space: gymnasium.spaces.Box,
-        robot: RobotSource = None,
-        first: int | None = None,
-    ) -> None:
-        width = observation_space.shape[0]
-        super().__init__(observation_space, width)
-        config = RobotConfig.of(robot)
-        rays = config.lidar.rays
-        self._first = width - rays if first is None else first
-        if not 0 <= self._first <= width - rays:
-            raise ConfigError(f"RayClearance: no {rays} rays in an observation of {width} numbers")
-        self._last = self._first + rays
-        self._max_range = config.lidar.max_range
-        self.edges: torch.Tensor
-        self.register_buffer("edges", torch.tensor(footprint_edges(config), dtype=torch.float32))
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Map observations (batch, n) to features (batch, n)."""
-        before, rays, after = self._parts(observations)
-        return torch.cat((before, self._near(rays), after), dim=1)
-
-    def _parts(self, observations: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Split observations into the numbers before the rays, ranges [m], and numbers after."""
-        before, rays, after = observations.tensor_split((self._first, self._last), dim=1)
-        return before, rays * self._max_range, after
-
-    def _near(self, ranges: torch.Tensor) -> torch.Tensor:
-        """The logarithm of each ray's clearance (batch, rays)."""
-        return scale_clearance(torch.clamp(ranges - self.edges, min=0.0))
-
-
-class ArcClearance(RayClearance):
-    """As RayClearance, and how far the robot can drive along some arcs, put before the rays.
-
-    They are what the dynamic window approach looks at (Fox et al. 1997): the free ways along
-    `ARCS`, with the exact footprint, as logarithms, too. A small network can't work out from
-    single rays whether a corner of the footprint will pass.
-
-    Args:
-        observation_space: of a task with the LiDAR.
-        robot: whose LiDAR and footprint these are; see `RobotConfig.of`.
-        first: index of the first ray in the observation; None where the rays come last.
-
-    Attributes:
-        images: number of each arc's mirror image.
-
-    Raises:
-        ConfigError: the observation is too small for the robot's rays.
-    """
-
-    images = ARC_IMAGES
-
-    def __init__(
-        self,
-        observation_space: gymnasium.spaces.Box,
-        robot: RobotSource = None,
-        first: int | None = None,
-    ) -> None:
-        super().__init__(observation_space, robot, first)
-        config = RobotConfig.of(robot)
-        self._features_dim += len(ARCS)
-        table = scale_clearance(torch.tensor(free_ways(config), dtype=torch.float32))
-        rays, cells, ways = table.shape
-        self._cell, self._last_cell = cell_length(config), cells - 1
-        self.table: torch.Tensor
-        self.rows: torch.Tensor
-        self.register_buffer("table", table.reshape(rays * cells, ways).contiguous())
-        self.register_buffer("rows", torch.arange(rays) * cells)
-
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Map observations (batch, n) to features (batch, n + arcs)."""
-        before, ranges, after = self._parts(observations)
-        return torch.cat((before, self._free(ranges), self._near(ranges), after), dim=1)
-
-    def _free(self, ranges: torch.Tensor) -> torch.Tensor:
-        """The logarithm of each arc's free share (batch, arcs); it has no gradient."""
-        cells = (ranges.detach() / self._cell).long().clamp(0, self._last_cell)
-        ways = torch.nn.functional.embedding(cells + self.rows, self.table)
-        return ways.amin(dim=1)
-
-
-def scale_clearance(lengths: torch.Tensor) -> torch.Tensor:
-    """0.5 log(length + 0.05) + 0.4, which tells small lengths apart."""
-    return LOG_SCALE * torch.log(lengths + LOG_MARGIN) + LOG_OFFSET

@@ -40,17 +40,11 @@ KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
     "policy": ("acsar_gym.tools.training.networks.MirrorPolicy",),
     "vec_env_wrapper": (
         BATCH_WRAPPER,
-        "acsar_gym.tools.training.wrappers.Detours",
-        "acsar_gym.tools.training.wrappers.detours",
         "acsar_gym.tools.training.wrappers.without_rays",
         NORMALIZE_WRAPPER,
     ),
     "activation_fn": tuple(f"torch.nn.{name}" for name in ACTIVATIONS),
-    "features_extractor_class": (
-        "acsar_gym.tools.training.networks.ArcClearance",
-        "acsar_gym.tools.training.networks.RayClearance",
-        "stable_baselines3.common.torch_layers.FlattenExtractor",
-    ),
+    "features_extractor_class": ("stable_baselines3.common.torch_layers.FlattenExtractor",),
     "optimizer_class": tuple(f"torch.optim.{name}" for name in ("Adam", "AdamW", "RMSprop", "SGD")),
 }
 """What may be named at each place of a recipe: nothing that writes files or takes code."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from acsar_gym.errors import escape_unprintable
-from acsar_gym.tools.policies.bundle import Bundle
 from acsar_gym.tools.policies.describe import describe_policy
 from acsar_gym.tools.training import checkpoints, held_out, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, StopRequest, TrainingState
@@ -60,13 +60,14 @@ def train(options: TrainingOptions) -> int:
         else:
             model = models.load_model(plan, env, start.saved, go_on=state is not None)
 
-        def describe(**facts: Any) -> Bundle:
-            varied, states = plan.randomization, sb3.recurrent_states(model.policy)
-            width = model.observation_space.shape[0]  # type: ignore[union-attr, index]
-            return describe_policy(
-                env, plan.env_id, randomization=varied, state=states, width=width, **facts
-            )
-
+        describe = partial(
+            describe_policy,
+            env,
+            plan.env_id,
+            randomization=plan.randomization,
+            state=sb3.recurrent_states(model.policy),
+            width=model.observation_space.shape[0],  # type: ignore[index]
+        )
         sb3.label(model, describe())
         before = 0.0 if state is None else state.seconds
         scores = callbacks.HeldOutEvaluation(

@@ -1,10 +1,7 @@
 """What recipes name as `vec_env_wrapper`. Imports torch.
 
-`batch` is a compiled batch for RL Zoo. `Detours` are rewards for robots that know the way, added in
-training only. A task rewards coming nearer to the goal in a straight line, which leads into every
-dead end. There the way around the obstacles counts instead, as the simulator knows it: a robot that
-turns back is rewarded at once. What it sees doesn't change, so that the policy drives without the
-simulator.
+`batch` is a compiled batch for RL Zoo. `without_rays` leaves out of the observation what belongs to
+one kind of LiDAR.
 """
 
 from __future__ import annotations
@@ -15,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
@@ -24,8 +20,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tools.policies.sb3 import BatchVecEnv, make_batch
-from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds.search import measure_goal_distances
 
 SINGLE_ENV_ARGUMENTS = (
     *("link", "lidar", "on_fault", "view", "record", "render_mode", "disable_env_checker"),
@@ -71,118 +65,51 @@ def batch(env: VecEnv, *, randomize: bool = True, threads: int | None = None) ->
         return VecMonitor(made, str(logs[0]))
 
 
-class Detours(VecEnvWrapper):
-    """Adds to each step's reward how much of the detour to the goal the robot has put behind it.
-
-        weight (detour before the step - detour after it)
-
-    where the detour is the length of the way around the obstacles less that of the straight line,
-    to the world's goal, both from where the robot really is. It is a potential, so no policy
-    becomes the best one that wasn't before (Ng, Harada & Russell, "Policy invariance under reward
-    transformations", ICML 1999), up to the discount, and that an episode's last step gets nothing.
-
-    The wrapper has no state of its own. Episodes with a goal of their own (`options`) count as if
-    they had the world's. The returns that Monitor reports are those of the task.
-
-    Args:
-        venv: a batch, see `sb3.make_batch`, itself in wrappers or not.
-        weight: of a metre; a metre nearer to the goal is worth 2 in the tasks with a LiDAR.
-
-    Raises:
-        ConfigError: the batch has no worlds.
-    """
-
-    def __init__(self, venv: VecEnv, weight: float = 2.0) -> None:
-        super().__init__(venv)
-        robots = find_robots(venv)
-        if robots is None or robots.pool is None:
-            raise ConfigError("Detours: must wrap a batch of robots in worlds")
-        self._weight = weight
-        self._batch = robots.batch
-        self._ways = measure_goal_distances(list(robots.pool), robots.config)
-        self._goals = np.array([(world.goal.x, world.goal.y) for world in robots.pool])
-        self._before = np.zeros(venv.num_envs)
-
-    def reset(self) -> VecEnvObs:
-        """Start a new episode of every robot; returns observations (robots, n)."""
-        return self.venv.reset()
-
-    def step_async(self, actions: NDArray[np.floating]) -> None:
-        """Note the detours, and step all robots with these actions (robots, 2)."""
-        self._before = self.detours()
-        self.venv.step_async(actions)
-
-    def step_wait(self) -> VecEnvStepReturn:
-        """Return what the batch returns, with the other rewards."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        gained = np.where(dones, 0.0, self._weight * (self._before - self.detours()))
-        return observations, (rewards + gained).astype(np.float32), dones, infos
-
-    def detours(self) -> NDArray[np.float64]:
-        """How much longer than a straight line the ways to the goals are now, (robots,) [m]."""
-        own_x, own_y, start_x, start_y, cos, sin, world = self._batch.read(
-            "x", "y", "start_x", "start_y", "start_cos", "start_sin", "world"
-        )
-        x, y = start_x + cos * own_x - sin * own_y, start_y + sin * own_x + cos * own_y
-        worlds = world.astype(np.int64)
-        goals = self._goals[worlds]
-        straight = np.hypot(goals[:, 0] - x, goals[:, 1] - y)
-        longer: NDArray[np.float64] = self._ways.lengths(worlds, x, y) - straight
-        return longer
-
-
-def detours(env: VecEnv, weight: float = 2.0) -> VecEnv:
-    """Wrap a batch in `Detours`; single envs, which RL Zoo evaluates with, stay as they are.
-
-    Args:
-        env: a batch, or other envs.
-        weight: see `Detours`.
-    """
-    return env if find_robots(env) is None else Detours(env, weight)
-
-
-class WithoutRays(VecEnvWrapper):
-    """Leaves the LiDAR's own numbers, and what follows them, out of observations.
+def without_rays(env: VecEnv) -> VecEnv:
+    """Leave the LiDAR's own numbers, and what follows them, out of observations.
 
     What the map says about them is in units of the robot: a policy that sees no more than that can
     drive robots whose LiDAR has other rays.
 
     Args:
-        venv: a batch, see `sb3.make_batch`, itself in wrappers or not.
+        env: a batch, in wrappers or not, or single envs, which RL Zoo evaluates with.
 
     Raises:
         ConfigError: the robots have no map.
     """
+    inner = env.unwrapped
+    if isinstance(inner, BatchVecEnv):
+        task, sensors = inner.robots.task, list(inner.robots.sensors)
+    else:
+        single = env.get_attr("unwrapped", 0)[0]
+        task, sensors = single.task, list(single.sensors)
+    if [sensor.name for sensor in sensors[:2]] != [MAP, LIDAR]:
+        raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
+    return FirstNumbers(env, len(task.observation) + sensors[0].size)
 
-    def __init__(self, venv: VecEnv) -> None:
-        robots = find_robots(venv)
-        names = [] if robots is None else [sensor.name for sensor in robots.sensors]
-        if robots is None or names[:2] != [MAP, LIDAR]:
-            raise ConfigError("WithoutRays: must wrap a batch of robots with a map and a LiDAR")
-        self._size = len(robots.task.observation) + robots.sensors[0].size
+
+class FirstNumbers(VecEnvWrapper):
+    """Keeps the first numbers of observations.
+
+    Args:
+        venv: with observations (robots, n).
+        count: how many are kept.
+    """
+
+    def __init__(self, venv: VecEnv, count: int) -> None:
         space: Any = venv.observation_space
-        super().__init__(venv, Box(space.low[: self._size], space.high[: self._size]))
+        super().__init__(venv, Box(space.low[:count], space.high[:count]))
+        self._count = count
 
     def reset(self) -> VecEnvObs:
-        """Start a new episode of every robot; returns observations (robots, n)."""
+        """Start a new episode of every robot; returns observations (robots, count)."""
         observations: Any = self.venv.reset()
-        return observations[:, : self._size]
+        return observations[:, : self._count]
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Return what the batch returns, with shorter observations."""
+        """Return what the envs return, with shorter observations."""
         observations, rewards, dones, infos = self.venv.step_wait()
         for index in np.flatnonzero(dones):
             last = infos[index]["terminal_observation"]
-            infos[index]["terminal_observation"] = last[: self._size]
-        return observations[:, : self._size], rewards, dones, infos  # type: ignore[call-overload, index]
-
-
-def without_rays(env: VecEnv) -> VecEnv:
-    """Wrap a batch in `WithoutRays`; single envs, which RL Zoo evaluates with, have all numbers."""
-    return env if find_robots(env) is None else WithoutRays(env)
-
-
-def find_robots(env: VecEnv) -> RobotVectorEnv | None:
-    """The batch of robots behind wrappers; None where there is none."""
-    inner = env.unwrapped
-    return inner.robots if isinstance(inner, BatchVecEnv) else None
+            infos[index]["terminal_observation"] = last[: self._count]
+        return observations[:, : self._count], rewards, dones, infos  # type: ignore[call-overload, index]

@@ -370,8 +370,8 @@ class Setup(NamedTuple):
     sees: bool
     """Whether the robots have a LiDAR."""
     numbers: int
-    """Numbers of an observation that are the task's own; those of the sensors follow, those of map and
-    LiDAR first."""
+    """Numbers of an observation that are the task's own; those of the sensors follow, those of map
+    and LiDAR first."""
     maps: bool
     """Whether the robots have a map."""
     first_ray: int

@@ -54,7 +54,7 @@ def mark_trails(tables: Tables, block: int, i: int, tick: float, setup: Setup) -
 def read_scans(
     tables: Tables, block: int, count: int, setup: Setup, around: Surroundings, begins: bool
 ) -> None:
-    """Read LiDARs and maps of a block's robots that drive, or of those in `over` that begin an episode.
+    """Read LiDARs and maps of a block's robots that drive, or of those in `over` that begin one.
 
     Robots whose board is silent at the reset have none, as in the single env, whose reset fails.
     """

@@ -13,7 +13,7 @@ from torch.nn import ReLU
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.tools.training import recipes
-from acsar_gym.tools.training.networks import MirrorPolicy, RayClearance
+from acsar_gym.tools.training.networks import MirrorPolicy
 from acsar_gym.tools.training.recipes import (
     ALGORITHMS,
     BATCH_WRAPPER,
@@ -144,7 +144,6 @@ def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
     observed, acted = Box(-1.0, 1.0, (80,)), Box(-1.0, 1.0, (2,))
     policy = MirrorPolicy(observed, acted, lambda _: 0.001, **given)
     assert policy.activation_fn is ReLU
-    assert isinstance(policy.features_extractor, RayClearance)
 
 
 def test_options_change_a_recipe(tmp_path: Path) -> None:

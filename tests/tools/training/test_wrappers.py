@@ -1,109 +1,93 @@
-"""Rewards for coming nearer along the way around obstacles."""
+"""What recipes name as `vec_env_wrapper`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_array_equal
 
 pytest.importorskip("stable_baselines3")
 
-from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecEnv
 
-from acsar_gym.config import RobotConfig
+import acsar_gym  # noqa: F401 - registers the ids
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.tools.policies import sb3
-from acsar_gym.tools.policies.sb3 import BatchVecEnv
-from acsar_gym.tools.training import wrappers
-from acsar_gym.tools.training.wrappers import Detours, detours, find_robots
-from acsar_gym.vector import env
-from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds.search import GoalDistances, measure_goal_distances
-from acsar_gym.worlds.world import World
+from acsar_gym.tools.training.wrappers import without_rays
 
-ROBOTS, WORLDS = 4, "clutter:1000-1002"
+ROBOTS = 3
+OPTIONS: Mapping[str, Any] = {"worlds": "clutter:1000-1002", "max_episode_steps": 12}
+KEPT = len(ObstacleGoal.observation) + len(MAP_NAMES)
 
 
-def batch() -> BatchVecEnv:
-    """A few robots among obstacles."""
-    made = sb3.make_batch("obstacle_goal", ROBOTS, worlds=WORLDS, threads=1)
-    made.seed(3)
-    return made
+def batch(**options: Any) -> VecEnv:
+    return sb3.make_batch("obstacle_goal", ROBOTS, threads=1, **{**OPTIONS, **options})
 
 
-def robots_in(shaped: Detours) -> RobotVectorEnv:
-    """The batch behind the wrapper."""
-    robots = find_robots(shaped)
-    assert robots is not None
-    return robots
+def singles(**options: Any) -> VecEnv:
+    def make() -> Any:
+        asked = {"link": "planar", **OPTIONS, **options}
+        return gymnasium.make("acsar_gym/ObstacleGoal-v1", **asked)
+
+    return DummyVecEnv([make] * ROBOTS)
 
 
-def test_rewards_differ_by_the_detour_put_behind() -> None:
-    plain, shaped = batch(), Detours(batch(), weight=3.0)
-    assert_allclose(plain.reset(), np.asarray(shaped.reset()))
-    before = shaped.detours()
-    assert (before > 0.0).any()
-    for step in range(30):
-        actions = np.full((ROBOTS, 2), [1.0, 0.3], np.float32)
-        _, rewards, dones, _ = plain.step(actions)
-        _, other, _, _ = shaped.step(actions)
-        after = shaped.detours()
-        gained = np.where(dones, 0.0, 3.0 * (before - after))
-        assert_allclose(other, rewards + gained, atol=1e-5, err_msg=f"step {step}")
-        before = after
+KINDS: Mapping[str, Callable[..., VecEnv]] = {
+    "a batch": batch,
+    "a batch in a wrapper": lambda **options: VecCheckNan(batch(**options)),
+    "single envs": singles,
+}
 
 
-def test_the_way_at_first_is_about_the_shortest_path_of_the_robots_own_world() -> None:
-    shaped = Detours(batch())
-    shaped.reset()
-    robots = robots_in(shaped)
-    assert robots.pool is not None
-    worlds = [robots.pool[int(number)] for number in robots.batch.info()["world"]]
-    straight = [np.hypot(one.goal.x - one.start.x, one.goal.y - one.start.y) for one in worlds]
-    ways = (shaped.detours() + straight) / [one.length for one in worlds]
-    assert ((ways > 0.95) & (ways < 1.5)).all()
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_first_numbers_are_those_of_the_whole_observation(kind: str) -> None:
+    whole, short = KINDS[kind](), without_rays(KINDS[kind]())
+    space: Any = short.observation_space
+    full: Any = whole.observation_space
+    assert_array_equal(space.low, full.low[:KEPT])
+    assert_array_equal(space.high, full.high[:KEPT])
+    for env in (whole, short):
+        env.seed(3)
+    seen, first = whole.reset(), short.reset()
+    ended = 0
+    for _ in range(30):
+        assert_array_equal(first, np.asarray(seen)[:, :KEPT])
+        actions = np.full((ROBOTS, 2), [0.6, 0.3], np.float32)
+        seen, rewards, dones, infos = whole.step(actions)
+        first, same, over, told = short.step(actions)
+        assert_array_equal(same, rewards)
+        assert_array_equal(over, dones)
+        for index in np.flatnonzero(dones):
+            last = infos[index]["terminal_observation"]
+            assert_array_equal(told[index]["terminal_observation"], last[:KEPT])
+        ended += int(dones.sum())
+    assert ended >= ROBOTS
+    whole.close()
+    short.close()
 
 
-def test_places_are_those_where_the_robots_really_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without ways, what is left is the straight line from there."""
-
-    def none(worlds: Sequence[World], config: RobotConfig) -> GoalDistances:
-        found = measure_goal_distances(worlds, config)
-        return found._replace(values=np.zeros_like(found.values))
-
-    monkeypatch.setattr(wrappers, "measure_goal_distances", none)
-    shaped = Detours(batch())
-    shaped.reset()
-    for _ in range(15):
-        shaped.step(np.array([[1.0, 1.0], [1.0, -1.0], [1.0, 0.0], [-1.0, 0.5]], np.float32))
-        far = robots_in(shaped).batch.info()["true_goal_distance"]
-        assert_allclose(-shaped.detours(), far, atol=1e-6)
+@pytest.mark.parametrize("kind", KINDS)
+def test_robots_with_another_lidar_give_as_many_numbers(kind: str) -> None:
+    robot = RobotConfig().with_(lidar={"rays": 90})
+    env = without_rays(KINDS[kind](robot=robot))
+    assert env.observation_space.shape == (KEPT,)
+    env.close()
 
 
-def test_nothing_is_remembered_between_steps() -> None:
-    shaped = Detours(batch())
-    shaped.reset()
-    actions = np.full((ROBOTS, 2), [0.8, -0.2], np.float32)
-    shaped.step(actions)
-    robots = robots_in(shaped)
-    kept = {name: array.copy() for name, array in (env.copy_state(robots) or {}).items()}
-    rewards = shaped.step(actions)[1]
-    other = Detours(batch())
-    other.reset()
-    env.restore_state(robots_in(other), kept)
-    assert_allclose(other.step(actions)[1], rewards)
-
-
-def test_wrappers_are_looked_through_and_single_envs_stay() -> None:
-    assert isinstance(detours(VecCheckNan(batch())), Detours)
-    single = DummyVecEnv([lambda: gymnasium.make("CartPole-v1")])
-    assert detours(single) is single
-    single.close()
-
-
-def test_a_batch_without_worlds_is_refused() -> None:
-    with pytest.raises(ConfigError, match="robots in worlds"):
-        Detours(sb3.make_batch("point_goal", 2))
+@pytest.mark.parametrize("of", ["a batch", "single envs"])
+def test_robots_without_a_map_are_refused(of: str) -> None:
+    env: VecEnv
+    if of == "a batch":
+        env = sb3.make_batch("point_goal", 2)
+    else:
+        env = DummyVecEnv([lambda: gymnasium.make("acsar_gym/PointGoal-v0", link="planar")])
+    with pytest.raises(ConfigError, match="robots with a map and a LiDAR"):
+        without_rays(env)
+    env.close()
