@@ -228,7 +228,7 @@ def update_map(
         corner = next_corner(points, count, corner, x, y)
         gained = before - length_left(points, corner, x, y)
         if record.age >= NEWEST_WAY and not stale:
-            stale = is_way_dearer(grid, side, points, count, corner, x, y)
+            stale = is_way_dearer(grid, side, middle, points, count, corner, (x, y))
     if stale:
         count = plan_way(grid, side, middle, (x, y), goal, points, scratch)
         corner = 1
@@ -246,7 +246,7 @@ def update_map(
         far = max(math.sqrt(dx * dx + dy * dy), 1e-9)
         out[place] = min(max((dx * cos + dy * sin) / far, -1.0), 1.0)
         out[place + 1] = min(max((dy * cos - dx * sin) / far, -1.0), 1.0)
-        _, dearest = piece_cost(grid.costs, side, from_x, from_y, to_x, to_y)
+        _, dearest = piece_cost(grid.costs, side, middle, (from_x, from_y), (to_x, to_y))
         out[2 + 2 * len(LOOKAHEADS) + n] = min(dearest / 64.0, 1.0)
         from_x, from_y = to_x, to_y
         place += 2
@@ -267,14 +267,18 @@ def log_share(value: float, most: float) -> float:
 
 @subroutine
 def is_way_dearer(
-    grid: Grid, side: float, points: Floats, count: int, corner: int, x: float, y: float
+    grid: Grid,
+    side: float,
+    middle: tuple[int, int],
+    points: Floats,
+    count: int,
+    corner: int,
+    place: tuple[float, float],
 ) -> bool:
     """Whether a piece of the way costs more than when it was planned, or the robot has left it."""
     for k in range(corner, count):
-        from_x, from_y = (x, y) if k == corner else (points[k - 1, 0], points[k - 1, 1])
-        if abs(cell_at(from_x, side) - cell_at(x, side)) > CELLS // 2:
-            return False  # too far to be known
-        cost, _ = piece_cost(grid.costs, side, from_x, from_y, points[k, 0], points[k, 1])
+        begin = place if k == corner else (points[k - 1, 0], points[k - 1, 1])
+        cost, _ = piece_cost(grid.costs, side, middle, begin, (points[k, 0], points[k, 1]))
         if cost > DEARER * points[k, 3] + DEARER_CELLS:
             return True
     return False
@@ -307,8 +311,8 @@ def fill_sectors(
         edge = reach[int(share * REACH_STEPS) % REACH_STEPS]
         clearance = (math.sqrt(x * x + y * y) - edge) / radius
         if ranges[ray] >= rays.farthest - 1e-3:
-            clearance = max(clearance, FARTHEST_CLEARANCE)
-        out[sector] = min(out[sector], clearance)
+            clearance = FARTHEST_CLEARANCE
+        out[sector] = min(out[sector], clearance, FARTHEST_CLEARANCE)
     for sector in range(SECTORS):
         if out[sector] < nothing:
             continue

@@ -107,27 +107,33 @@ def search_way(costs: Bytes, middle: tuple[int, int], goal: tuple[int, int], scr
 
 @subroutine
 def piece_cost(
-    costs: Bytes, side: float, ax: float, ay: float, bx: float, by: float
+    costs: Bytes,
+    side: float,
+    middle: tuple[int, int],
+    begin: tuple[float, float],
+    end: tuple[float, float],
 ) -> tuple[float, float]:
     """Cost of a straight piece of a way, in cells, and the largest cost on it.
 
     Args:
-        costs: (CELLS, CELLS): of the cells.
+        costs: (CELLS, CELLS): of the cells; outside of the window all are free.
         side: of a cell [m].
-        ax: begin [m].
-        ay: begin [m].
-        bx: end [m].
-        by: end [m].
+        middle: of the window: the cell that the robot is in.
+        begin: of the piece [m].
+        end: of the piece [m].
     """
+    (ax, ay), (bx, by), half = begin, end, CELLS // 2
     length = math.sqrt((bx - ax) * (bx - ax) + (by - ay) * (by - ay)) / side
     count = int(min(max(math.ceil(length), 1.0), CELLS))
     total, most = 0.0, 0.0
     for step in range(1, count + 1):
         share = step / count
         i, j = cell_at(ax + share * (bx - ax), side), cell_at(ay + share * (by - ay), side)
-        cost = float(costs[i & LAST_CELL, j & LAST_CELL])
-        total += cost
-        most = max(most, cost)
+        p, q = i - middle[0] + half, j - middle[1] + half
+        if 0 <= p < CELLS and 0 <= q < CELLS:
+            cost = float(costs[i & LAST_CELL, j & LAST_CELL])
+            total += cost
+            most = max(most, cost)
     return length * (1.0 + 0.25 * total / count), most
 
 
@@ -164,7 +170,7 @@ def plan_way(
     points[0, 0], points[0, 1], points[0, 3] = place[0], place[1], 0.0
     at = found - 1  # in `way`, whose end is its begin
     while at > 0 and count < MOST_POINTS - 1:
-        ax, ay = points[count - 1, 0], points[count - 1, 1]
+        corner = points[count - 1, 0], points[count - 1, 1]
         # as far as a straight piece is no dearer than the cells between
         stepwise, best, best_cost = 0.0, at - 1, -1.0
         i, j = way[at] // CELLS, way[at] % CELLS
@@ -174,8 +180,8 @@ def plan_way(
             diagonal = p != i and q != j
             stepwise += (1.4142135623730951 if diagonal else 1.0) * (1.0 + 0.25 * cost)
             i, j = p, q
-            bx, by = cell_centre(p + first_i, side), cell_centre(q + first_j, side)
-            straight, _ = piece_cost(grid.costs, side, ax, ay, bx, by)
+            centre = cell_centre(p + first_i, side), cell_centre(q + first_j, side)
+            straight, _ = piece_cost(grid.costs, side, middle, corner, centre)
             if best_cost < 0.0 or straight <= stepwise + 1.0:
                 best, best_cost = k, straight
             elif straight > 1.5 * stepwise + 4.0:
@@ -189,7 +195,8 @@ def plan_way(
         at = best
     last = count - 1
     if points[last, 0] != goal[0] or points[last, 1] != goal[1]:  # what is left is unknown
-        cost, _ = piece_cost(grid.costs, side, points[last, 0], points[last, 1], goal[0], goal[1])
+        corner = points[last, 0], points[last, 1]
+        cost, _ = piece_cost(grid.costs, side, middle, corner, goal)
         points[count, 0], points[count, 1], points[count, 3] = goal[0], goal[1], cost
         count += 1
     points[count - 1, 2] = 0.0
