@@ -50,7 +50,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     each: Sequence[RobotSource]
     if numbers is not None and len(numbers) > 1:
         each = [f"{drawn.PREFIX}{number}" for number in numbers]
-    elif isinstance(source, list | tuple):
+    elif isinstance(source, Sequence) and not isinstance(source, str):
         each = source
     else:
         return Fleet((RobotConfig.of(source),), (_name(source, 0),))
