@@ -82,10 +82,8 @@ def measure_difficulty(
         np.array([world.circles]),  # not read-only, as those that the compiled code knows
         np.array([world.segments]),
         np.stack([np.cos(angles), np.sin(angles)], axis=1)[None],
-        lidars=np.array([[0.0, step, VISIBILITY_REACH, 0.0, 0.0]]),
-        boxes=np.zeros((1, 2)),
+        kinds=np.array([[0.0, step, VISIBILITY_REACH, 0.0, 0.0, 0.0, 0.0, 0.0]]),
         sides=np.zeros((1, 0, 4)),
-        corners=np.zeros(1, np.int64),
     )
     ranges = np.empty((count, VISIBILITY_RAYS))
     for (x, y), row in zip(places.tolist(), ranges, strict=True):

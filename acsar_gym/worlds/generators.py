@@ -61,11 +61,14 @@ BARN_LENGTHS = (10.0, 13.9)
 """Least and greatest length of the published worlds' paths [m]."""
 BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 BARN_GOAL = Region(-2.0, 13.0)
+BARN_LARGEST_RADIUS = 1.0
+"""Radius of the largest footprint that is tried [m]."""
 FIELDS_AT_ONCE = 64
 """Fields that are made and checked together."""
+FIELDS_OF_LARGER = 16
+"""As many for footprints larger than BARN's robot, which get easier ones where none of these fit:
+crowded fields are hopeless for them."""
 MAX_ROUNDS = 1000
-MAX_TRIED = 50
-"""So many fields that BARN's robot can cross are tried before a larger footprint is rejected."""
 
 Level = float | tuple[float, float] | None
 """Difficulty of worlds: one for all, a range (low, high) in which it varies from world to world,
@@ -310,14 +313,19 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
         radius: of the disc around the footprint [m].
 
     Raises:
-        GeneratorError: the footprint is too large.
+        GeneratorError: the footprint is larger than 1 m, or BARN's robot can't cross any field.
+        WorldError: a footprint larger than BARN's robot can't cross any of a few fields.
     """
+    if radius > BARN_LARGEST_RADIUS:
+        raise GeneratorError(
+            f"a footprint of radius {radius:g} m is too large for BARN's fields: at most "
+            f"{BARN_LARGEST_RADIUS:g} m"
+        )
     fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
-    passes = int(rng.integers(2, 5))
-    tried = 0
-    for _ in range(MAX_ROUNDS):
-        for cells, room in find_crossable(draw_fields(rng, fill, passes)):
-            tried += 1
+    passes, is_larger = int(rng.integers(2, 5)), radius > BARN_ROBOT_RADIUS
+    count = FIELDS_OF_LARGER if is_larger else FIELDS_AT_ONCE
+    for _ in range(1 if is_larger else MAX_ROUNDS):
+        for cells, room in find_crossable(draw_fields(rng, fill, passes, count), radius):
             entries, exits = np.flatnonzero(room[:, 0]), np.flatnonzero(room[:, -1])
             first, last = int(rng.choice(entries)), int(rng.choice(exits))
             grid = Grid(room, *BARN_FIELD, BARN_CELL_SIDE)
@@ -329,25 +337,24 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
             if not BARN_LENGTHS[0] <= world.length <= BARN_LENGTHS[1]:
                 continue
             try:
-                if radius > BARN_ROBOT_RADIUS:
-                    shortest_path(world, radius)
+                if is_larger:
+                    shortest_path(world, radius, cuts=0)
             except WorldError:
                 continue
             return world
-        if tried > MAX_TRIED:
-            break
-    raise GeneratorError(
-        f"no BARN world lets a footprint of radius {radius:g} m through; use a lower difficulty, "
-        "or another kind of world"
-    )
+    if is_larger:
+        raise WorldError(f"none of {count} fields lets it through")
+    raise GeneratorError("no BARN world can be crossed: use another difficulty")
 
 
-def draw_fields(rng: np.random.Generator, fill: float, passes: int) -> Mask:
-    """(fields, 30, 30): random cells, smoothed; the first and the last row are walls.
+def draw_fields(
+    rng: np.random.Generator, fill: float, passes: int, count: int = FIELDS_AT_ONCE
+) -> Mask:
+    """(count, 30, 30): random cells, smoothed; the first and the last row are walls.
 
     Smoothing: five or more of its eight neighbours fill a cell, one or none clears it.
     """
-    cells = rng.random((FIELDS_AT_ONCE, BARN_CELLS, BARN_CELLS)) < fill
+    cells = rng.random((count, BARN_CELLS, BARN_CELLS)) < fill
     cells[:, 0] = cells[:, -1] = True
     for _ in range(passes):
         padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1), (1, 1)))
@@ -361,18 +368,26 @@ def _shifted(padded: NDArray[Any], i: int, j: int) -> NDArray[Any]:
     return padded[:, i : i + BARN_CELLS, j : j + BARN_CELLS]
 
 
-def find_crossable(fields: Mask) -> Iterator[tuple[Mask, Mask]]:
-    """Fields that BARN's robot can cross, with as many filled cells as published ones.
+def find_crossable(fields: Mask, radius: float = BARN_ROBOT_RADIUS) -> Iterator[tuple[Mask, Mask]]:
+    """Fields that a robot can cross, with as many filled cells as published ones.
 
     Yields the field's cells, and those in which the robot's centre may be: cells that are connected
     with the first and the last column.
+
+    Args:
+        fields: (fields, 30, 30).
+        radius: of the disc around the footprint [m]; the robot is BARN's, unless that is larger.
     """
     with require_extra("a world with obstacles", "scipy"):
         from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
-    half, cells = BARN_ROBOT_CELLS // 2, range(BARN_ROBOT_CELLS)
+    near = list_near_cells(radius)
+    half = max(i for i, _ in near)
     padded = np.pad(fields, ((0, 0), (half, half), (half, half)))
-    free = ~np.any([_shifted(padded, i, j) for i in cells for j in cells], axis=0)
+    filled_near = np.zeros_like(fields)
+    for i, j in near:
+        filled_near |= _shifted(padded, half + i, half + j)
+    free = ~filled_near
     filled = fields[:, 1:-1].sum(axis=(1, 2))
     as_published = (filled >= BARN_FILLED[0]) & (filled <= BARN_FILLED[1])
     likely = as_published & np.all(free.any(axis=1), axis=1)
@@ -381,6 +396,19 @@ def find_crossable(fields: Mask) -> Iterator[tuple[Mask, Mask]]:
         through = set(regions[:, 0].tolist()) & set(regions[:, -1].tolist()) - {0}
         if through:
             yield fields[field], regions == min(through)
+
+
+def list_near_cells(radius: float) -> list[tuple[int, int]]:
+    """Cells, from that of a robot's centre, which mustn't be filled where the robot is.
+
+    Those of BARN's square robot, or of a disc of this radius [m] that is larger.
+    """
+    if radius <= BARN_ROBOT_RADIUS:
+        sides = range(-(BARN_ROBOT_CELLS // 2), BARN_ROBOT_CELLS // 2 + 1)
+        return [(i, j) for i in sides for j in sides]
+    reach = (radius + CYLINDER_RADIUS) / BARN_CELL_SIDE
+    sides = range(-math.ceil(reach), math.ceil(reach) + 1)
+    return [(i, j) for i in sides for j in sides if math.hypot(i, j) < reach]
 
 
 def place_cylinders(cells: Mask) -> Floats:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.trigonometry import angle_of
 from acsar_gym.worlds.world import World
 
@@ -108,15 +108,12 @@ class Surroundings(NamedTuple):
     """(sets, segments, 4): x1, y1, x2, y2 [m]."""
     directions: Floats
     """(kinds, rays, 2): cosine and sine of each ray's angle; unused rows are zero."""
-    lidars: Floats
-    """(kinds, 5): the other fields of `Fan`."""
-    boxes: Floats
-    """(kinds, 2): half the length and half the width of a box around the origin of the base frame
-    that contains the footprint [m]."""
+    kinds: Floats
+    """(kinds, 8): the other fields of `Fan`; half the length and half the width of a box around the
+    origin of the base frame that contains the footprint [m]; and how many sides the footprint has,
+    0 where it is the box. One array, because calls pass every array as many numbers."""
     sides: Floats
     """(kinds, sides, 4): x1, y1, x2, y2 of polygonal footprints [m]; unused rows are zero."""
-    corners: NDArray[np.int64]
-    """(kinds,): how many sides a kind's footprint has; 0 where it is the box."""
 
 
 class Fan(NamedTuple):
@@ -173,13 +170,14 @@ def surround_kinds(
                     spec.reach if spec else 1.0,
                     config.lidar_x_offset,
                     config.lidar_y_offset,
+                    max(abs(x) for x, _ in config.outline),
+                    max(abs(y) for _, y in config.outline),
+                    float(len(around)),
                 )
-                for spec, each, config in zip(specs, angles, configs, strict=True)
+                for spec, each, around, config in zip(specs, angles, sides, configs, strict=True)
             ]
         ),
-        np.array([np.abs(config.outline).max(axis=0) for config in configs]),
         pad_rows([np.reshape(each, (-1, 4)) for each in sides], (0.0, 0.0, 0.0, 0.0)),
-        np.array([len(each) for each in sides], np.int64),
     )
 
 
@@ -195,14 +193,14 @@ def pad_rows(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
 @jit
 def fan_of(around: Surroundings, kind: int, rays: int) -> Fan:
     """The rays of a kind of robots, which has so many of them."""
-    lidar = around.lidars
+    own = around.kinds
     return Fan(
         around.directions[kind, :rays],
-        lidar[kind, 0],
-        lidar[kind, 1],
-        lidar[kind, 2],
-        lidar[kind, 3],
-        lidar[kind, 4],
+        own[kind, 0],
+        own[kind, 1],
+        own[kind, 2],
+        own[kind, 3],
+        own[kind, 4],
     )
 
 
@@ -405,7 +403,8 @@ def footprint_collides(
         around: obstacles and footprints.
         kind: of the robot, whose footprint it is.
     """
-    half_x, half_y, corners = around.boxes[kind, 0], around.boxes[kind, 1], around.corners[kind]
+    own = around.kinds
+    half_x, half_y, is_box = own[kind, 5], own[kind, 6], own[kind, 7] == 0.0
     outer = math.sqrt(half_x * half_x + half_y * half_y)
     circles, segments = around.circles, around.segments
     for n in range(circles.shape[1]):
@@ -414,8 +413,7 @@ def footprint_collides(
         if dx * dx + dy * dy <= near * near:
             ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
             if circle_meets_box(ahead, left, radius, half_x, half_y) and (
-                corners == 0
-                or circle_meets_polygon(ahead, left, radius, around.sides[kind, :corners])
+                is_box or circle_meets_outline(ahead, left, radius, around, kind)
             ):
                 return True
     for n in range(segments.shape[1]):
@@ -425,8 +423,7 @@ def footprint_collides(
             a_x, a_y = ax * cos + ay * sin, ay * cos - ax * sin
             b_x, b_y = bx * cos + by * sin, by * cos - bx * sin
             if segment_meets_box(a_x, a_y, b_x, b_y, half_x, half_y) and (
-                corners == 0
-                or segment_meets_polygon(a_x, a_y, b_x, b_y, around.sides[kind, :corners])
+                is_box or segment_meets_outline(a_x, a_y, b_x, b_y, around, kind)
             ):
                 return True
     return False
@@ -457,6 +454,22 @@ def segment_meets_box(
             one, two = (-half - start) / along, (half - start) / along
             near, far = max(near, min(one, two)), min(far, max(one, two))
     return near <= far
+
+
+@subroutine
+def circle_meets_outline(
+    x: float, y: float, radius: float, around: Surroundings, kind: int
+) -> bool:
+    """Whether a circle at (x, y) overlaps the polygon that is a kind's footprint."""
+    return circle_meets_polygon(x, y, radius, around.sides[kind, : int(around.kinds[kind, 7])])
+
+
+@subroutine
+def segment_meets_outline(
+    ax: float, ay: float, bx: float, by: float, around: Surroundings, kind: int
+) -> bool:
+    """Whether a segment touches the polygon that is a kind's footprint."""
+    return segment_meets_polygon(ax, ay, bx, by, around.sides[kind, : int(around.kinds[kind, 7])])
 
 
 @loop

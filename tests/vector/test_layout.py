@@ -31,7 +31,7 @@ def test_fields_are_read_in_the_order_of_robots() -> None:
 
 def test_a_robots_physics_is_written_number_by_number() -> None:
     blocks = layout.make_blocks(1)
-    rows = layout.view_numbers(blocks)[0, layout.PHYSICS_ROW :]
+    rows = layout.view_numbers(blocks)[0, layout.PHYSICS_ROW : layout.BUILD_ROW]
     rows[:, 5] = range(len(Physics._fields))
     own = blocks["physics"][0]
     for k, name in enumerate(Physics._fields):

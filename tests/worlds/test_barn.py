@@ -212,6 +212,19 @@ def test_a_field_is_crossable_where_five_cells_are_free(field: Any, count: int) 
     assert [np.array_equal(cells, field) for cells, _ in found] == [True] * count
 
 
+@pytest.mark.parametrize("radius", [0.38, 0.5, 0.6])
+def test_every_number_gives_a_world_for_a_large_footprint(radius: float) -> None:
+    for number in range(8):
+        world = generators.generate_world("barn", number, radius=radius)
+        shortest_path(world, radius, cuts=0)
+        assert generators.BARN_LENGTHS[0] <= world.length <= generators.BARN_LENGTHS[1]
+
+
+def test_a_footprint_that_no_field_lets_through_is_refused() -> None:
+    with pytest.raises(WorldError, match="too large for BARN's fields: at most 1 m"):
+        generators.generate_world("barn", 0, radius=1.1)
+
+
 def test_the_room_is_connected_with_both_ends() -> None:
     """A chamber of its own and the other half behind a wall don't count."""
     field = filled(0)
