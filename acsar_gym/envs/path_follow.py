@@ -20,7 +20,7 @@ class PathFollowEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((16,), float32)`, from odometry alone:
+    `Box((18,), float32)`, from odometry alone:
 
     | index | observation | range |
     |---|---|---|
@@ -31,10 +31,12 @@ class PathFollowEnv(RobotEnv):
     | 12 | linear velocity / `max_linear` | -2 to 2 |
     | 13 | angular velocity / `max_angular` | -2 to 2 |
     | 14, 15 | the last action | -1 to 1 |
+    | 16 | the robot's `max_linear` / 1 m/s | 0 to 2 |
+    | 17 | its `max_angular` / 2 rad/s | 0 to 2 |
 
     ## Reward
 
-    Twice the metres gained along the path, less 0.02 a step, 0.5 a metre beside the path, and 0.05
+    0.1 times the length gained along the path in parts of what the top speed would give, less 0.02 a step, 0.5 a metre beside the path, and 0.05
     times the backward part of the action; +2 at the end, -2 out of bounds.
     `reward_threshold` 10 (`acsar-gym evaluate --policy path_follow --episodes 200`: 11.1).
 
