@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator
 
 from acsar_gym import reading
@@ -98,22 +100,23 @@ def border_distance(outline: Outline, x: float, y: float) -> float:
     return min(_distance((x, y), a, b) for a, b in outline_sides(outline))
 
 
-def outline_reach(outline: Outline, place: Point, bearing: float) -> float:
-    """Return how far an outline reaches from a place along a bearing; 0 where it isn't met [m].
+def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArray[np.float64]:
+    """Return how far an outline reaches from a place along bearings; 0 where it isn't met [m].
 
     Args:
         outline: corners [m].
-        place: x, y of the ray's origin [m].
-        bearing: of the ray [rad].
+        place: x, y of the rays' origin [m].
+        bearings: of the rays [rad]; of any shape, which is also that of the result.
     """
-    (x, y), cos, sin = place, math.cos(bearing), math.sin(bearing)
-    found = [0.0]
+    found = np.zeros(np.shape(bearings))
+    (x, y), cos, sin = place, np.cos(bearings), np.sin(bearings)
     for (ax, ay), (bx, by) in outline_sides(outline):
         a, b = cos * (ax - x) + sin * (ay - y), cos * (bx - x) + sin * (by - y)  # along the ray
         c, d = cos * (ay - y) - sin * (ax - x), cos * (by - y) - sin * (bx - x)  # across
-        if (c > 0.0) != (d > 0.0):
-            found.append(a + (b - a) * c / (c - d))
-    return max(found)
+        met = (c > 0.0) != (d > 0.0)
+        reach = a + (b - a) * c / np.where(met, c - d, 1.0)
+        found = np.where(met, np.maximum(found, reach), found)
+    return found
 
 
 def convex_pieces(outline: Outline) -> list[Outline]:

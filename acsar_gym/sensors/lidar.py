@@ -287,10 +287,7 @@ def footprint_edges(config: RobotConfig) -> NDArray[np.float64]:
 @lru_cache(maxsize=16)
 def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.float64]:
     """As `footprint_edges`; the same array for the same robot."""
-    found: NDArray[np.float64] = np.array(
-        [outline_reach(outline, (x, y), angle) for angle in rays.angles().tolist()]
-    )
-    return found
+    return outline_reach(outline, (x, y), rays.angles())
 
 
 def stale_after(config: RobotConfig) -> float:

@@ -145,7 +145,7 @@ def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
 def _reach(outline: Outline) -> Floats:
     """(REACH_STEPS,): from the base's middle to the edge, in directions from -pi on [m]."""
     angles = (np.arange(REACH_STEPS) + 0.5) * FULL_TURN / REACH_STEPS - math.pi
-    return np.array([outline_reach(outline, (0.0, 0.0), angle) for angle in angles.tolist()])
+    return outline_reach(outline, (0.0, 0.0), angles)
 
 
 def describe_body(config: RobotConfig) -> Floats:
