@@ -296,7 +296,9 @@ class GoalDistances(NamedTuple):
         return found
 
 
-def measure_goal_distances(worlds: Sequence[World], config: RobotConfig) -> GoalDistances:
+def measure_goal_distances(
+    worlds: Sequence[World], config: RobotConfig | Sequence[RobotConfig]
+) -> GoalDistances:
     """Compute the distances to the goals of worlds from anywhere, around obstacles.
 
     The distance T solves |grad T| = cost, on a grid by fast sweeping (Zhao, "A fast sweeping method
@@ -305,11 +307,12 @@ def measure_goal_distances(worlds: Sequence[World], config: RobotConfig) -> Goal
 
     Args:
         worlds: with the obstacles and goals.
-        config: of the robot, which has the footprint.
+        config: of the robot, which has the footprint; or of that in each world.
     """
-    radii = footprint.border_distance(config.outline, 0.0, 0.0), footprint_radius(config)
     fields, sizes, corners = [], [], []
-    for world in worlds:
+    drivers = [config] * len(worlds) if isinstance(config, RobotConfig) else config
+    for world, own in zip(worlds, drivers, strict=True):
+        radii = footprint.border_distance(own.outline, 0.0, 0.0), footprint_radius(own)
         ends = np.array([[end.x, end.y] for end in (world.start, world.goal)])
         margin = (-FIELD_MARGIN, -FIELD_MARGIN, FIELD_MARGIN, FIELD_MARGIN)
         box = bounds_with(world, ends) + margin

@@ -16,6 +16,7 @@ import tyro
 from pydantic import Field, model_validator
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.config.section import Section
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, require_extra, suggest_name
@@ -85,7 +86,7 @@ class TrainingOptions(Section):
     worlds: str | None = None
     """Generator, file or folder of worlds, instead of the env's own."""
     robot: str | None = None
-    """Preset or config file."""
+    """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
     randomize: bool = True
     """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
     default widths for the rest."""
@@ -142,6 +143,7 @@ class TrainingPlan:
     threads: int
     out: Path
     robot: RobotConfig
+    """The first one where a fleet is trained."""
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
@@ -162,7 +164,7 @@ class TrainingPlan:
             threads = measure_free_cores()
         else:
             threads = check_threads("--threads", options.threads)
-        robot, kind = RobotConfig.of(options.robot), find_algorithm(options.algo)
+        robot, kind = make_fleet(options.robot, 1).robots[0], find_algorithm(options.algo)
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
         try:
@@ -180,12 +182,15 @@ class TrainingPlan:
         return cls(options, env_id, kind, recipe, limit, threads, out, robot)
 
     @property
-    def randomization(self) -> Randomization:
+    def varied(self) -> Any:
         """What every episode of the training draws anew: the recipe's ranges if it has any."""
-        if not self.options.randomize:
-            return Randomization()
         ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY)
-        return Randomization.of(True if ranges is None else ranges, self.robot)
+        return self.options.randomize and (True if ranges is None else ranges)
+
+    @property
+    def randomization(self) -> Randomization:
+        """The same for the first robot."""
+        return Randomization.of(self.varied, self.robot)
 
     @property
     def evaluations(self) -> int:
@@ -202,7 +207,7 @@ class TrainingPlan:
             robot=self.options.robot,
             autoreset_mode="SameStep",
             threads=max(1, min(self.threads, robots // ROBOTS_PER_THREAD)),
-            randomization=self.randomization,
+            randomization=self.varied,
             **self._arguments,
         )
 

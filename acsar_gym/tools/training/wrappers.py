@@ -96,9 +96,11 @@ class Detours(VecEnvWrapper):
         if robots is None or robots.pool is None:
             raise ConfigError("Detours: must wrap a batch of robots in worlds")
         self._weight = weight
-        self._batch = robots.batch
-        self._ways = measure_goal_distances(list(robots.pool), robots.config)
-        self._goals = np.array([(world.goal.x, world.goal.y) for world in robots.pool])
+        self._batch = batch = robots.batch
+        kinds = dict(zip(batch.places, robots.fleet, strict=True))  # one for each size of footprint
+        drivers = [config for place, config in kinds.items() for _ in place]
+        self._ways = measure_goal_distances(batch.worlds, drivers)
+        self._goals = np.array([(world.goal.x, world.goal.y) for world in batch.worlds])
         self._before = np.zeros(venv.num_envs)
 
     def reset(self) -> VecEnvObs:
