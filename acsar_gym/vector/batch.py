@@ -65,8 +65,9 @@ class Batch:
         varied: what the robots of each kind draw anew for every episode.
         ranges: of these.
 
-    Attributes: `robots`, how many; `tables`, the arrays; `python`, the sensors written in Python;
-    `seeded`, whether the robots have generators.
+    Attributes: `robots`, how many; `worlds`, all of them, and `places`, where those of each kind
+    are; `tables`, the arrays; `python`, the sensors written in Python; `seeded`, whether the robots
+    have generators.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class Batch:
         self.robots, self._fleet, self._task, self._setup = robots, fleet, task, setup
         sees, pools = setup.sees, [spawn.pool for spawn in spawns]
         self._pool, (worlds, places) = pools[0], make_worlds(pools, follow=task.follows)
+        self.worlds, self.places = worlds, places
         self._spawns = spawn_arrays(task, worlds, pools, places)
         self._around = pad_surroundings(worlds, fleet, sees=sees)
         self._setups = record_of(setup)

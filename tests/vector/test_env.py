@@ -21,7 +21,7 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PathFollowVectorEnv, PointGoal
 from acsar_gym.errors import CommandError, ConfigError, WorldError
 from acsar_gym.physics import Randomization
 from acsar_gym.tasks import PointGoal
-from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.env import RobotVectorEnv, copy_state, restore_state
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds import Region, generators
@@ -367,3 +367,81 @@ def test_worlds_that_a_batch_cannot_use_are_refused() -> None:
     for worlds, said in ((blocked, "the start"), ("open:10001", "too many for a batch")):
         with pytest.raises(WorldError, match=said):
             ObstacleGoalVectorEnv(2, worlds=worlds)
+
+
+# Fleets
+
+
+def test_a_fleets_robots_keep_their_places() -> None:
+    env = batch(7, robot=["acsar", "jackal", "husky"])
+    assert [one.max_linear for one in env.fleet] == [0.5, 2.0, 1.0]
+    env.reset(seed=0)
+    tops = env.batch.read("max_linear")[0]
+    assert tops.tolist() == [0.5, 2.0, 1.0, 0.5, 2.0, 1.0, 0.5]
+    env.step(np.ones((7, 2)))
+    env.reset(options={"reset_mask": np.arange(7) < 3})
+    assert (env.batch.read("max_linear")[0] == tops).all()
+    env.close()
+
+
+def test_robots_of_one_size_share_their_worlds() -> None:
+    wide = RobotConfig().with_(wheelbase=0.3, wheel_separation=0.31)
+    same, other = RobotConfig().with_(max_linear=0.7), "husky"
+    env = ObstacleGoalVectorEnv(4, robot=["acsar", same, other, wide], worlds="open:5")
+    assert [len(place) for place in env.batch.places] == [5] * 4
+    assert env.batch.places[0] == env.batch.places[1] == env.batch.places[3]
+    assert len(env.batch.worlds) == 10
+    env.close()
+
+
+def test_a_fleet_goes_on_where_another_one_was() -> None:
+    options: dict[str, Any] = {
+        "robot": ["acsar", "husky", "drawn:1"],
+        "worlds": "clutter:3",
+        "autoreset_mode": "SameStep",
+        "max_episode_steps": 8,
+        "randomization": True,
+    }
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1.0, 1.0, (20, 5, 2))
+    one = ObstacleGoalVectorEnv(5, **options)
+    one.reset(seed=0)
+    for action in actions[:10]:
+        one.step(action)
+    kept = copy_state(one)
+    assert kept is not None
+    other = ObstacleGoalVectorEnv(5, **options)
+    restore_state(other, kept)
+    for action in actions[10:]:
+        expected, found = one.step(action), other.step(action)
+        for a, b in zip(expected[:4], found[:4], strict=True):
+            assert (a == b).all()
+    one.close()
+    other.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"robot": "drawn:x"}, "must be like 'drawn:17'"),
+        (
+            {"robot": ["acsar", RobotConfig().with_(lidar={"rays": 90})], "sensors": ["lidar"]},
+            "acsar has lidar.rays = 64, number 1 90: must be the same for all robots of a batch",
+        ),
+        (
+            {"robot": ["acsar", RobotConfig().with_(baud_rate=57600, control_rate=100.0)]},
+            "acsar has baud_rate = 115200, number 1 57600",
+        ),
+    ],
+)
+def test_a_fleet_that_cannot_be_stepped_together_is_refused(
+    options: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        batch(2, **options)
+
+
+@pytest.mark.parametrize("robot", [["acsar", "husky"], "drawn:train"])
+def test_the_single_env_refuses_a_fleet(robot: Any) -> None:
+    with pytest.raises(ConfigError, match="a fleet is for a batch of robots"):
+        gymnasium.make(ENV_ID, link="planar", robot=robot)

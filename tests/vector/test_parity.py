@@ -130,9 +130,9 @@ ROBOTS: dict[str, tuple[str, RobotConfig]] = {
 
 NAMED = ["acsar", "jackal", "husky"]
 PLAIN = ["acsar", RobotConfig().with_(lidar={"rate": 7.0, "max_range": 3.5}), UNLIMITED, "acsar"]
-FLEETS: dict[str, tuple[str, list[Any], dict[str, Any]]] = {
+FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
     "open floor": ("PointGoal", NAMED, {}),
-    "drawn": ("PointGoal", ["drawn:3", "drawn:4", "acsar", "drawn:5"], {}),
+    "drawn": ("PointGoal", [f"drawn:{number}" for number in range(3, 9)], {}),
     "free ones among limited ones": (
         "PointGoal",
         [UNLIMITED, LIMITED, UNEVEN, FITTED.with_(firmware={"loop_rate": 200.0})],
@@ -155,6 +155,12 @@ FLEETS: dict[str, tuple[str, list[Any], dict[str, Any]]] = {
     ),
 }
 """Task, robots and options of batches whose robots differ."""
+RESETS: dict[str, Any] = {
+    "difficulty": {"difficulty": (0.3, 0.7)},
+    "a world": {"world": 14},
+    "a goal": {"world": 12, "goal": (2.0, 1.0)},
+}
+"""Options of resets of such batches, in worlds of several footprints."""
 
 SILENT = "silent in the reset"
 
@@ -273,19 +279,32 @@ def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
 
 @pytest.mark.parametrize("name", FLEETS)
 def test_each_robot_of_a_fleet_is_the_single_planar_one(name: str) -> None:
-    kind, fleet, options = FLEETS[name]
-    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 25, **options}
+    compare_fleet(*FLEETS[name], 60)
+
+
+@pytest.mark.parametrize("name", RESETS)
+def test_options_of_a_reset_are_for_each_robots_own_worlds(name: str) -> None:
+    arguments = {"worlds": "clutter:10-19"}
+    compare_fleet("ObstacleGoal", NAMED, arguments, 40, RESETS[name])
+
+
+def compare_fleet(
+    kind: str, fleet: Any, arguments: dict[str, Any], steps: int, options: Any = None
+) -> None:
+    """Every number of all robots of a batch, nearly two of each kind, against single envs."""
+    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 25, **arguments}
     robots = 2 * len(fleet) - 1
     many = make_batch(env_id, robots, robot=fleet, **arguments)
     each = [
-        Single(env_id, {"robot": fleet[i % len(fleet)], **arguments}, {}) for i in range(robots)
+        Single(env_id, {"robot": fleet[i % len(fleet)], **arguments}, options)
+        for i in range(robots)
     ]
     for i, one in enumerate(each):
         one.reset(41 + i)
-    seen, infos = many.reset(seed=41)
+    seen, infos = many.reset(seed=41, options=options)
     rewards, ends = np.zeros(robots), np.zeros((2, robots))
     rng = np.random.default_rng(0)
-    for step in range(60):
+    for step in range(steps):
         for i, one in enumerate(each):
             compare_told(one, i, seen, rewards, ends, infos)
         actions = rng.uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)

@@ -86,7 +86,7 @@ class TrainingOptions(Section):
     worlds: str | None = None
     """Generator, file or folder of worlds, instead of the env's own."""
     robot: str | None = None
-    """Preset or config file."""
+    """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
     randomize: bool = True
     """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
     default widths for the rest."""
@@ -143,7 +143,7 @@ class TrainingPlan:
     threads: int
     out: Path
     robot: RobotConfig
-    """The first one, where several are trained on."""
+    """The first one where a fleet is trained."""
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
@@ -164,8 +164,7 @@ class TrainingPlan:
             threads = measure_free_cores()
         else:
             threads = check_threads("--threads", options.threads)
-        kind = find_algorithm(options.algo)
-        robot = make_fleet(options.robot, 1).robots[0]
+        robot, kind = make_fleet(options.robot, 1).robots[0], find_algorithm(options.algo)
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
         try:
@@ -183,15 +182,15 @@ class TrainingPlan:
         return cls(options, env_id, kind, recipe, limit, threads, out, robot)
 
     @property
-    def randomization(self) -> Randomization:
-        """What every episode of the training draws anew, of the (first) robot."""
-        return Randomization.of(self._ranges, self.robot)
+    def varied(self) -> Any:
+        """What every episode of the training draws anew: the recipe's ranges if it has any."""
+        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY)
+        return self.options.randomize and (True if ranges is None else ranges)
 
     @property
-    def _ranges(self) -> Any:
-        """The recipe's ranges if it has any, or True for those of each robot; None for nothing."""
-        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY, True)
-        return ranges if self.options.randomize else None
+    def randomization(self) -> Randomization:
+        """The same for the first robot."""
+        return Randomization.of(self.varied, self.robot)
 
     @property
     def held_out_robot(self) -> str | None:
@@ -214,7 +213,7 @@ class TrainingPlan:
             robot=self.options.robot,
             autoreset_mode="SameStep",
             threads=max(1, min(self.threads, robots // ROBOTS_PER_THREAD)),
-            randomization=self._ranges,
+            randomization=self.varied,
             **self._arguments,
         )
 

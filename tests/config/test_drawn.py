@@ -1,0 +1,90 @@
+"""Robots drawn at random: the same everywhere, and such as can be built."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+
+import pytest
+
+from acsar_gym import RobotConfig
+from acsar_gym.config import drawn
+from acsar_gym.config.footprint import border_distance, outline_radius
+from acsar_gym.config.robot import hash_config
+from acsar_gym.errors import ConfigError
+
+FIRST = [RobotConfig.of(f"drawn:{number}") for number in range(128)]
+PRESETS = [RobotConfig.preset(name) for name in ("acsar", "jackal", "husky")]
+
+
+def test_a_number_is_always_the_same_robot() -> None:
+    """On every machine, so that the hash is always this one."""
+    assert RobotConfig.of("drawn:17") == FIRST[17]
+    text = json.dumps([drawn.draw_robot(number) for number in range(20)])
+    assert hashlib.sha256(text.encode()).hexdigest()[:16] == "ef8d842fb126c273"
+    assert len({hash_config(one) for one in FIRST}) == len(FIRST)
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("drawn:17", range(17, 18)),
+        ("drawn:3-5", range(3, 6)),
+        ("drawn:train", range(512)),
+        ("drawn:validation", range(1000, 1032)),
+        ("drawn:test", range(2000, 2100)),
+        ("acsar", None),
+    ],
+)
+def test_names_are_numbers(text: str, numbers: range | None) -> None:
+    assert drawn.parse_numbers(text) == numbers
+
+
+@pytest.mark.parametrize("text", ["drawn:", "drawn:x", "drawn:-1", "drawn:1-", "drawn:5-3"])
+def test_malformed_names_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"^robot = 'drawn:.*: (must be like|holds no robot)"):
+        RobotConfig.of(text)
+
+
+@pytest.mark.parametrize("fleet", ["drawn:0-3", "drawn:train"])
+def test_where_one_robot_is_meant_a_fleet_is_refused(fleet: str) -> None:
+    with pytest.raises(ConfigError, match="give one robot here, such as 'drawn:0'"):
+        RobotConfig.of(fleet)
+
+
+def test_radii_are_exactly_those_of_the_classes() -> None:
+    """Robots of a class share worlds, which are made for a radius."""
+    radii = {outline_radius(one.outline) for one in FIRST}
+    assert radii == set(drawn.RADII)
+
+
+def test_wheels_and_motors_suit_the_body() -> None:
+    for one in FIRST:
+        rim = one.motor.max_speed * one.wheel_radius
+        turning = one.max_angular * one.effective_separation / 2.0
+        assert rim >= 1.05 * max(one.max_linear, turning)
+        assert 2.0 * one.wheel_radius < one.wheelbase + 0.2 * one.body.length
+        assert math.hypot(one.wheelbase, one.wheel_separation) / 2.0 < outline_radius(one.outline)
+        place = one.lidar_x_offset, one.lidar_y_offset
+        assert math.hypot(*place) < outline_radius(one.outline)
+        assert border_distance(one.outline, 0.0, 0.0) > 0.05
+
+
+def test_presets_lie_within_what_is_drawn() -> None:
+    for get in (
+        lambda one: outline_radius(one.outline),
+        lambda one: one.body.length,
+        lambda one: one.max_linear,
+        lambda one: one.max_angular,
+        lambda one: one.wheel_radius,
+        lambda one: one.effective_separation,
+        lambda one: one.body.mass,
+        lambda one: one.body.turn_factor or 1.0 + (one.wheelbase / one.wheel_separation) ** 2,
+        lambda one: one.motor.time_constant,
+        lambda one: one.motor.acceleration,
+        lambda one: one.lidar.max_range,
+    ):
+        drawn_ones, presets = [get(one) for one in FIRST], [get(one) for one in PRESETS]
+        assert min(drawn_ones) <= min(presets)
+        assert max(presets) <= 1.03 * max(drawn_ones)
