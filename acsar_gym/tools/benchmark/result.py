@@ -320,11 +320,11 @@ def _check_header(path: Path, header: Told) -> None:
     if not (header["scenes"] and header["agents"] and header["links"] and header["conditions"]):
         raise ConfigError(f"{path}: its header names no scenes, agents, links or conditions")
     for env_id, sets in header["scenes"].items():
-        known = _known_sets(path, env_id)
+        own = _known_sets(path, env_id)
         for name, about in sets.items():
             if not 1 <= about["count"] <= about["last"] - about["first"] + 1:
                 raise ConfigError(f"{path}: {env_id} {name}: has no scenes, or too many")
-            base = known.get(name.removesuffix(PUBLISHED_SUFFIX))
+            base = own.get(name.removesuffix(PUBLISHED_SUFFIX))
             if about["split"] == GIVEN and base is not None:
                 equal = all(about[key] == base.about[key] for key in ("robot", "score"))
             else:

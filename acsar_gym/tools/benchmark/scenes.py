@@ -251,13 +251,13 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
     """Return the benchmark's sets of scenes of an id, one for each robot.
 
     Args:
-        env_id: as `find_id` returns it.
+        env_id: full id, with the module that registers it where that isn't imported yet.
         robots: instead of those that the sets name.
 
     Raises:
         ConfigError: it isn't an environment of acsar_gym, or its worlds can't be found.
     """
-    choices = SCENE_CHOICES.get(strip_module(env_id), {"test": SceneChoice()})
+    choices = SCENE_CHOICES.get(strip_module(find_id(env_id)), {"test": SceneChoice()})
     found = []
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds
@@ -299,7 +299,7 @@ def task_worlds(env_id: str) -> str:
         ConfigError: it isn't an environment of acsar_gym, or its worlds have no name.
     """
     try:
-        env = gymnasium.make(find_id(env_id), link="planar").unwrapped
+        env = gymnasium.make(env_id, link="planar").unwrapped
     except (gymnasium.error.Error, ImportError, TypeError) as error:
         said = " ".join(str(error).split())
         raise ConfigError(

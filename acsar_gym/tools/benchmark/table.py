@@ -47,7 +47,7 @@ def format_tables(told: Told) -> str:
         ]
         about = describe_scenes(header["scenes"][env_id][scenes])
         parts.append(f"## {env_id}, {scenes}\n\n{about}")
-        if own:
+        if any(not row["refused"] for row in own):
             columns = agent_columns(own, told["paired"])
             learned = {row["agent"] for row in own if row["kind"] == "learned"}
             columns["agent"] = [f"**{n}**" if n in learned else n for n in columns["agent"]]

@@ -40,7 +40,7 @@ from acsar_gym.tools.policies import (
     resolve,
     statistics_beside,
 )
-from acsar_gym.tools.policies.base import format_error, quote_text
+from acsar_gym.tools.policies.base import PolicyContext, format_error, quote_text
 from acsar_gym.tools.policies.describe import describe_policy, env_policy_rate
 from acsar_gym.worlds import registry
 
@@ -107,11 +107,13 @@ class EvaluationRun:
         }
 
 
-def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
-    """Load a policy file, packaged policy, baseline, or function such as "mine.py:act".
+def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
+    """Load a policy: a file, a packaged one, a baseline, or Python code such as "mine.py:act".
 
     Args:
-        policy: its path or name; files come first, then packaged policies, then baselines.
+        policy: its path or name; files come first, then packaged policies, then baselines. Or a
+            function or class of a module, as in "mine.module:Planner", or an object; see
+            `CallablePolicy`.
         trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
         env: id or short name of the env that it is for; by default the one that the file names.
 
@@ -121,6 +123,12 @@ def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
         ConfigError: there is no such `env`.
     """
     env_id = find_id(env) if env else ""
+    if isinstance(policy, FilePolicy):
+        if env_id:
+            policy.env_id, policy.env_named = env_id, True
+        if not policy.path.is_file():
+            policy.given = policy
+        return policy
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
     if baselines.is_baseline(policy):
@@ -173,7 +181,7 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-        policy.bind(inner)
+        policy.bind(PolicyContext.of(inner))
     return TrackedEnv(env) if tracked else env
 
 
