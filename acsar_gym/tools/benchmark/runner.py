@@ -127,6 +127,8 @@ def run_job(job: BenchmarkJob) -> Part:
     policy = job.policy.load()
     try:  # for the port in a simulation that checks whether the policy fits
         env = keep_env(policy, cell.link if simulated else PLANAR, cell.condition, job.scenes)
+        if not simulated:
+            runs.refuse_outside(policy)
     except PolicyError as error:
         own = Path(job.policy.name).name
         return Part(cell, job.first, refused=str(error).replace(str(policy.path), own))

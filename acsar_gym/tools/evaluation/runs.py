@@ -41,7 +41,7 @@ from acsar_gym.tools.policies import (
     statistics_beside,
 )
 from acsar_gym.tools.policies.base import PolicyContext, format_error, quote_text
-from acsar_gym.tools.policies.describe import describe_policy, env_policy_rate
+from acsar_gym.tools.policies.describe import RETRAIN_HINT, describe_policy, env_policy_rate
 from acsar_gym.worlds import registry
 
 Env = gymnasium.Env[Any, Any]
@@ -156,7 +156,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             "clutter:train" means the training split.
 
     Raises:
-        PolicyError: no env is named, it can't be made, or its observation is another one.
+        PolicyError: no env is named, it can't be made, its observation is another one, or a real
+            robot isn't one of those that the policy is for.
         ConfigError: the env doesn't have one of the arguments.
     """
     env_id = _check_id(policy)
@@ -181,6 +182,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
+        if inner.robot.link.truth is None:  # on hardware
+            refuse_outside(policy)
         policy.bind(PolicyContext.of(inner))
     return TrackedEnv(env) if tracked else env
 
@@ -272,9 +275,9 @@ def drive_to_goal(
             options["max_episode_steps"] = math.ceil(steps * longer)
     config = RobotConfig.of(robot)
     env = make_env(policy, open_link(link, config), config, options)
-    _warn_differences(policy)
-
     with contextlib.closing(env):
+        refuse_outside(policy)
+        _warn_differences(policy)
         ready()
         running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal)
         return _collect_run(env, policy, link, range(1), {"goal": goal}, running)
@@ -282,8 +285,14 @@ def drive_to_goal(
 
 def _warn_differences(policy: FilePolicy) -> None:
     """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
-    for line in policy.differences:
+    for line in (*policy.outside, *policy.differences):
         warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
+
+
+def refuse_outside(policy: FilePolicy) -> None:
+    """Raise PolicyError where the robot isn't one of those that the policy is for."""
+    if policy.outside:
+        raise PolicyError(f"{policy.path}: {'; '.join(policy.outside)}: {RETRAIN_HINT}")
 
 
 def _show_progress(

@@ -70,6 +70,8 @@ class FilePolicy(ABC):
     """What the file says about the policy; None if it can't hold that, as Python code."""
     differences: tuple[str, ...] = ()
     """How the robot of the last `check` differs from those of the training, a line each."""
+    outside: tuple[str, ...] = ()
+    """Where the robot of the last `check` lies outside of those that it is for, a line each."""
     sha256: str | None = None
     """SHA-256 of the file's content, in hexadecimal as `sha256sum` prints it."""
     function: str | None = None
@@ -94,7 +96,10 @@ class FilePolicy(ABC):
         policy_rate: float | None = None,
         config: RobotConfig | None = None,
     ) -> None:
-        """Check that the policy can drive in an env; `differences` has how its robot differs.
+        """Check that the policy can drive in an env.
+
+        Then `differences` has how its robot differs, and `outside` where it isn't one of those that
+        the policy is for.
 
         A policy without a bundle fits every env.
 
@@ -111,6 +116,8 @@ class FilePolicy(ABC):
             return
         try:
             describe.check_bundle(self.bundle, task, sensors, config, policy_rate)
+            if config is not None:
+                self.outside = tuple(describe.robots_outside(self.bundle, config))
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from None
         if config is not None:
