@@ -378,7 +378,10 @@ def export_policy(
         known = policy.bundle
         if known is None or known.env.id != strip_module(policy.env_id):
             known = describe_policy(inner, policy.env_id)
-        before = sb3.read_normalizer(statistics, known.observation.width) if statistics else None
+        before = None
+        if statistics is not None:
+            width = known.observation.width
+            before = sb3.read_normalizer(statistics, width, policy.frames)
         sb3.export_policy(policy.network, out, known, before)
     finally:
         env.close()
