@@ -278,7 +278,7 @@ def export_policy(
     from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional: onnx
 
     states = recurrent_states(policy)
-    actor = (_RecurrentActor if states else _Actor)(policy)
+    actor: torch.nn.Module = (_RecurrentActor if states else _Actor)(policy)
     width, stacked = bundle.observation.width, sum(policy.observation_space.shape or ())
     if stacked > width:
         frames = StateLayout(input="frames", output="next_frames", shape=(1, stacked - width))

@@ -105,8 +105,8 @@ class ZipPolicy(FilePolicy):
         action, observation = task_spaces(task, sensors)
         times, rest = divmod(sum(self.network.observation_space.shape or ()), observation.shape[0])
         self.frames = 1 if rest else max(times, 1)
-        ends = (np.repeat(end, self.frames) for end in (observation.low, observation.high))
-        seen = Box(*ends, dtype=np.float32)  # whose order is VecFrameStack's, too
+        low, high = (np.repeat(end, self.frames) for end in (observation.low, observation.high))
+        seen = Box(low, high, dtype=np.float32)  # in VecFrameStack's order
         spaces = self.network.action_space, self.network.observation_space
         for space, wanted in zip(spaces, (action, seen), strict=True):
             if space != wanted:

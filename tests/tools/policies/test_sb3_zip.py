@@ -210,7 +210,7 @@ def test_a_frame_stack_becomes_part_of_the_file(
         weight.data.normal_(0.0, 0.4)
     path, out = tmp_path / "model.zip", tmp_path / "policy.onnx"
     model.save(path)
-    statistics = env if normalizer == "around" else frames.venv
+    statistics: Any = env if normalizer == "around" else frames.venv
     if normalizer:
         statistics.save(str(tmp_path / "saved"))
     named = str(tmp_path / "saved") if normalizer else None
