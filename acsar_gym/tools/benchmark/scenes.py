@@ -39,6 +39,7 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.robot import hash_config
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.errors import ConfigError, show_value, suggest_name
@@ -165,11 +166,13 @@ class SceneSet:
     def about(self) -> dict[str, Any]:
         """What results say about their scenes."""
         kind = "folder" if self.split == GIVEN else self.source or "seeds"
+        file = Path(self.robot).suffix != ""
         return {
             "set": self.name,
             "split": self.split,
             "kind": kind,
-            "robot": self.robot,
+            "robot": Path(self.robot).name if file else self.robot,
+            **({"robot_sha256": hash_config(self.config)} if file else {}),
             "score": self.score,
             "first": self.numbers[0],
             "last": self.numbers[-1],
@@ -267,11 +270,15 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
             if split == GIVEN
             else split_numbers(source, split)
         )
-        for robot in robots or choice.robots:
-            full = name if choice.robots == (robot,) else f"{name}/{robot}"
+        for robot in dict.fromkeys(robots or choice.robots):
+            label = Path(robot).stem if Path(robot).suffix else robot
+            full = name if choice.robots == (robot,) else f"{name}/{label}"
             found.append(
                 SceneSet(cell_id(env_id), full, source, numbers, split, robot, choice.score)
             )
+    names = [some.name for some in found]
+    if twice := next((one for one in names if names.count(one) > 1), None):
+        raise ConfigError(f"--robots: two of them are {twice.partition('/')[2]}: rename a file")
     return found
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.tools.benchmark import SCENES, SceneSet, scenes
@@ -98,11 +99,20 @@ def test_an_unknown_set_is_an_error() -> None:
         scenes.choose_sets(scenes.find_sets("acsar_gym/Barn-v1"), ["barn-fst"])
 
 
-def test_robots_of_ones_own_drive_the_same_sets() -> None:
-    found = scenes.find_sets("acsar_gym/Barn-v1", ["jackal", "mine.yaml"])
-    told = {some.name: some.robot for some in found}
-    assert told["barn/jackal"] == told["barn-fast"] == "jackal"
-    assert told["barn-fast/mine.yaml"] == "mine.yaml"
+def test_robots_of_ones_own_drive_the_same_sets(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    RobotConfig.preset("jackal").save(file)
+    found = scenes.find_sets("acsar_gym/Barn-v1", ["jackal", str(file)])
+    told = {some.name: some for some in found}
+    assert told["barn/jackal"].robot == told["barn-fast"].robot == "jackal"
+    before = told["barn-fast/mine"].about
+    assert before["robot"] == "mine.yaml"
+    assert str(tmp_path) not in str(before)
+    RobotConfig.preset("jackal").with_(max_linear=1.0).save(file)
+    (one,) = scenes.find_sets("acsar_gym/PointGoal-v0", [str(file)])
+    assert one.about["robot_sha256"] != before["robot_sha256"]
+    with pytest.raises(ConfigError, match="two of them are mine: rename"):
+        scenes.find_sets("acsar_gym/Barn-v1", [str(file), "mine.urdf"])
 
 
 def test_another_version_of_the_scenes_is_refused() -> None:
