@@ -78,6 +78,7 @@ class ZipPolicy(FilePolicy):
         """Whether it was trained with a VecNormalize; only then are both observations saved."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
+        self._width = (self.network.observation_space.shape or (0,))[0]
         self.frames = 1
         """How many observations it gets at once; known once it is checked with an env."""
         self._state: tuple[NDArray[Any], ...] | None = None
@@ -102,16 +103,16 @@ class ZipPolicy(FilePolicy):
             PolicyError: the policy was made for other spaces than this env has.
         """
         super().check(task, sensors, policy_rate, config)
-        action, observation = task_spaces(task, sensors)
-        times, rest = divmod(sum(self.network.observation_space.shape or ()), observation.shape[0])
+        action, seen = task_spaces(task, sensors)
+        times, rest = divmod(self._width, len(seen.low))
         self.frames = 1 if rest else max(times, 1)
-        low, high = (np.repeat(end, self.frames) for end in (observation.low, observation.high))
-        seen = Box(low, high, dtype=np.float32)  # in VecFrameStack's order
+        low, high = (np.repeat(end, self.frames)[: self._width] for end in (seen.low, seen.high))
+        own = Box(low, high)  # in VecFrameStack's order; a policy may leave out the last numbers
         spaces = self.network.action_space, self.network.observation_space
-        for space, wanted in zip(spaces, (action, seen), strict=True):
+        for space, wanted, whole in zip(spaces, (action, own), (action, seen), strict=True):
             if space != wanted:
                 raise PolicyError(
-                    f"{self.path}: made for {space}, but {task_name(task)} has {wanted}: of the "
+                    f"{self.path}: made for {space}, but {task_name(task)} has {whole}: of the "
                     "wrappers that change observations, only VecNormalize and VecFrameStack can be "
                     "part of a policy"
                 )
@@ -127,6 +128,7 @@ class ZipPolicy(FilePolicy):
             width = self.frames * observation.size
             padded = (np.zeros(width, np.float32), self._seen, observation)
             observation = self._seen = np.concatenate(padded)[-width:]
+        observation = observation[: self._width]
         begun = np.array([self._state is None])
         action, self._state = self.network.predict(
             observation, self._state, begun, deterministic=True
