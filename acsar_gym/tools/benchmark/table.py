@@ -144,7 +144,7 @@ def _format_difference(one: Told | None) -> str:
         low, high, value, digits = 100.0 * low, 100.0 * high, 100.0 * value, 1
     p = "p < 0.001" if one["p"] < 0.001 else f"p {one['p']:.3f}"
     ends = f"{low:+.{digits}f} to {high:+.{digits}f}"
-    unit = " %" if one["figure"] == "success" else ""
+    unit = " points" if one["figure"] == "success" else ""
     return f"{value:+.{digits}f}{unit} ({ends}) over {escape_unprintable(one['over'])}, {p}"
 
 

@@ -128,7 +128,7 @@ def test_the_page_says_it_all(told: dict[str, Any]) -> None:
     page = format_tables(told)
     for words in (
         "| 87.5% (52.9 to 97.8), worst seed 75.0%, median 87.5% |",
-        "| success | ours | 87.5% : 50.0% | +37.5 % (-37.5 to +100.0) over floor, p 1.000 |",
+        "| success | ours | 87.5% : 50.0% | +37.5 points (-37.5 to +100.0) over floor, p 1.000 |",
         "| 5 % of the lines lost | 50.0% (0.571) |",
         "- other: needs a LiDAR",
     ):
