@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from acsar_gym.tools.benchmark.plan import CONDITIONS, condition_fields
-from acsar_gym.tools.benchmark.scenes import SCENES
+from acsar_gym.tools.benchmark.scenes import find_sets
 from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell, EpisodeRecord, Part
 
 ENV_ID = "PointGoal-v0"
-FIRST = SCENES[ENV_ID].test.numbers[0]
+SCENES = find_sets(f"acsar_gym/{ENV_ID}")[0]
+SET = SCENES.name
+FIRST = SCENES.numbers[0]
 
 
 def episode(number: int = 0, score: float = 0.9, **changes: Any) -> EpisodeRecord:
@@ -28,7 +30,7 @@ def episode(number: int = 0, score: float = 0.9, **changes: Any) -> EpisodeRecor
 
 def cell(agent: str = "packaged", seed: int | None = None, **changes: str) -> Cell:
     """A nominal cell in the planar simulation."""
-    told = {"id": ENV_ID, "link": "planar", "condition": "nominal"} | changes
+    told = {"id": ENV_ID, "link": "planar", "condition": "nominal", "scenes": SET} | changes
     return Cell(agent, seed, **told)
 
 
@@ -44,14 +46,13 @@ def plan(*conditions: str, **kinds: str) -> dict[str, Any]:
         name: [{"kind": kind, "id": ENV_ID, "training_seed": None, "file": name, "sha256": None}]
         for name, kind in (kinds or {"packaged": "learned"}).items()
     }
-    about = SCENES[ENV_ID].test.about | {"count": 2}
+    about = SCENES.about | {"count": 2}
     return {
         "schema": BENCHMARK_SCHEMA,
         "version": "0.1.0",
         "agents": agents,
-        "ids": [ENV_ID],
         "links": ["planar"],
-        "scenes": {ENV_ID: {"test": about}},
+        "scenes": {ENV_ID: {SET: about}},
         "port_scenes": 0,
         "conditions": {
             name: condition_fields(CONDITIONS[name]) for name in conditions or CONDITIONS

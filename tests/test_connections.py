@@ -91,8 +91,8 @@ def assert_silent(trace: Path, home: Path) -> None:
 QUICK = {
     "train": "--env point_goal --steps 1 --robots 4 --threads 1 --net 8 --no-progress --out run",
     "evaluate": "--policy point_goal --episodes 2 --workers 2 --json figures.json",
-    "benchmark": "--ids point_goal --agents packaged turn_drive --links planar port --scenes 2 "
-    "--port-scenes 1 --out bench --html bench.html",
+    "benchmark": "--env point_goal --sets open/acsar --agents packaged turn_drive "
+    "--links planar port --scenes 2 --port-scenes 1 --out bench --html bench.html",
     "demo": "--steps 4096 --episodes 2 --serial-episodes 1 --out demo",
 }
 """Options with which commands take less time."""

@@ -148,7 +148,18 @@ def test_a_packaged_policy_drives_in_pybullet_and_the_drive_is_recorded(acsar_gy
 
 
 def test_three_scenes_of_the_benchmark(acsar_gym: Command, folder: Path) -> None:
-    cell = ["--ids", "point_goal", "--links", "planar", "--conditions", "nominal", "--scenes", "3"]
+    cell = [
+        "--env",
+        "point_goal",
+        "--sets",
+        "open/acsar",
+        "--links",
+        "planar",
+        "--conditions",
+        "nominal",
+        "--scenes",
+        "3",
+    ]
     acsar_gym("benchmark", *cell, "--agents", "packaged", "turn_drive", "--out", "bench")
     table = (folder / "bench" / "benchmark.md").read_text("utf-8")
     assert {"packaged", "turn_drive"} <= set(table.replace("|", " ").split())

@@ -36,8 +36,9 @@ class PathFollowEnv(RobotEnv):
 
     ## Reward
 
-    0.1 times the length gained along the path in parts of what the top speed would give, less 0.02 a step, 0.5 a metre beside the path, and 0.05
-    times the backward part of the action; +2 at the end, -2 out of bounds.
+    0.1 times the length gained along the path, in parts of what the top speed would give, less
+    0.02 a step, 0.5 a metre beside the path, and 0.05 times the backward part of the action; +2 at
+    the end, -2 out of bounds.
     `reward_threshold` 10 (`acsar-gym evaluate --policy path_follow --episodes 200`: 11.1).
 
     ## Start and end

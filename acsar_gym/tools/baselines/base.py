@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import inspect
-import zlib
 from abc import abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +17,20 @@ from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.base import DecodedObservation, FilePolicy, PolicyContext
 
-if TYPE_CHECKING:
-    from acsar_gym.envs.base import RobotEnv
-
 
 class BaselinePolicy(FilePolicy):
     """Base class of the baselines: they decide from the same observations as a trained policy.
 
     Beside them they know what any deployed policy may: the robot's config, the layout and scales
-    of the task, and its period (`setting`).
+    of the task, and its period (`setting`). A subclass of another package is named with its module,
+    as in `--policy mine.module:Planner`; it has `act`, and `reset` where it remembers something.
 
     Args:
         env_id: id of the env that it drives.
     """
 
     name: ClassVar[str]
-    """What `--policy` calls it."""
+    """What messages call it, and `--policy` those of this package; by default that of the class."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the task's numbers that it needs."""
     what: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
@@ -43,15 +41,20 @@ class BaselinePolicy(FilePolicy):
     """Whether it is too slow without numba."""
     env_named = True
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "name" not in vars(cls):
+            cls.name = cls.__name__
+
     def __init__(self, env_id: str) -> None:
         self.path, self.env_id = Path(self.name), env_id
-        source = inspect.getsourcefile(type(self)) or ""
-        self.sha256 = hashlib.sha256(Path(source).read_bytes()).hexdigest()
-        self._env: RobotEnv | None = None
+        with contextlib.suppress(TypeError, OSError):  # there is no file in a notebook
+            source = Path(inspect.getsourcefile(type(self)) or "")
+            self.sha256 = hashlib.sha256(source.read_bytes()).hexdigest()
         self._rng: np.random.Generator | None = None
 
-    def bind(self, env: RobotEnv) -> None:
-        """Take the setting of the env.
+    def bind(self, setting: PolicyContext) -> None:
+        """Check the setting of the env, and prepare for it; see `equip`.
 
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
@@ -59,11 +62,9 @@ class BaselinePolicy(FilePolicy):
         """
         if self.compiled and not COMPILED:
             raise MissingExtraError(f"the baseline {self.name}", "fast")
-        setting = PolicyContext.of(env)
         setting.need(self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.what)
         if self.lidar:
             setting.need(self.name, (), "a LiDAR", "obstacle_goal")
-        self._env = env
         self.equip(setting)
 
     def equip(self, setting: PolicyContext) -> None:
@@ -82,8 +83,7 @@ class BaselinePolicy(FilePolicy):
     def rng(self) -> np.random.Generator:
         """The generator of this episode, seeded like the env's, so that results repeat."""
         if self._rng is None:
-            seed = 0 if self._env is None else max(int(self._env.np_random_seed or 0), 0)
-            self._rng = np.random.default_rng([zlib.crc32(self.name.encode()), seed])
+            self._rng = self.setting.rng(self.name)
         return self._rng
 
     @abstractmethod

@@ -1,8 +1,12 @@
 """The figures of episodes, of an agent's rows over few training seeds, and comparisons of agents.
 
-After Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice",
-NeurIPS 2021. Scores are matrices (seeds, scenes): a row for each trained policy of an agent, a
-column for each scene. An agent without training has one row.
+The mean score comes first: it counts failures, as the interquartile mean doesn't, which drops the
+worst quarter. Agents are compared with the best baseline in pairs of episodes, of the same scene
+and seed.
+
+Intervals and probabilities are after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge
+of the Statistical Precipice", NeurIPS 2021. Scores are matrices (seeds, scenes): a row for each
+trained policy of an agent, a column for each scene. An agent without training has one row.
 
 In the bootstrap seeds are resampled, and scenes too (their `task_bootstrap`), because the scenes
 are a sample of what a generator makes. A drawn seed keeps its scores in all drawn scenes: one
@@ -19,12 +23,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from acsar_gym.errors import ConfigError, require_extra, show_value, suggest_name
+from acsar_gym.tasks import Task
+from acsar_gym.tasks.base import info_names
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
 from acsar_gym.tools.benchmark.store import Cell, EpisodeRecord, Part
 from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
-from acsar_gym.tools.evaluation.metrics import Floats, Interval, row_means, stratified_interval
+from acsar_gym.tools.evaluation.metrics import (
+    Floats,
+    Interval,
+    percentile_interval,
+    resample,
+    row_means,
+    stratified_interval,
+)
 
 TAUS = tuple(np.linspace(0.0, 1.0, 21).round(2).tolist())
 """Thresholds of performance profiles."""
@@ -34,16 +49,28 @@ Place = tuple[str, str, str, str]
 """Id, set of scenes, link and condition, which the rows to be compared share."""
 
 
+COMPLETION_TIME, CROSS_TRACK = "completion_time", "cross_track"
+"""Names of scores that every task has; others are names of what a task tells."""
+
+
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What the score of an episode depends on besides its result."""
 
-    id: str
-    """Id of the env, without its namespace."""
+    name: str
+    """COMPLETION_TIME, CROSS_TRACK, or one of the numbers that the task tells."""
     top_speed: float
     """Of the robot [m/s]."""
     tolerance: float
     """Distance to the goal that is a success [m]."""
+
+    def check(self, task: Task) -> None:
+        """Raise ConfigError where a task doesn't tell the number that is to be the score."""
+        known = (COMPLETION_TIME, CROSS_TRACK, *info_names(task))
+        if self.name not in known:
+            raise ConfigError(
+                f"{task_name(task)}: score {show_value(self.name)}{suggest_name(self.name, known)}"
+            )
 
 
 def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> EpisodeRecord:
@@ -68,16 +95,22 @@ def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> Episo
 
 
 def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
-    """Return the score of an episode, 0 to 1, 0 without success.
+    """Return the score of an episode, 0 without success.
 
-    For path following 1 - mean cross-track error / 10 cm. Otherwise success weighted by completion
-    time (Yokoyama, Ha & Batra 2021): T* / max(T, T*), where T is the time that it took, and T* that
-    of the shortest path, up to the goal's tolerance, at the robot's top speed.
+    COMPLETION_TIME is success weighted by completion time (Yokoyama, Ha & Batra 2021): T* / max(T,
+    T*), where T is the time that it took, and T* that of the shortest path, up to the goal's
+    tolerance, at the robot's top speed; 1 where the shortest path isn't known. CROSS_TRACK is 1 -
+    mean cross-track error / 10 cm. Any other name is that of a number which the task tells at the
+    end, such as "barn_score".
     """
     if not result.success:
         return 0.0
-    if scoring.id.startswith("PathFollow-"):
+    if scoring.name == CROSS_TRACK:
         return max(0.0, 1.0 - result.cross_track / WORST_CROSS_TRACK)
+    if scoring.name != COMPLETION_TIME:
+        return result.told[scoring.name]
+    if math.isnan(result.shortest):
+        return 1.0
     fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
     return fastest / max(result.time, fastest, 1e-9)
 
@@ -137,16 +170,24 @@ class AgentRow:
         """The seeds that drove."""
         return [each for each in self.seeds if each.episodes]
 
-    def matrix(self, figure: str) -> Floats:
-        """(seeds, scenes) of a field of `EpisodeRecord`; as many scenes as all seeds have."""
-        every = [[float(getattr(e, figure)) for e in each.episodes] for each in self.driven]
-        common = min(map(len, every), default=0)
-        return np.array([row[:common] for row in every]).reshape(len(every), common)
+    @property
+    def scenes(self) -> list[int]:
+        """Numbers of the scenes that all seeds drove."""
+        driven = [{episode.scene for episode in each.episodes} for each in self.driven]
+        return sorted(set.intersection(*driven)) if driven else []
 
-    def overall_figure(self, name: str) -> float:
-        """A figure of COMPARED_FIGURES over all seeds and scenes."""
-        figure, statistic = COMPARED_FIGURES[name]
-        return float(statistic(self.matrix(figure).ravel()))
+    def matrix(self, figure: str, scenes: Sequence[int] | None = None) -> Floats:
+        """(seeds, scenes) of a field of `EpisodeRecord`, by default of all common scenes."""
+        columns = self.scenes if scenes is None else scenes
+        rows = []
+        for each in self.driven:
+            values = {one.scene: float(getattr(one, figure)) for one in each.episodes}
+            rows.append([values[scene] for scene in columns])
+        return np.array(rows).reshape(len(rows), len(columns))
+
+    def mean(self, figure: str) -> float:
+        """Mean of a field of `EpisodeRecord` over all seeds and scenes."""
+        return float(self.matrix(figure).mean())
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures with their intervals, for JSON.
@@ -166,7 +207,10 @@ class AgentRow:
         if not self.driven:
             return told
         score, rates = self.matrix("score"), self.matrix("success").mean(axis=1)
-        intervals = {"score_iqm": stratified_interval(score, interquartile_mean)}
+        intervals = {
+            "score": stratified_interval(score, row_means),
+            "score_iqm": stratified_interval(score, interquartile_mean),
+        }
         fields = {"success_rate": "success", "spl": "spl", "barn_score_own": "barn_score_own"}
         for name, figure in fields.items():
             values = self.matrix(figure)
@@ -178,7 +222,7 @@ class AgentRow:
             **summarise_records([episode for each in self.driven for episode in each.episodes]),
             "success_worst_seed": float(rates.min()),
             "success_median_seed": float(np.median(rates)),
-            "score_iqm": self.overall_figure("score_iqm"),
+            "score_iqm": float(interquartile_mean(score.ravel())),
             "intervals": intervals,
             "profile": performance_profile(score),
         }
@@ -255,37 +299,89 @@ def improvement_interval(x: Floats, y: Floats) -> Interval:
     return metrics.percentile_interval(drawn)
 
 
-COMPARED_FIGURES = {
-    "success_rate": ("success", row_means),
-    "score_iqm": ("score", interquartile_mean),
-}
-"""The figures that the best are compared by: a field of `EpisodeRecord`, and its statistic."""
+COMPARED_FIGURES = ("score", "success")
+"""Fields of `EpisodeRecord` by whose means agents are compared."""
 
 
-def compare_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
-    """Compare the best learned agent with the best baseline of each nominal place.
+def compare_with_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
+    """Compare the agents of each nominal place with its best baseline, in pairs of episodes.
 
-    Each figure has its own best agents: the baseline with the highest score may not be the one that
-    succeeds most often.
+    Each figure has its own best baseline: the one with the highest score may not be the one that
+    succeeds most often. Of those that succeed equally often it is the one with the highest score.
     """
     found = []
     for place, group in _group_by_place(some).items():
-        for name, (figure, statistic) in COMPARED_FIGURES.items():
-            told: dict[str, Any] = _describe_place(place) | {"figure": name}
-            for kind in (LEARNED, BASELINE):
-                own = [row for row in group if row.kind == kind]
-                if own:
-                    best = max(own, key=lambda row: row.overall_figure(name))
-                    told[kind] = best.agent
-                    told[f"{kind}_value"] = best.overall_figure(name)
-                    ends = stratified_interval(best.matrix(figure), statistic)
-                    told[f"{kind}_interval"] = ends
-            if LEARNED in told and BASELINE in told:
-                ours, other = told[f"{LEARNED}_interval"], told[f"{BASELINE}_interval"]
-                better = told[f"{LEARNED}_value"] > told[f"{BASELINE}_value"]
-                apart = ours[1] < other[0] or other[1] < ours[0]
-                found.append(told | {"better": better, "apart": apart})
+        baselines = [row for row in group if row.kind == BASELINE]
+        for figure in COMPARED_FIGURES if baselines else ():
+            best = max(baselines, key=lambda row: row.mean(figure))
+            for row in group:
+                pair = compare_pair(row, best, figure)
+                if row is not best and pair:
+                    told = {"agent": row.agent, "kind": row.kind, "over": best.agent}
+                    found.append({**_describe_place(place), **told, "figure": figure, **pair})
     return found
+
+
+def compare_pair(row: AgentRow, other: AgentRow, figure: str) -> dict[str, Any]:
+    """Return the mean difference of two agents in the scenes that both drove.
+
+    Args:
+        row: an agent, of one or several training seeds.
+        other: a baseline, which has one row of episodes.
+        figure: "score" or "success".
+
+    Returns:
+        `values` of both, `difference`, its `interval` of 95 % by the paired bootstrap over scenes
+        and training seeds, and `p`, the probability of a difference as large if there were none:
+        of the score from the same bootstrap, of success by McNemar's exact test. Nothing where they
+        drove no scene in common, as in a benchmark that isn't finished.
+    """
+    common = sorted({*row.scenes} & {*other.scenes})
+    if not common:
+        return {}
+    ours, others = (each.matrix(figure, common) for each in (row, other))
+    differences = ours - others[:1]
+    drawn = resample(differences, row_means)
+    return {
+        "scene_count": len(common),
+        "values": [float(ours.mean()), float(others.mean())],
+        "difference": float(differences.mean()),
+        "interval": percentile_interval(drawn),
+        "p": mcnemar_p(differences) if figure == "success" else bootstrap_p(drawn, len(common)),
+    }
+
+
+def bootstrap_p(drawn: Floats, scenes: int) -> float:
+    """Return the two-sided p of no difference: twice the share of draws on the rarer side of 0.
+
+    Neither share is below 1 / (draws + 1) (Davison & Hinkley 1997, section 4.2.3), and p not below
+    2 / 2^scenes, that of scenes which all differ in one direction: few scenes prove nothing.
+    """
+    shares = [(1.0 + side.sum()) / (1.0 + drawn.size) for side in (drawn <= 0.0, drawn >= 0.0)]
+    return float(min(1.0, max(2.0 * min(shares), 2.0 ** (1 - scenes))))
+
+
+def mcnemar_p(differences: Floats) -> float:
+    """Return the p of McNemar's exact test, which counts the scenes where one alone succeeded.
+
+    Args:
+        differences: (seeds, scenes): 1 where the first alone succeeded, -1 where the other one did.
+
+    Returns:
+        Two-sided p. Episodes of several training seeds in one scene aren't independent, so each
+        seed is tested on its own, and on either side the largest of their p counts.
+    """
+    with require_extra("a benchmark", "scipy"):
+        from scipy.stats import binomtest  # noqa: PLC0415 - slow to import
+
+    sides = []
+    for side in ("greater", "less"):
+        each = []
+        for row in differences:
+            won, lost = int((row > 0.0).sum()), int((row < 0.0).sum())
+            each.append(binomtest(won, won + lost, alternative=side).pvalue if won + lost else 1.0)
+        sides.append(max(each))
+    return float(min(1.0, 2.0 * min(sides)))
 
 
 def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
@@ -294,9 +390,10 @@ def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
     for place, group in _group_by_place(some).items():
         for ours in (row for row in group if row.kind == LEARNED):
             for other in (row for row in group if row is not ours):
-                x, y = ours.matrix("score"), other.matrix("score")
-                common = min(x.shape[1], y.shape[1])
-                x, y = x[:, :common], y[:, :common]
+                common = sorted({*ours.scenes} & {*other.scenes})
+                if not common:
+                    continue
+                x, y = ours.matrix("score", common), other.matrix("score", common)
                 found.append(
                     {
                         **_describe_place(place),
@@ -317,8 +414,8 @@ def _group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:
     """Group the rows that drove under nominal conditions by place, the best score first."""
     found: dict[Place, list[AgentRow]] = {}
     for row in some:
-        if row.driven and row.place[3] == NOMINAL:
+        if row.scenes and row.place[3] == NOMINAL:
             found.setdefault(row.place, []).append(row)
     for group in found.values():
-        group.sort(key=lambda row: -row.overall_figure("score_iqm"))
+        group.sort(key=lambda row: -row.mean("score"))
     return found

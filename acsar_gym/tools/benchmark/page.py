@@ -8,8 +8,10 @@ from typing import Any
 from acsar_gym.tools.benchmark.plan import NOMINAL
 from acsar_gym.tools.benchmark.table import (
     LINK_NAMES,
+    PLACE,
     Told,
     agent_columns,
+    best_pairs,
     describe_scenes,
     improvements_of_best,
 )
@@ -26,14 +28,17 @@ from acsar_gym.tools.evaluation.page import (
 
 INTRODUCTION = (
     "Every agent drives the same scenes with the same seeds. Intervals have 95 %: Wilson's for "
-    "success, the stratified bootstrap over training seeds and scenes for the score's "
-    "interquartile mean (IQM), as Agarwal et al. 2021 define them."
+    "success, the stratified bootstrap over training seeds and scenes for scores, as Agarwal et "
+    "al. 2021 define it. The mean score counts every failure, the interquartile mean (IQM) leaves "
+    "out the worst and the best quarter. Differences are those to the best baseline, in pairs of "
+    "episodes: intervals by the paired bootstrap, p of success by McNemar's exact test."
 )
 SCORE_TEXT = (
-    "The score of an episode is 0 without success, else the time of the shortest path at the "
-    "robot's top speed over the time that it took; in PathFollow 1 - mean cross-track error / "
-    "10 cm. Clearance, jerk and drift are means over episodes, time and energy over successful "
-    "ones."
+    "A failure scores 0. A success scores, as a set of scenes says: completion_time, the time of "
+    "the shortest path at the robot's top speed over the time that it took; cross_track, 1 - mean "
+    "cross-track error / 10 cm; barn_score, that of BARN's contest, at most 0.5; barn_score_own, "
+    "the same with the robot's own top speed; or what the task tells under another name. "
+    "Clearance, jerk and drift are means over episodes, time and energy over successful ones."
 )
 AGENT_COLORS = (
     *("#1f77d0", "#e0730d", "#2a9d5c", "#d1495b", "#8e63ce", "#8c6d4f", "#d965b0", "#7f8c8d"),
@@ -50,14 +55,16 @@ def benchmark_page(results: Told) -> ReportPage:
     rows = [row for row in results["rows"] if not row["refused"]]
     names = list(dict.fromkeys(row["agent"] for row in rows))
     colors = {name: AGENT_COLORS[n % len(AGENT_COLORS)] for n, name in enumerate(names)}
-    tiles = {}  # of the best learned agent of each id, behind the last of the links
-    for best in results["best"]:
-        if (best["figure"], best["scenes"]) == ("success_rate", "test"):
-            label = f"{best['id']}, success, {best['learned']} : {best['baseline']}"
-            value = f"{best['learned_value']:.1%} : {best['baseline_value']:.1%}"
-            tiles[best["id"]] = Tile(label, value)
+    tiles = {}  # of the best learned agent in each set, behind the last of the links
+    for best in best_pairs(results):
+        if best["figure"] == "score":
+            label = f"{best['scenes']}, score, {best['agent']} : {best['over']}"
+            value = " : ".join(f"{one:.3f}" for one in best["values"])
+            tiles[best["id"], best["scenes"]] = Tile(label, value)
     refused = dict.fromkeys(
-        f"{row['agent']} doesn't drive {row['id']}" for row in results["rows"] if row["refused"]
+        f"{row['agent']} doesn't drive {row['id']} ({row['scenes']})"
+        for row in results["rows"]
+        if row["refused"]
     )
     sections = [*_places(results, rows, colors)]
     if some := improvements_of_best(results):
@@ -85,9 +92,9 @@ def _places(
     nominal = [row for row in rows if row["condition"] == NOMINAL]
     for env_id, scenes in dict.fromkeys((row["id"], row["scenes"]) for row in nominal):
         own = [row for row in nominal if (row["id"], row["scenes"]) == (env_id, scenes)]
-        own.sort(key=lambda row: (list(LINK_NAMES).index(row["link"]), -row["score_iqm"]))
+        own.sort(key=lambda row: (list(LINK_NAMES).index(row["link"]), -row["score"]))
         columns = {}
-        for name, cells in agent_columns(own).items():
+        for name, cells in agent_columns(own, results["paired"]).items():
             cut = [cell.partition(", worst seed ") for cell in cells]
             columns[name] = [cell for cell, _, _ in cut]
             if any(seed for _, _, seed in cut):
@@ -118,9 +125,8 @@ def _places(
             _scores(own, colors),
             Plot(caption, [profiles], layout, 440),
         ]
-        title = env_id if scenes == "test" else f"{env_id}, {scenes} scenes"
         about = describe_scenes(results["header"]["scenes"][env_id][scenes])
-        yield PageSection(title, f"{about}.", parts)
+        yield PageSection(f"{env_id}, {scenes}", f"{about}.", parts)
 
 
 def _legend(y: float) -> dict[str, Any]:
@@ -134,7 +140,7 @@ def _line_width(row: Told) -> float:
 
 
 def _scores(rows: Sequence[Told], colors: Mapping[str, str]) -> Plot:
-    """Plot the interquartile mean of the score with its interval, an agent a row."""
+    """Plot the mean score with its interval, an agent a row."""
     names = list(dict.fromkeys(row["agent"] for row in rows))
     traces = []
     for link in dict.fromkeys(row["link"] for row in rows):
@@ -145,8 +151,8 @@ def _scores(rows: Sequence[Told], colors: Mapping[str, str]) -> Plot:
             "size": 10,
             "line": {"width": 2},
         }
-        ends = [row["intervals"]["score_iqm"] for row in own]
-        values, labels = [row["score_iqm"] for row in own], [row["agent"] for row in own]
+        ends = [row["intervals"]["score"] for row in own]
+        values, labels = [row["score"] for row in own], [row["agent"] for row in own]
         traces.append(_interval_dots(LINK_NAMES[link], values, ends, labels, marker))
     layout = {
         "xaxis": make_axis("score", **SHARE_AXIS),
@@ -156,7 +162,7 @@ def _scores(rows: Sequence[Told], colors: Mapping[str, str]) -> Plot:
         **(_legend(-0.18) if len(traces) > 1 else {}),
         "margin": DOT_MARGIN,
     }
-    caption = "Interquartile mean of the score, 95 % intervals"
+    caption = "Mean score, 95 % intervals"
     return Plot(caption, [traces], layout, 110 + 26 * len(names))
 
 
@@ -205,8 +211,7 @@ def _improvements(some: Sequence[Told]) -> list[Plot]:
             "margin": DOT_MARGIN,
         }
         trace = _interval_dots("", values, [each["interval"] for each in own], labels, marker)
-        scenes = "" if place[1] == "test" else f", {place[1]} scenes"
-        caption = f"{place[0]}{scenes}, {LINK_NAMES[place[2]]}"
+        caption = f"{place[0]}, {place[1]}, {LINK_NAMES[place[2]]}"
         plots.append(Plot(caption, [[trace]], layout, 90 + 26 * len(own)))
     return plots
 
@@ -216,9 +221,9 @@ def _robustness(
 ) -> Iterator[Plot]:
     """Plot success by condition, a line for each agent; what a condition is shows beside it."""
     for place in dict.fromkeys(
-        (row["id"], row["link"]) for row in rows if row["condition"] != NOMINAL
+        tuple(row[name] for name in PLACE) for row in rows if row["condition"] != NOMINAL
     ):
-        some = [row for row in rows if (row["id"], row["link"], row["scenes"]) == (*place, "test")]
+        some = [row for row in rows if tuple(row[name] for name in PLACE) == place]
         order = [name for name in conditions if any(row["condition"] == name for row in some)]
         traces = []
         for name in dict.fromkeys(row["agent"] for row in some):
@@ -245,7 +250,8 @@ def _robustness(
             "yaxis": make_axis("success [%]", range=[-2.0, 102.0]),
             **_legend(1.12),
         }
-        yield Plot(f"{place[0]}, {LINK_NAMES[place[1]]}", [traces], layout, 440)
+        caption = f"{place[0]}, {place[1]}, {LINK_NAMES[place[2]]}"
+        yield Plot(caption, [traces], layout, 440)
 
 
 def _provenance(header: Told) -> list[Grid]:

@@ -14,20 +14,17 @@ from typing import Any
 
 import acsar_gym
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs.ids import full_id
+from acsar_gym.envs.ids import find_id, full_id
 from acsar_gym.errors import ConfigError, PolicyError, show_value, suggest_name
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
-from acsar_gym.registration import IDS
+from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.baselines import BASELINES
-from acsar_gym.tools.benchmark import scenes
-from acsar_gym.tools.benchmark.scenes import SCENES, SceneSet
+from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cell_id
 from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.shards import PortablePolicy
-from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
-from acsar_gym.worlds.search import footprint_radius
 
 PACKAGED = "packaged"
 """Name of the agent that consists of the policies which come with the package."""
@@ -43,20 +40,26 @@ class Agent:
     name: str
     kind: str
     """ "learned" or "baseline"."""
-    id: str
-    """Id of the env without its namespace."""
-    policy: str
-    """File, or name of a baseline, as `--policy` takes it."""
+    env: str
+    """Id of the env, with the module that registers it where there is one."""
+    policy: Any
+    """File, function, class or name of a baseline, as `--policy` takes it; or a policy object."""
     training_seed: int | None = None
     sha256: str | None = None
 
     @property
+    def id(self) -> str:
+        """Id of the env as results name it; see `scenes.cell_id`."""
+        return cell_id(self.env)
+
+    @property
     def about(self) -> dict[str, Any]:
         """What results say about it."""
+        named = isinstance(self.policy, str)
         return {
             "id": self.id,
             "training_seed": self.training_seed,
-            "file": Path(self.policy).name,
+            "file": Path(self.policy).name if named else type(self.policy).__name__,
             "sha256": self.sha256,
         }
 
@@ -68,16 +71,17 @@ def check_names(option: str, names: Iterable[str], known: Collection[str]) -> No
             raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
 
 
-def short_id(env_id: str) -> str:
-    """Remove the namespace from an id of this package: "barn" is "Barn-v1".
+def find_env(name: str) -> str:
+    """Return the full id of an env: "barn" is "acsar_gym/Barn-v1".
 
     Raises:
-        ConfigError: the benchmark has no scenes for it.
+        ConfigError: there is none of this name.
     """
-    name = full_id(env_id).removeprefix("acsar_gym/")
-    if name not in IDS:
-        raise ConfigError(f"--ids {show_value(env_id)}{suggest_name(name[:40], IDS)}")
-    return name
+    env_id = full_id(name)
+    if env_id.startswith(OWN_NAMESPACE) and env_id.removeprefix(OWN_NAMESPACE) not in IDS:
+        known = [*IDS, *(snake_case(own.partition("-")[0]) for own in IDS)]
+        raise ConfigError(f"--env {show_value(name)}{suggest_name(name[:40], known)}")
+    return find_id(env_id)
 
 
 def choose_agents(
@@ -87,7 +91,7 @@ def choose_agents(
 
     Args:
         names: "packaged", baselines, and folders in `trained`; empty for all.
-        ids: without namespace.
+        ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
 
@@ -96,12 +100,12 @@ def choose_agents(
         PolicyError: a policy can't be used.
     """
     learned = [
-        agent
+        _read_agent(PACKAGED, str(file), None)
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
-        for agent in _read_agent(PACKAGED, file, None)
     ]
-    learned += [] if trained is None else trained_agents(trained, seeds)
-    found = [each for each in (*learned, *baseline_agents(ids)) if each.id in ids]
+    learned += [] if trained is None else trained_agents(trained, seeds, ids)
+    own = {cell_id(env_id) for env_id in ids}
+    found = [each for each in (*learned, *baseline_agents(ids)) if each.id in own]
     known = list(dict.fromkeys([*(each.name for each in learned), *BASELINES]))
     check_names("--agents", names, known)
     return [each for each in found if not names or each.name in names]
@@ -112,12 +116,13 @@ def baseline_agents(ids: Iterable[str]) -> list[Agent]:
     return [Agent(name, BASELINE, each, name) for name in BASELINES for each in ids]
 
 
-def trained_agents(folder: Path, seeds: int) -> list[Agent]:
+def trained_agents(folder: Path, seeds: int, ids: Iterable[str] = ()) -> list[Agent]:
     """Find trained policies: `folder`/NAME/SEED/policy.onnx.
 
     Args:
         folder: as `--trained`.
         seeds: most seeds of each name, the smallest first.
+        ids: of other packages that the user named, as `find_env` returns them.
 
     Raises:
         ConfigError: there is none.
@@ -133,39 +138,45 @@ def trained_agents(folder: Path, seeds: int) -> list[Agent]:
     if not files:
         raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
     return [
-        agent
+        _read_agent(name, str(file), seed, named=ids)
         for name in sorted(files)
         for seed, file in sorted(files[name])[:seeds]
-        for agent in _read_agent(name, file, seed)
     ]
 
 
-def submitted_agent(policy: str) -> Agent:
+def submitted_agent(policy: Any, env: str = "") -> Agent:
     """Return anybody's policy as an agent.
 
     Args:
-        policy: an ONNX file, or a function such as mine.py:act.
+        policy: an ONNX file, a function or class such as mine.py:act or mine.module:Planner, or a
+            policy object.
+        env: id of the env that it drives, as `find_env` returns it; by default the one that the
+            policy names.
 
     Raises:
-        PolicyError: it can't be used, or is for an id without scenes.
+        PolicyError: it can't be used, or names an id of another package.
     """
-    (found,) = _read_agent(
-        Path(policy.rpartition(":")[0] or policy).stem[:MAX_NAME_LENGTH], policy, None
-    )
-    return found
+    if not isinstance(policy, str):
+        return _read_agent(type(policy).__name__, policy, None, env)
+    path, _, function = policy.rpartition(":")
+    is_file = not path or Path(path).suffix == ".py"
+    return _read_agent(Path(path or policy).stem if is_file else function, policy, None, env)
 
 
-def _read_agent(name: str, file: str | Path, seed: int | None) -> list[Agent]:
-    """Read what a policy says about itself."""
-    loaded = runs.load_policy(str(file), trust=False)
-    env_id = loaded.env_id.removeprefix("acsar_gym/")
-    if env_id not in IDS:
+def _read_agent(
+    name: str, policy: Any, seed: int | None, env: str = "", named: Iterable[str] = ()
+) -> Agent:
+    """Read what a policy says about itself; `named` are ids of other packages that it may name."""
+    loaded = runs.load_policy(policy, trust=False, env=env)
+    for env_id in named:
+        if cell_id(env_id) == cell_id(loaded.env_id):
+            env = env_id
+    if not env and not loaded.env_named and cell_id(loaded.env_id) not in IDS:
         raise PolicyError(
-            f"{file}: made for {show_value(loaded.env_id)}, for which there are no "
-            "scenes; there are "
-            f"some for {', '.join(IDS)}"
+            f"{loaded.path}: made for {show_value(loaded.env_id)}, which isn't acsar_gym's: if you "
+            "trust that package, name it with --env"
         )
-    return [Agent(name[:MAX_NAME_LENGTH], LEARNED, env_id, str(file), seed, loaded.sha256)]
+    return Agent(name[:MAX_NAME_LENGTH], LEARNED, env or loaded.env_id, policy, seed, loaded.sha256)
 
 
 NOMINAL = "nominal"
@@ -173,57 +184,41 @@ NOMINAL = "nominal"
 
 @dataclass(frozen=True)
 class Condition:
-    """A robot and a wire under which agents drive."""
+    """What differs from the robot and the wire as configured."""
 
     words: str
     """What it is, for tables."""
-    robot: str | None = None
-    """Preset of the robot; None for the default."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
     randomization: int = 0
     """Level of `physics.randomization`; 0 for none."""
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire; see `links.faults.Faults`."""
-    difficulty: Mapping[str, float] = field(default_factory=dict)
-    """Difficulty of a generator's worlds, for a robot that doesn't fit through harder ones."""
 
-    @property
-    def config(self) -> RobotConfig:
-        """The robot."""
-        return RobotConfig.of(self.robot).with_(**self.changes)
-
-    def options(self, config: RobotConfig, source: str = "") -> dict[str, Any]:
+    def options(self, scenes: SceneSet, config: RobotConfig) -> dict[str, Any]:
         """Return the env's options besides the robot; those that change nothing are left out.
 
         Args:
-            config: of the robot.
-            source: generator of the worlds; "" for an open floor.
+            scenes: that are driven.
+            config: of the robot under this condition.
         """
-        found: dict[str, Any] = {}
-        if source in self.difficulty:
-            found["difficulty"] = self.difficulty[source]
+        found: dict[str, Any] = {"worlds": scenes.worlds}
+        if scenes.difficulty is not None:
+            found["difficulty"] = scenes.difficulty
         if self.randomization:
             found["randomization"] = randomization_level(config, self.randomization)
         if self.faults:
             found["faults"] = dict(self.faults)
         return found
 
-    def impossible(self, *, simulated: bool, published: bool) -> str:
+    def impossible(self, *, simulated: bool) -> str:
         """Say why no agent can be measured under this condition; empty if one can.
 
         Args:
             simulated: whether the link is a simulation in this process.
-            published: whether the worlds are the published ones of BARN, which are as they are.
         """
         if self.randomization and not simulated:
             return f"{self.words}: the emulated board's physics don't vary"
-        radius = footprint_radius(self.config)
-        if published and radius > BARN_ROBOT_RADIUS:
-            return (
-                f"{self.words}: the published worlds let a footprint of {BARN_ROBOT_RADIUS:.3g} m "
-                f"radius through, this one has {radius:.3g} m"
-            )
         return ""
 
 
@@ -249,14 +244,8 @@ CONDITIONS: dict[str, Condition] = {
     "command-delay": Condition(
         "commands work 50 ms later", changes={"firmware": {"command_delay": 0.05}}
     ),
-    "husky": Condition(
-        "a robot like a Husky, in Barn at difficulty 0.2", robot="husky", difficulty={"barn": 0.2}
-    ),
-    "jackal": Condition("a robot like a Jackal", robot="jackal"),
 }
-"""Conditions by name. Robots of another size drive in worlds of the same numbers, made for their
-footprint. A Husky is wider than the gaps of most BARN worlds: only those of the least filled fields
-(difficulty below 0.25) can be made for it."""
+"""Conditions by name."""
 
 
 PLANAR, BULLET, PORT = "planar", "bullet", "port"
@@ -286,15 +275,14 @@ class BenchmarkPlan:
     """
 
     agents: tuple[Agent, ...]
-    ids: tuple[str, ...]
+    sets: tuple[SceneSet, ...]
+    """Scenes, robots and scores, each of an agent's id."""
     links: tuple[str, ...] = (PLANAR, BULLET)
     conditions: tuple[str, ...] = (NOMINAL,)
     count: int = 200
-    """Scenes of every cell."""
+    """Scenes of every cell; fewer where a folder holds fewer."""
     port_count: int = 40
     """Scenes of every cell behind the emulated port, which takes real time."""
-    barn: Path | None = None
-    """Folder with the published worlds of BARN; None for none."""
 
     def __post_init__(self) -> None:
         check_names("--links", self.links, LINK_KINDS)
@@ -302,62 +290,54 @@ class BenchmarkPlan:
         if PORT in self.links and self.port_count < 1:
             raise ConfigError(f"--port-scenes {self.port_count}: must be at least 1")
         if not self.agents:
-            raise ConfigError("--agents: none of them drives on any of these --ids")
+            raise ConfigError("--agents: none of them drives on any of these --env")
 
-    def sets(self, env_id: str) -> list[tuple[SceneSet, int]]:
-        """Return the sets of scenes of an id, and how many of each are used."""
-        found = [(SCENES[env_id].test, self.count)]
-        if self.barn is not None and env_id.startswith("Barn-"):
-            own = scenes.published_scenes(env_id, self.barn)
-            found.append((own, min(self.count, len(own))))
-        return found
+    def count_scenes(self, some: SceneSet) -> int:
+        """Return how many scenes of a set are used in a simulation."""
+        return min(self.count, len(some)) if some.split == GIVEN else self.count
 
     def check(self) -> None:
         """Compare the scenes with the recorded ones; ConfigError if they are others."""
-        for env_id in self.ids:
-            for some, count in self.sets(env_id):
-                some.check(count)
+        for some in self.sets:
+            some.check(self.count_scenes(some))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for JSON; equal plans give equal results."""
         told: dict[str, list[dict[str, Any]]] = {}
         for each in self.agents:
             told.setdefault(each.name, []).append({"kind": each.kind, **each.about})
+        scenes: dict[str, dict[str, Any]] = {}
+        for some in self.sets:
+            about = some.about | {"count": self.count_scenes(some)}
+            scenes.setdefault(some.id, {})[some.name] = about
         return {
             "schema": BENCHMARK_SCHEMA,
             "version": acsar_gym.__version__,
             "agents": told,
-            "ids": list(self.ids),
             "links": list(self.links),
             "conditions": {name: condition_fields(CONDITIONS[name]) for name in self.conditions},
-            "scenes": {
-                env_id: {some.name: some.about | {"count": count} for some, count in sets}
-                for env_id, sets in ((env_id, self.sets(env_id)) for env_id in self.ids)
-            },
+            "scenes": scenes,
             "port_scenes": self.port_count if PORT in self.links else 0,
         }
 
     def jobs(self) -> Iterator[BenchmarkJob]:
-        """Yield the jobs, cells of one id and link after the other.
+        """Yield the jobs, cells of one set and link after the other.
 
         Raises:
             PolicyError: a policy's file can't be read any more.
         """
-        policies = {
-            each: PortablePolicy.of(
-                runs.load_policy(each.policy, trust=False, env=f"acsar_gym/{each.id}")
-            )
+        policies = [
+            PortablePolicy.of(runs.load_policy(each.policy, trust=False, env=each.env))
             for each in self.agents
-        }
-        for env_id, condition, link in product(self.ids, self.conditions, self.links):
-            for some, count in self.sets(env_id):
-                used = min(count, self.port_count) if link == PORT else count
-                chunk = CHUNK_SIZES[link]
-                for each in (each for each in self.agents if each.id == env_id):
-                    cell = Cell(each.name, each.training_seed, env_id, link, condition, some.name)
-                    for first in range(0, used, chunk):
-                        size = min(chunk, used - first)
-                        yield BenchmarkJob(cell, policies[each], some, first, size)
+        ]
+        for some, condition, link in product(self.sets, self.conditions, self.links):
+            used = self.count_scenes(some)
+            used = min(used, self.port_count) if link == PORT else used
+            chunk = CHUNK_SIZES[link]
+            for each, policy in zip(self.agents, policies, strict=True):
+                cell = Cell(each.name, each.training_seed, some.id, link, condition, some.name)
+                for first in range(0, used if each.id == some.id else 0, chunk):
+                    yield BenchmarkJob(cell, policy, some, first, min(chunk, used - first))
 
 
 def condition_fields(condition: Condition) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from typing import Any
 import acsar_gym
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable, shorten_text, show_value
+from acsar_gym.registration import SCENE_CHOICES
 from acsar_gym.tools.benchmark import figures, runner
 from acsar_gym.tools.benchmark.plan import (
     CONDITIONS,
@@ -30,7 +31,13 @@ from acsar_gym.tools.benchmark.plan import (
     BenchmarkPlan,
     condition_fields,
 )
-from acsar_gym.tools.benchmark.scenes import PUBLISHED, SCENES, TEST
+from acsar_gym.tools.benchmark.scenes import (
+    GIVEN,
+    OWN_NAMESPACE,
+    PUBLISHED_SUFFIX,
+    SceneSet,
+    find_sets,
+)
 from acsar_gym.tools.benchmark.store import (
     BENCHMARK_SCHEMA,
     PLAN_FILE,
@@ -153,8 +160,8 @@ def compute_figures(parts: Sequence[Part], kinds: Mapping[str, str]) -> dict[str
             for each in cells
         ],
         "rows": [row.as_dict() for row in rows],
+        "paired": figures.compare_with_best(rows),
         "improvements": figures.compare_pairs(rows),
-        "best": figures.compare_best(rows),
         "taus": figures.TAUS,
     }
     cleaned: dict[str, Any] = metrics.replace_nonfinite(told)
@@ -206,7 +213,7 @@ def _join_plans(one: dict[str, Any], other: dict[str, Any], folder: Path) -> dic
         own = scenes.setdefault(env_id, {})
         for name, about in sets.items():
             known = own.setdefault(name, about)
-            if known["sha256"] != about["sha256"]:
+            if known | {"count": 0} != about | {"count": 0}:
                 raise ConfigError(
                     f"{folder}: {env_id} {name}: scene set of another version than in the first "
                     "folder"
@@ -309,17 +316,23 @@ def check_row(path: Path) -> str:
 
 
 def _check_header(path: Path, header: Told) -> None:
-    """Compare scenes and conditions with those of this package; published worlds have no hash."""
+    """Compare scenes and conditions with those of this package; given worlds have no hash."""
     if not (header["scenes"] and header["agents"] and header["links"] and header["conditions"]):
         raise ConfigError(f"{path}: its header names no scenes, agents, links or conditions")
     for env_id, sets in header["scenes"].items():
-        about = sets[TEST]
-        if env_id not in SCENES or about != SCENES[env_id].test.about | {"count": about["count"]}:
-            raise ConfigError(f"{path}: {show_value(env_id)}: scene set of another version")
-        if not {*sets} <= {TEST, PUBLISHED} or not all(
-            1 <= each["count"] <= each["last"] - each["first"] + 1 for each in sets.values()
-        ):
-            raise ConfigError(f"{path}: {env_id}: has no scenes, or others than the benchmark's")
+        own = _known_sets(path, env_id)
+        for name, about in sets.items():
+            if not 1 <= about["count"] <= about["last"] - about["first"] + 1:
+                raise ConfigError(f"{path}: {env_id} {name}: has no scenes, or too many")
+            base = own.get(name.removesuffix(PUBLISHED_SUFFIX))
+            if about["split"] == GIVEN and base is not None:
+                equal = all(about[key] == base.about[key] for key in ("robot", "score"))
+            else:
+                equal = base is not None and about == base.about | {"count": about["count"]}
+            if not equal:
+                raise ConfigError(
+                    f"{path}: {show_value(env_id)} {show_value(name)}: scene set of another version"
+                )
     if not {*header["links"]} <= {*LINK_KINDS} or (
         PORT in header["links"] and header["port_scenes"] < 1
     ):
@@ -330,6 +343,17 @@ def _check_header(path: Path, header: Told) -> None:
         known = CONDITIONS.get(name)
         if known is None or said != json.loads(json.dumps(condition_fields(known))):
             raise ConfigError(f"{path}: condition {show_value(name)}: of another version")
+
+
+def _known_sets(path: Path, env_id: str) -> dict[str, SceneSet]:
+    """Return the sets of an id by name; ConfigError for one that nothing here has registered."""
+    full = env_id if "/" in env_id else f"{OWN_NAMESPACE}{env_id}"
+    if full not in SCENE_CHOICES:
+        raise ConfigError(
+            f"{path}: {show_value(env_id)}: no scenes of this id are known: name the module that "
+            "registers it, as in --env mine.module:mine/Task-v0"
+        )
+    return {some.name: some for some in find_sets(full)}
 
 
 def _check_cells(path: Path, header: Told, parts: Sequence[Part]) -> None:

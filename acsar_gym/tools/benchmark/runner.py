@@ -33,7 +33,7 @@ from acsar_gym.errors import CancelledError, PolicyError
 from acsar_gym.tasks.episode import Assignment
 from acsar_gym.tools.benchmark.figures import Scoring, record_episode
 from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
-from acsar_gym.tools.benchmark.scenes import PUBLISHED, SceneSet
+from acsar_gym.tools.benchmark.scenes import SceneSet
 from acsar_gym.tools.benchmark.store import Part, Store
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import episodes, report, runs
@@ -97,7 +97,7 @@ def run_plan(
                 done[part.cell, part.first] = store.add(part)
                 cell, job = part.cell, waiting[number]
                 seed = "" if cell.training_seed is None else f" {cell.training_seed}"
-                told = f"{cell.id} {cell.link} {cell.condition} {cell.agent}{seed}"
+                told = f"{cell.scenes} {cell.link} {cell.condition} {cell.agent}{seed}"
                 progress.update(task, advance=job.count, description=report.escape_text(told))
     except KeyboardInterrupt:
         raise CancelledError(
@@ -121,19 +121,20 @@ def run_job(job: BenchmarkJob) -> Part:
     """
     begin, cell = time.process_time(), job.cell
     simulated = cell.link != PORT
-    why = CONDITIONS[cell.condition].impossible(
-        simulated=simulated, published=job.scenes.name == PUBLISHED
-    )
+    why = CONDITIONS[cell.condition].impossible(simulated=simulated)
     if why:
         return Part(cell, job.first, refused=why)
     policy = job.policy.load()
     try:  # for the port in a simulation that checks whether the policy fits
         env = keep_env(policy, cell.link if simulated else PLANAR, cell.condition, job.scenes)
+        if not simulated:
+            runs.refuse_outside(policy)
     except PolicyError as error:
         own = Path(job.policy.name).name
         return Part(cell, job.first, refused=str(error).replace(str(policy.path), own))
-    config: RobotConfig = env.unwrapped.robot.config
-    scoring = Scoring(cell.id, config.max_linear, env.unwrapped.task.goal_tolerance)
+    task, config = env.unwrapped.task, env.unwrapped.robot.config
+    scoring = Scoring(job.scenes.score, config.max_linear, task.goal_tolerance)
+    scoring.check(task)
     told = []
     with keep_worlds():
         for place in range(job.first, job.first + job.count):
@@ -149,9 +150,9 @@ def run_job(job: BenchmarkJob) -> Part:
 @lru_cache(maxsize=1)
 def keep_env(policy: FilePolicy, link: str, condition: str, scenes: SceneSet) -> Any:
     """Make an env for a policy; kept for the next job of the same cell."""
-    config = CONDITIONS[condition].config
-    options = CONDITIONS[condition].options(config, scenes.source)
-    return runs.make_env(policy, link, config, {"worlds": scenes.worlds, **options})
+    under = CONDITIONS[condition]
+    config = scenes.config.with_(**under.changes)
+    return runs.make_env(policy, link, config, under.options(scenes, config))
 
 
 def _drive_over_port(
@@ -166,8 +167,8 @@ def _drive_over_port(
     Raises:
         LinkError: the emulator didn't start, or its port can't be opened.
     """
-    options = CONDITIONS[job.cell.condition].options(config, job.scenes.source)
-    options["worlds"] = source = job.scenes.worlds
+    options = CONDITIONS[job.cell.condition].options(job.scenes, config)
+    source = job.scenes.worlds
     with tempfile.TemporaryDirectory() as name:
         folder, around = Path(name), []
         log = folder / "log.jsonl"

@@ -9,36 +9,46 @@ tests in by default (0 to 199, BARN 0 to 299), which were looked at while method
 the open floor they are the seeds 2^33 to 2^33 + 999; trainings use seeds below 2^32, validation
 begins there.
 
-The published worlds of BARN are a set of their own, read from a folder (`published`). They don't
-come along, and nothing is trained on them.
+What the benchmark drives are sets of test scenes with a robot and a score, `find_sets`: those that
+`registration.SCENE_CHOICES` and `acsar_gym.register` name, and for any other id one in the worlds
+of its task. Worlds of a generator are made for the robot's footprint.
+
+The published worlds of BARN are sets of their own, read from a folder (`published_sets`). They
+don't come along, and nothing is trained on them.
 
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path where there is nothing else). Where the generator, or the footprint of the robot that
 worlds are made for, has changed, the hashes differ and the set is refused: results from it couldn't
 be compared. A change that is wanted has to count SCENES_VERSION up and write the hashes anew:
-`record_hashes()`.
+`record_hashes()`. Sets of other packages have the hash of their first 100 scenes, which is part of
+each result, and nothing to compare it with.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
-from acsar_gym.registration import IDS
+from acsar_gym.config.robot import hash_config
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
 from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.worlds import World, registry
 from acsar_gym.worlds.cache import keep_worlds
+from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
@@ -46,14 +56,16 @@ SCENES_VERSION = 1
 """Version of all sets; counts up where any scene changes."""
 SCENES_PER_HASH = 100
 """Scenes that share a hash."""
-TRAIN, VALIDATION, TEST, PUBLISHED = "train", "validation", "test", "published"
-WORLD_KINDS = {
-    "PointGoal": "",
-    "ObstacleGoal": "clutter",
-    "Barn": "barn",
-    "PathFollow": "smooth_path",
-}
-"""Generator of each task's worlds; "" is an open floor."""
+TRAIN, VALIDATION, TEST, GIVEN = "train", "validation", "test", "given"
+"""Splits of generated scenes; given ones are read from a folder."""
+OWN_NAMESPACE = "acsar_gym/"
+"""Namespace of this package's ids, which tables leave out."""
+DEFAULT_ROBOT = "acsar"
+WIDE_ROBOT_DIFFICULTY = 0.2
+"""Difficulty of BARN worlds for robots wider than its own: none of the fuller fields can be made
+for these."""
+PUBLISHED_BARN, PUBLISHED_SUFFIX = ("barn", "barn-fast"), "-published"
+"""Sets that are driven in the published worlds, too, and the end of their names there."""
 OPEN_FLOOR_SEEDS = {
     TRAIN: range(2**32),
     VALIDATION: range(2**32, 2**32 + 64),
@@ -66,24 +78,30 @@ _FILE = Path(__file__).with_name("scenes.json")
 
 @dataclass(frozen=True)
 class SceneSet:
-    """Scenes of one id, by number.
+    """Scenes of one id, by number, with the robot that drives them and their score.
 
     Raises ConfigError, in `check`, where they aren't those that were recorded.
     """
 
     id: str
-    """Id of the env without its namespace."""
+    """Id of the env, without the namespace of this package."""
     name: str
-    """ "train", "validation", "test" or "published"."""
+    """Such as "barn-fast", or "clutter/husky" where the set has several robots."""
     source: str
     """Generator of the worlds, or their folder; "" for an open floor."""
     numbers: range
     """Numbers of the worlds, or seeds on an open floor."""
+    split: str = TEST
+    """ "train", "validation", "test" or "given"."""
+    robot: str = DEFAULT_ROBOT
+    """What `RobotConfig.of` takes."""
+    score: str = "completion_time"
+    """See `figures.score_episode`."""
     version: int = SCENES_VERSION
     """Version of the set, which changes where its worlds do."""
 
     def __str__(self) -> str:
-        """Such as "Barn-v1 test (barn 100000 to 100999)"."""
+        """Such as "Barn-v1 barn (barn 100000 to 100999)"."""
         kind = self.source or "seeds"
         return f"{self.id} {self.name} ({kind} {self.numbers[0]} to {self.numbers[-1]})"
 
@@ -93,9 +111,20 @@ class SceneSet:
     @property
     def worlds(self) -> str | None:
         """What an env takes as `worlds=`; None on an open floor."""
-        if not self.source or self.name == PUBLISHED:
+        if not self.source or self.split == GIVEN:
             return self.source or None
         return f"{self.source}:{self.numbers[0]}-{self.numbers[-1]}"
+
+    @cached_property
+    def config(self) -> RobotConfig:
+        """The robot; ConfigError where there is none of this name."""
+        return RobotConfig.of(self.robot)
+
+    @property
+    def difficulty(self) -> float | None:
+        """Difficulty of the worlds; None varies it."""
+        wide = self.source == "barn" and footprint_radius(self.config) > BARN_ROBOT_RADIUS
+        return WIDE_ROBOT_DIFFICULTY if wide else None
 
     def reset(self, place: int) -> tuple[int, dict[str, Any]]:
         """Return seed and options of the reset that begins a scene.
@@ -106,27 +135,45 @@ class SceneSet:
         number = self.numbers[place]
         return number, {"world": number} if self.source else {}
 
+    @property
+    def _recorded(self) -> list[str]:
+        """The hashes of `scenes.json`; none for scenes that aren't in it."""
+        recorded: dict[str, Any] = json.loads(_FILE.read_text())
+        return list(recorded.get(self.key, {}).get(self.split, []))
+
+    @property
+    def key(self) -> str:
+        """Name in `scenes.json`: of the generator, and of a robot that isn't the default one."""
+        other = self.source and self.robot != DEFAULT_ROBOT
+        return f"{self.source} {self.robot}" if other else self.source or "open"
+
     @cached_property
     def blocks(self) -> list[str]:
-        """Recorded hash of every 100 scenes; of a folder, the hashes of what it holds."""
-        if self.name == PUBLISHED:
+        """Recorded hash of every 100 scenes; of others those of a folder, or the first 100."""
+        if self.split == GIVEN:
             return hash_scenes(self, len(self))
-        recorded: dict[str, Any] = json.loads(_FILE.read_text())
-        return list(recorded.get(self.source or "open", {}).get(self.name, []))
+        if recorded := self._recorded:
+            return recorded
+        return hash_scenes(self, min(len(self), SCENES_PER_HASH)) if self.source else []
 
     @property
     def sha256(self) -> str:
-        """Hash of the whole set, from the recorded ones."""
-        told = json.dumps([self.name, self.version, self.blocks])
+        """Hash of the whole set, from those of its blocks."""
+        told = json.dumps([self.split, self.version, self.blocks])
         return hashlib.sha256(told.encode()).hexdigest()
 
     @property
     def about(self) -> dict[str, Any]:
         """What results say about their scenes."""
-        kind = "folder" if self.name == PUBLISHED else self.source or "seeds"
+        kind = "folder" if self.split == GIVEN else self.source or "seeds"
+        file = Path(self.robot).suffix != ""
         return {
             "set": self.name,
+            "split": self.split,
             "kind": kind,
+            "robot": Path(self.robot).name if file else self.robot,
+            **({"robot_sha256": hash_config(self.config)} if file else {}),
+            "score": self.score,
             "first": self.numbers[0],
             "last": self.numbers[-1],
             "version": self.version,
@@ -144,9 +191,9 @@ class SceneSet:
         """
         if not 1 <= count <= len(self):
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
-        if self.name == PUBLISHED:
+        if self.split == GIVEN or not (recorded := self._recorded):
             return
-        hashes = zip(hash_scenes(self, count), self.blocks, strict=False)
+        hashes = zip(hash_scenes(self, count), recorded, strict=False)
         for place, (now, before) in enumerate(hashes):
             if now != before:
                 first = self.numbers[place * SCENES_PER_HASH]
@@ -159,7 +206,7 @@ class SceneSet:
 
 @dataclass(frozen=True)
 class Scenes:
-    """The sets of scenes of one id."""
+    """The scenes of one id by split, for the default robot."""
 
     train: SceneSet
     """For training."""
@@ -176,42 +223,139 @@ class Scenes:
             env_id: without its namespace.
             source: generator of the worlds; "" for an open floor.
         """
-        sets = {
-            name: SceneSet(env_id, name, source, registry.split_numbers(source, WORLD_SPLITS[name]))
-            if source
-            else SceneSet(env_id, name, source, OPEN_FLOOR_SEEDS[name])
-            for name in (TRAIN, VALIDATION, TEST)
-        }
-        return cls(**sets)
+        return cls(
+            *(
+                SceneSet(env_id, split, source, split_numbers(source, split), split)
+                for split in (TRAIN, VALIDATION, TEST)
+            )
+        )
+
+
+def split_numbers(source: str, split: str) -> range:
+    """Return the numbers of a split's scenes: of worlds, or seeds where `source` is ""."""
+    if not source:
+        return OPEN_FLOOR_SEEDS[split]
+    return registry.split_numbers(source, WORLD_SPLITS[split])
 
 
 SCENES: Mapping[str, Scenes] = {
-    name: Scenes.of(name, WORLD_KINDS[name.partition("-")[0]]) for name in IDS
+    name: Scenes.of(name, next(iter(SCENE_CHOICES[f"{OWN_NAMESPACE}{name}"].values())).worlds or "")
+    for name in IDS
 }
-"""The sets by id, without its namespace."""
+"""The scenes by id, without its namespace."""
 
 
-def published_scenes(env_id: str, folder: Path) -> SceneSet:
-    """Read the published worlds of BARN from a folder, as a set of their own.
+def cell_id(env_id: str) -> str:
+    """Return the id that results name: without a module, and without this package's namespace."""
+    return strip_module(env_id).removeprefix(OWN_NAMESPACE)
+
+
+def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
+    """Return the benchmark's sets of scenes of an id, one for each robot.
 
     Args:
-        env_id: id of the env without its namespace.
+        env_id: full id, with the module that registers it where that isn't imported yet.
+        robots: instead of those that the sets name.
+
+    Raises:
+        ConfigError: it isn't an environment of acsar_gym, or its worlds can't be found.
+    """
+    choices = SCENE_CHOICES.get(strip_module(find_id(env_id)), {"test": SceneChoice()})
+    found = []
+    for name, choice in choices.items():
+        source = task_worlds(env_id) if choice.worlds is None else choice.worlds
+        split = TEST if not source or registry.parse_known_name(source) else GIVEN
+        numbers = (
+            range(len(read_pool(source, None, DEFAULT_ROBOT)))
+            if split == GIVEN
+            else split_numbers(source, split)
+        )
+        for robot in dict.fromkeys(robots or choice.robots):
+            label = Path(robot).stem if Path(robot).suffix else robot
+            full = name if choice.robots == (robot,) else f"{name}/{label}"
+            found.append(
+                SceneSet(cell_id(env_id), full, source, numbers, split, robot, choice.score)
+            )
+    names = [some.name for some in found]
+    if twice := next((one for one in names if names.count(one) > 1), None):
+        raise ConfigError(f"--robots: two of them are {twice.partition('/')[2]}: rename a file")
+    return found
+
+
+def choose_sets(found: Sequence[SceneSet], names: Collection[str]) -> list[SceneSet]:
+    """Choose sets by name: "clutter" is those of all its robots, "clutter/husky" one of them.
+
+    Raises:
+        ConfigError: there is none of this name.
+    """
+    known = list(dict.fromkeys(n for one in found for n in (one.name.partition("/")[0], one.name)))
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"--sets {show_value(name)}{suggest_name(name[:40], known)}")
+    return [
+        one
+        for one in found
+        if not names or one.name in names or one.name.partition("/")[0] in names
+    ]
+
+
+def task_worlds(env_id: str) -> str:
+    """Return the generator or folder that an id's task takes its worlds from; "" for none.
+
+    Raises:
+        ConfigError: it isn't an environment of acsar_gym, or its worlds have no name.
+    """
+    try:
+        env = gymnasium.make(env_id, link="planar").unwrapped
+    except (gymnasium.error.Error, ImportError, TypeError) as error:
+        said = " ".join(str(error).split())
+        raise ConfigError(
+            f"--env {show_value(env_id)}: not an environment of acsar_gym: {said}"
+        ) from None
+    env.close()
+    if not isinstance(env, RobotEnv):
+        raise ConfigError(f"--env {show_value(env_id)}: not an environment of acsar_gym")
+    pool = env.pool
+    if pool is None:
+        return ""
+    if pool.kind == "given":
+        raise ConfigError(
+            f"--env {show_value(env_id)}: its worlds are objects without a name: name a generator "
+            "or a folder, as in acsar_gym.register(..., scenes={'test': {'worlds': ...}})"
+        )
+    module = registry.home_module(pool.kind) if pool.generated else ""
+    return f"{module}:{pool.kind}" if module else pool.kind
+
+
+def published_sets(some: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
+    """Return those of BARN's sets that are driven in the published worlds, in these.
+
+    Args:
+        some: sets of scenes.
         folder: with `world_N.world` and `path_N.npy` or `path_files`.
 
     Raises:
         WorldError: they can't be read.
     """
-    return SceneSet(env_id, PUBLISHED, str(folder), range(len(read_pool(str(folder)))))
+    found = []
+    for one in some:
+        if one.id.startswith("Barn-") and one.name in PUBLISHED_BARN:
+            numbers = range(len(read_pool(str(folder), None, one.robot)))
+            name = f"{one.name}{PUBLISHED_SUFFIX}"
+            found.append(replace(one, name=name, source=str(folder), numbers=numbers, split=GIVEN))
+    return found
 
 
 def record_hashes() -> None:
-    """Write the hashes of all generated sets to `scenes.json`; takes a minute."""
+    """Write the hashes of all generated sets to `scenes.json`; takes some minutes."""
     told: dict[str, Any] = {}
     for scenes in SCENES.values():
-        sets = [
-            one for one in (scenes.train, scenes.validation, scenes.test) if len(one) <= 100_000
-        ]
-        told[scenes.test.source or "open"] = {one.name: hash_scenes(one, len(one)) for one in sets}
+        for one in (scenes.train, scenes.validation, scenes.test):
+            if len(one) <= 100_000:
+                told.setdefault(one.key, {})[one.split] = hash_scenes(one, len(one))
+    for name in IDS:
+        for one in find_sets(f"{OWN_NAMESPACE}{name}"):
+            told.setdefault(one.key, {}).setdefault(one.split, hash_scenes(one, len(one)))
     _FILE.write_text(json.dumps({"version": SCENES_VERSION, **told}, indent=1) + "\n")
 
 
@@ -221,10 +365,10 @@ def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
     numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
     with keep_worlds():
         if scenes.source:
-            pool = read_pool(scenes.worlds or "")
+            pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)
             hashes = [hash_world(pool[number]) for number in numbers]
         else:
-            spawn = Spawn(PointGoal(), None, None, RobotConfig.of(None))
+            spawn = Spawn(PointGoal(), None, None, scenes.config)
             goals = (spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers)
             hashes = [_hash_numbers([goal]) for goal in goals]
     return [
@@ -234,9 +378,9 @@ def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
 
 
 @cache
-def read_pool(source: str) -> Pool:
-    """Worlds for the footprint of the default robot."""
-    return Pool.of(source, None, footprint_radius(RobotConfig.of(None)))
+def read_pool(source: str, difficulty: float | None, robot: str) -> Pool:
+    """Worlds for the footprint of a robot."""
+    return Pool.of(source, difficulty, footprint_radius(RobotConfig.of(robot)))
 
 
 def hash_world(world: World) -> bytes:

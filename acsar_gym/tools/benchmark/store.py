@@ -4,7 +4,7 @@ A benchmark's folder holds
 
 | file | content |
 |---|---|
-| `plan.json` | what was asked for: agents, ids, links, conditions, scenes; see `BenchmarkPlan` |
+| `plan.json` | what was asked for: agents, scenes, links, conditions; see `BenchmarkPlan` |
 | `results.jsonl` | one line for each finished part of a cell; see `Part` |
 | `benchmark.json` | the result: see below |
 | `benchmark.md` | its tables |
@@ -14,7 +14,7 @@ A benchmark's folder holds
 | key | content |
 |---|---|
 | `schema` | `BENCHMARK_SCHEMA` |
-| `header` | `versions`; `scenes`, by id and set (`version`, `sha256`, `count`, ...); `agents`, by |
+| `header` | `versions`; `scenes`, by id and set (`robot`, `score`, `sha256`, ...); `agents`, by |
 | | name (`kind` "learned" or "baseline", and `policies` with file and sha256); `conditions`, by |
 | | name; `links`; `port_scenes`, how many scenes are driven over the port |
 | `cells` | a list: the fields of `Cell`, `refused` (why it couldn't be run, else ""), `seconds`, |
@@ -23,9 +23,10 @@ A benchmark's folder holds
 | `rows` | figures over all training seeds of an agent, for each id, link and condition, with |
 | | `intervals` and `profile`, the share of runs whose score is above each of `taus`; see |
 | | `figures.AgentRow` |
-| `improvements` | probability of improvement between pairs of agents on one id and link |
-| `best` | best learned agent and best baseline of each id and link, by success and by score, and |
-| | whether their intervals lie apart |
+| `paired` | for each agent but the best baseline of an id, set and link: how much more it scores, |
+| | and succeeds, than that baseline in the same scenes, with `interval` and `p`; see |
+| | `figures.compare_pair` |
+| `improvements` | probability of improvement between pairs of agents on one id, set and link |
 | `taus` | thresholds of the performance profiles |
 """
 
@@ -42,7 +43,7 @@ from typing import Any
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError
 
-BENCHMARK_SCHEMA = 1
+BENCHMARK_SCHEMA = 2
 """Version of these files."""
 MAX_STORE_BYTES = 200_000_000
 """Largest accepted file [bytes]."""
@@ -63,8 +64,8 @@ class Cell:
     """Name of a simulated body, or "port"."""
     condition: str
     """ "nominal", or another name of `plan.CONDITIONS`."""
-    scenes: str = "test"
-    """Set of scenes: "test", or "published" for the worlds of BARN that were read from a folder."""
+    scenes: str
+    """Set of scenes, such as "barn-fast" or "clutter/husky"; see `scenes.SceneSet`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class EpisodeRecord:
     success: bool
     collision: bool
     score: float
-    """0 to 1, the id's own figure of merit; see `figures.score_episode`."""
+    """The set's own figure of merit, 0 without success; see `figures.score_episode`."""
     spl: float
     soft_spl: float
     time: float

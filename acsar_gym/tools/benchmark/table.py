@@ -13,12 +13,19 @@ Told = Mapping[str, Any]
 TABLE_HEAD = """# Benchmark
 
 `acsar-gym benchmark` writes this page. Every agent drives the same scenes with the same seeds.
-Intervals have 95 %: Wilson's for success over all episodes; for the score the stratified bootstrap
-over training seeds and scenes of its interquartile mean (IQM), as Agarwal et al. 2021 define them.
-The score of an episode is 0 without success, else the time of the shortest path at the robot's top
-speed over the time that it took (success weighted by completion time, Yokoyama et al. 2021); in
-PathFollow 1 - mean cross-track error / 10 cm. BARN scores have k = 2. Clearance, jerk and drift are
-means over episodes, time and energy over successful ones.
+Intervals have 95 %: Wilson's for success over all episodes, the stratified bootstrap over training
+seeds and scenes for scores, as Agarwal et al. 2021 define it. The mean score counts every failure;
+the interquartile mean (IQM) leaves out the worst and the best quarter. Differences are those to the
+best baseline of the scenes, in pairs of episodes with the same scene and seed: intervals by the
+paired bootstrap, p of success by McNemar's exact test (of several training seeds the least
+significant one), p of the score by the bootstrap.
+
+A failure scores 0. A success scores, as a set of scenes says: `completion_time`, the time of the
+shortest path at the robot's top speed over the time that it took (Yokoyama et al. 2021);
+`cross_track`, 1 - mean cross-track error / 10 cm; `barn_score`, that of BARN's contest with k = 2,
+at most 0.5, whose reference speed is 2 m/s; `barn_score_own`, the same with the robot's own top
+speed; or what the task tells under another name. Clearance, jerk and drift are means over episodes,
+time and energy over successful ones.
 """
 LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {"port": "emulated port"}
 
@@ -39,16 +46,16 @@ def format_tables(told: Told) -> str:
             if (row["id"], row["scenes"], row["condition"]) == (env_id, scenes, NOMINAL)
         ]
         about = describe_scenes(header["scenes"][env_id][scenes])
-        parts.append(f"## {env_id}, {scenes} scenes\n\n{about}")
-        if own:
-            columns = agent_columns(own)
+        parts.append(f"## {env_id}, {scenes}\n\n{about}")
+        if any(not row["refused"] for row in own):
+            columns = agent_columns(own, told["paired"])
             learned = {row["agent"] for row in own if row["kind"] == "learned"}
             columns["agent"] = [f"**{n}**" if n in learned else n for n in columns["agent"]]
             parts.append(_format_table(list(columns), zip(*columns.values(), strict=True)))
         why = dict.fromkeys(_escape(row["refused"]) for row in own if row["refused"])
         if why:
             parts.append("\n".join(["Without a row:", "", *(f"- {said}" for said in why)]))
-    parts += [_format_best(told["best"]), _format_improvements(told), _format_links(told["cells"])]
+    parts += [_format_best(told), _format_improvements(told), _format_links(told["cells"])]
     parts += _format_profiles(rows, header["conditions"])
     return "\n".join(part.strip() + "\n" for part in parts if part)
 
@@ -58,15 +65,28 @@ def describe_scenes(about: Told) -> str:
     kind = "seeds" if about["kind"] == "seeds" else f"worlds of {about['kind']}"
     last = about["first"] + about["count"] - 1
     return (
-        f"{about['count']} {kind}, {about['first']} to {last}, version {about['version']}, sha256 "
-        f"{about['sha256'][:16]}"
+        f"Robot {about['robot']}, score {about['score']}, {about['count']} {kind}, "
+        f"{about['first']} to {last}, version {about['version']}, sha256 {about['sha256'][:16]}"
     )
 
 
-def agent_columns(rows: Sequence[Told]) -> dict[str, list[str]]:
-    """Return the columns of the table of some rows that have values; the best score first."""
+PLACE = ("id", "scenes", "link")
+"""What rows and their comparisons share."""
+
+
+def agent_columns(rows: Sequence[Told], paired: Sequence[Told]) -> dict[str, list[str]]:
+    """Return the columns of the table of some rows that have values; the best score first.
+
+    Args:
+        rows: of one set of scenes.
+        paired: comparisons with the best baselines, of any place.
+    """
     driven = [row for row in rows if not row["refused"]]
-    driven.sort(key=lambda row: (list(LINK_NAMES).index(row["link"]), -row["score_iqm"]))
+    driven.sort(key=lambda row: (list(LINK_NAMES).index(row["link"]), -row["score"]))
+    found = {tuple(one[name] for name in (*PLACE, "agent", "figure")): one for one in paired}
+    for number, row in enumerate(driven):
+        own = [*(row[name] for name in (*PLACE, "agent"))]
+        driven[number] = {**row, **{f"{f} over": found.get((*own, f)) for f in FIGURE_FORMATS}}
     columns = {name: [cell(row) for row in driven] for name, cell in TABLE_COLUMNS.items()}
     return {name: [cell or "-" for cell in cells] for name, cells in columns.items() if any(cells)}
 
@@ -105,9 +125,27 @@ def _format_success(row: Told) -> str:
     return told
 
 
-def _format_score(row: Told) -> str:
-    low, high = row["intervals"]["score_iqm"]
-    return f"{row['score_iqm']:.3f} ({low:.3f} to {high:.3f})"
+def _format_score(figure: str) -> Callable[[Told], str]:
+    """Format a score with its interval."""
+
+    def text(row: Told) -> str:
+        low, high = row["intervals"][figure]
+        return f"{row[figure]:.3f} ({low:.3f} to {high:.3f})"
+
+    return text
+
+
+def _format_difference(one: Told | None) -> str:
+    """A paired difference, such as "+0.021 (+0.004 to +0.038) over dwa, p 0.012"."""
+    if one is None:
+        return ""
+    (low, high), value, digits = one["interval"], one["difference"], 3
+    if one["figure"] == "success":
+        low, high, value, digits = 100.0 * low, 100.0 * high, 100.0 * value, 1
+    p = "p < 0.001" if one["p"] < 0.001 else f"p {one['p']:.3f}"
+    ends = f"{low:+.{digits}f} to {high:+.{digits}f}"
+    unit = " points" if one["figure"] == "success" else ""
+    return f"{value:+.{digits}f}{unit} ({ends}) over {escape_unprintable(one['over'])}, {p}"
 
 
 TABLE_COLUMNS: dict[str, Callable[[Told], str]] = {
@@ -115,8 +153,11 @@ TABLE_COLUMNS: dict[str, Callable[[Told], str]] = {
     "link": lambda row: LINK_NAMES[row["link"]],
     "seeds": lambda row: str(len(row["training_seeds"])) if row["kind"] == "learned" else "",
     "episodes": lambda row: str(row["episodes"]),
+    "score": _format_score("score"),
     "success": _format_success,
-    "score IQM": _format_score,
+    "score difference": lambda row: _format_difference(row["score over"]),
+    "success difference": lambda row: _format_difference(row["success over"]),
+    "score IQM": _format_score("score_iqm"),
     "SPL": _format_number("spl", 3),
     "BARN score, own speed": _format_number("barn_score_own", 3),
     "BARN score, 2 m/s": _format_number("barn_score", 3),
@@ -131,43 +172,45 @@ TABLE_COLUMNS: dict[str, Callable[[Told], str]] = {
 """Cells of the main tables; empty text means no value, and columns without any are left out."""
 
 
-FIGURE_FORMATS = {"success_rate": ("success", ".1%"), "score_iqm": ("score IQM", ".3f")}
-"""Title and format of the figures that the best are compared by."""
+FIGURE_FORMATS = {"score": ".3f", "success": ".1%"}
+"""Formats of the figures that agents are compared by."""
 
 
-def _format_best(best: Sequence[Told]) -> str:
+def best_pairs(told: Told) -> list[Told]:
+    """Return, by place and figure, the comparison of the best learned agent with the baseline."""
+    found: dict[tuple[str, ...], Told] = {}
+    for one in told["paired"]:
+        place = tuple(one[name] for name in (*PLACE, "figure"))
+        if one["kind"] == "learned" and (
+            place not in found or one["values"][0] > found[place]["values"][0]
+        ):
+            found[place] = one
+    return list(found.values())
+
+
+def _format_best(told: Told) -> str:
     """The best learned agent against the best baseline."""
     rows = []
-    for each in best:
-        title, form = FIGURE_FORMATS[each["figure"]]
-        rows.append(
-            [
-                *(each["id"], each["scenes"], LINK_NAMES[each["link"]], title),
-                *(each["learned"], each["baseline"]),
-                f"{each['learned_value']:{form}} : {each['baseline_value']:{form}}",
-                *("yes" if each[name] else "no" for name in ("better", "apart")),
-            ]
-        )
-    names = ["id", "scenes", "link", "figure", "learned", "baseline", "values", "better"]
-    text = (
-        "Each figure has its own best agents. Their intervals are the stratified bootstrap's, over "
-        "scenes and training seeds."
-    )
-    title = "Best learned agent against best baseline"
-    return _format_section(title, text, [*names, "intervals apart"], rows)
+    for one in best_pairs(told):
+        ours, other = (f"{value:{FIGURE_FORMATS[one['figure']]}}" for value in one["values"])
+        where = one["id"], one["scenes"], LINK_NAMES[one["link"]], one["figure"]
+        rows.append([*where, one["agent"], f"{ours} : {other}", _format_difference(one)])
+    names = ["id", "scenes", "link", "figure", "learned", "values", "difference"]
+    text = "Each figure has its own best agents; differences are those of the same episodes."
+    return _format_section("Best learned agent against best baseline", text, names, rows)
 
 
 def improvements_of_best(told: Told) -> list[Told]:
     """Return the probabilities of improvement of the learned agents with the highest scores."""
     own = {
-        (each["id"], each["scenes"], each["link"], each["learned"])
-        for each in told["best"]
-        if each["figure"] == "score_iqm"
+        tuple(one[name] for name in (*PLACE, "agent"))
+        for one in best_pairs(told)
+        if one["figure"] == "score"
     }
     return [
         each
         for each in told["improvements"]
-        if (each["id"], each["scenes"], each["link"], each["agent"]) in own
+        if tuple(each[name] for name in (*PLACE, "agent")) in own
     ]
 
 
@@ -216,10 +259,10 @@ def _format_links(cells: Sequence[Told]) -> str:
 
 def _format_profiles(rows: Sequence[Told], conditions: Told) -> Iterator[str]:
     """Success under every condition, and relative to nominal."""
-    driven = [row for row in rows if row["scenes"] == "test" and not row["refused"]]
-    places = dict.fromkeys((row["id"], row["link"]) for row in rows if row["condition"] != NOMINAL)
-    for place in places:
-        own = [row for row in driven if (row["id"], row["link"]) == place]
+    driven = [row for row in rows if not row["refused"]]
+    places = [tuple(row[name] for name in PLACE) for row in rows if row["condition"] != NOMINAL]
+    for place in dict.fromkeys(places):
+        own = [row for row in driven if tuple(row[name] for name in PLACE) == place]
         rates = {(row["agent"], row["condition"]): row["success_rate"] for row in own}
         agents = list(dict.fromkeys(row["agent"] for row in own))
         lines = []
@@ -232,6 +275,6 @@ def _format_profiles(rows: Sequence[Told], conditions: Told) -> Iterator[str]:
                     cell += f" ({rate / nominal:.3f})"
                 cells.append(cell)
             lines.append([conditions[name]["words"], *cells])
-        title = f"Robustness: {place[0]}, {LINK_NAMES[place[1]]}"
+        title = f"Robustness: {place[0]}, {place[1]}, {LINK_NAMES[place[2]]}"
         text = "Success (and its share of nominal)."
         yield _format_section(title, text, ["condition", *agents], lines)

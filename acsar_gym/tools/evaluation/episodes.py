@@ -30,6 +30,7 @@ from acsar_gym.sensors.lidar import newest_scan
 from acsar_gym.tasks.base import info_names
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tools.policies import FilePolicy, Policy
+from acsar_gym.tools.policies.base import PolicyContext
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
@@ -182,7 +183,8 @@ def run_episodes(
 
     Args:
         env: an env of this package, wrapped or not.
-        policy: maps observations to actions.
+        policy: maps observations to actions; `reset()`, where it has that method, begins an episode
+            of it, and `bind` gets the `PolicyContext` of the env, unless `make_env` gave it that.
         count: number of episodes.
         seed: seed of the first reset.
         in_order: use the env's worlds one after the other, instead of random ones.
@@ -209,6 +211,8 @@ def run_episodes(
         raise ConfigError(
             f"{skip + count} episodes in order need as many worlds, but there are {len(worlds)}"
         )
+    if not isinstance(policy, FilePolicy) and (bind := getattr(policy, "bind", None)) is not None:
+        bind(PolicyContext.of(inner))
     for number in range(count):
         place = {"world": worlds[skip + number]} if in_order else {}
         yield _run_episode(env, inner, policy, seed + number, options | place, late_share)
@@ -227,8 +231,8 @@ def _run_episode(
     if (meter := meter_of(robot.link)) is not None:
         meter.metered = True
     observation, info = env.reset(seed=seed, options=options)
-    if isinstance(policy, FilePolicy):
-        policy.reset()
+    if (begin := getattr(policy, "reset", None)) is not None:
+        begin()
     steps, scans, rewards, done = [info], [newest_scan(inner.sensors)], 0.0, False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))

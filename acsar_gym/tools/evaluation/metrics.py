@@ -233,6 +233,17 @@ def stratified_interval(
 ) -> Interval:
     """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
 
+    Arguments are those of `resample`.
+
+    Returns:
+        Low and high end.
+    """
+    return percentile_interval(resample(values, statistic, resamples=resamples))
+
+
+def resample(values: Floats, statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES) -> Floats:
+    """Return a statistic of bootstrap samples, stratified by rows.
+
     Rows and columns are resampled with replacement. A drawn row keeps its values in all drawn
     columns.
 
@@ -242,7 +253,7 @@ def stratified_interval(
         resamples: bootstrap samples.
 
     Returns:
-        Low and high end.
+        (resamples,): the statistic of each.
     """
     rng, found = np.random.default_rng(0), []
     chunk = max(1, MAX_RESAMPLED // values.size)
@@ -251,7 +262,7 @@ def stratified_interval(
         rows, columns = (rng.integers(size, size=(count, size)) for size in values.shape)
         drawn = values[rows[:, :, None], columns[:, None, :]]
         found.append(statistic(drawn.reshape(count, -1)))
-    return percentile_interval(np.concatenate(found))
+    return np.concatenate(found)
 
 
 def percentile_interval(values: Floats) -> Interval:

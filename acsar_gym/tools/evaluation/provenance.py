@@ -73,7 +73,7 @@ def make_header(
     inner: Any = env.unwrapped
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
-        "policy": policy.about | {"differences": list(policy.differences)},
+        "policy": policy.about | {"differences": [*policy.outside, *policy.differences]},
         "env": _describe_env(env),
         "robot": {"sha256": hash_config(inner.robot.config)},
         "link": link,

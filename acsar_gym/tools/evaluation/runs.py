@@ -40,8 +40,8 @@ from acsar_gym.tools.policies import (
     resolve,
     statistics_beside,
 )
-from acsar_gym.tools.policies.base import format_error, quote_text
-from acsar_gym.tools.policies.describe import describe_policy, env_policy_rate
+from acsar_gym.tools.policies.base import PolicyContext, format_error, quote_text
+from acsar_gym.tools.policies.describe import RETRAIN_HINT, describe_policy, env_policy_rate
 from acsar_gym.worlds import registry
 
 Env = gymnasium.Env[Any, Any]
@@ -107,11 +107,13 @@ class EvaluationRun:
         }
 
 
-def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
-    """Load a policy file, packaged policy, baseline, or function such as "mine.py:act".
+def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
+    """Load a policy: a file, a packaged one, a baseline, or Python code such as "mine.py:act".
 
     Args:
-        policy: its path or name; files come first, then packaged policies, then baselines.
+        policy: its path or name; files come first, then packaged policies, then baselines. Or a
+            function or class of a module, as in "mine.module:Planner", or an object; see
+            `CallablePolicy`.
         trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
         env: id or short name of the env that it is for; by default the one that the file names.
 
@@ -121,6 +123,12 @@ def load_policy(policy: str, *, trust: bool, env: str = "") -> FilePolicy:
         ConfigError: there is no such `env`.
     """
     env_id = find_id(env) if env else ""
+    if isinstance(policy, FilePolicy):
+        if env_id:
+            policy.env_id, policy.env_named = env_id, True
+        if not policy.path.is_file():
+            policy.given = policy
+        return policy
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
     if baselines.is_baseline(policy):
@@ -148,7 +156,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             "clutter:train" means the training split.
 
     Raises:
-        PolicyError: no env is named, it can't be made, or its observation is another one.
+        PolicyError: no env is named, it can't be made, its observation is another one, or a real
+            robot isn't one of those that the policy is for.
         ConfigError: the env doesn't have one of the arguments.
     """
     env_id = _check_id(policy)
@@ -173,7 +182,9 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     inner = env.unwrapped
     if isinstance(inner, RobotEnv):
         policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-        policy.bind(inner)
+        if inner.robot.link.truth is None:  # on hardware
+            refuse_outside(policy)
+        policy.bind(PolicyContext.of(inner))
     return TrackedEnv(env) if tracked else env
 
 
@@ -264,9 +275,9 @@ def drive_to_goal(
             options["max_episode_steps"] = math.ceil(steps * longer)
     config = RobotConfig.of(robot)
     env = make_env(policy, open_link(link, config), config, options)
-    _warn_differences(policy)
-
     with contextlib.closing(env):
+        refuse_outside(policy)
+        _warn_differences(policy)
         ready()
         running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal)
         return _collect_run(env, policy, link, range(1), {"goal": goal}, running)
@@ -274,8 +285,14 @@ def drive_to_goal(
 
 def _warn_differences(policy: FilePolicy) -> None:
     """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
-    for line in policy.differences:
+    for line in (*policy.outside, *policy.differences):
         warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
+
+
+def refuse_outside(policy: FilePolicy) -> None:
+    """Raise PolicyError where the robot isn't one of those that the policy is for."""
+    if policy.outside:
+        raise PolicyError(f"{policy.path}: {'; '.join(policy.outside)}: {RETRAIN_HINT}")
 
 
 def _show_progress(
@@ -361,7 +378,10 @@ def export_policy(
         known = policy.bundle
         if known is None or known.env.id != strip_module(policy.env_id):
             known = describe_policy(inner, policy.env_id)
-        before = sb3.read_normalizer(statistics, known.observation.width) if statistics else None
+        before = None
+        if statistics is not None:
+            width = known.observation.width
+            before = sb3.read_normalizer(statistics, width, policy.frames)
         sb3.export_policy(policy.network, out, known, before)
     finally:
         env.close()

@@ -46,6 +46,8 @@ class PortablePolicy:
     sha256: str | None = field(repr=False)
     content: bytes | None = field(repr=False)
     """Content of its file; None for a policy that isn't a file."""
+    given: Any = field(default=None, repr=False, compare=False)
+    """The policy itself, if it is an object in Python."""
 
     @classmethod
     def of(cls, policy: FilePolicy) -> PortablePolicy:
@@ -64,7 +66,8 @@ class PortablePolicy:
             if policy.sha256 not in (None, hashlib.sha256(content).hexdigest()):
                 raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
         trust = isinstance(policy, ZipPolicy)
-        return cls(str(policy.path), env, policy.function, trust, policy.sha256, content)
+        own = None if policy.given is None else policy
+        return cls(str(policy.path), env, policy.function, trust, policy.sha256, content, own)
 
     def load(self) -> FilePolicy:
         """Load the policy: from its file if that is the same here, else from the content.
@@ -72,7 +75,7 @@ class PortablePolicy:
         Raises:
             PolicyError: it can't be loaded here.
         """
-        return _load_portable(self)
+        return _load_portable(self) if self.given is None else self.given
 
 
 @lru_cache(maxsize=4)

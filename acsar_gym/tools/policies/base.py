@@ -1,16 +1,18 @@
-"""Policies: their interface, those of Python files, and observations by name in SI units."""
+"""Policies: their interface, those in Python, and observations by name in SI units."""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
 import math
+import re
 import sys
 import textwrap
 import traceback
+import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol
@@ -68,10 +70,14 @@ class FilePolicy(ABC):
     """What the file says about the policy; None if it can't hold that, as Python code."""
     differences: tuple[str, ...] = ()
     """How the robot of the last `check` differs from those of the training, a line each."""
+    outside: tuple[str, ...] = ()
+    """Where the robot of the last `check` lies outside of those that it is for, a line each."""
     sha256: str | None = None
     """SHA-256 of the file's content, in hexadecimal as `sha256sum` prints it."""
     function: str | None = None
     """Name of the function, if the file is a Python file."""
+    given: Any = None
+    """The object itself, of a policy that is neither a file nor in a module."""
 
     @property
     def about(self) -> dict[str, str | None]:
@@ -90,7 +96,10 @@ class FilePolicy(ABC):
         policy_rate: float | None = None,
         config: RobotConfig | None = None,
     ) -> None:
-        """Check that the policy can drive in an env; `differences` has how its robot differs.
+        """Check that the policy can drive in an env.
+
+        Then `differences` has how its robot differs, and `outside` where it isn't one of those that
+        the policy is for.
 
         A policy without a bundle fits every env.
 
@@ -107,6 +116,8 @@ class FilePolicy(ABC):
             return
         try:
             describe.check_bundle(self.bundle, task, sensors, config, policy_rate)
+            if config is not None:
+                self.outside = tuple(describe.robots_outside(self.bundle, config))
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from None
         if config is not None:
@@ -117,11 +128,11 @@ class FilePolicy(ABC):
         """Length that distances in its observation are divided by [m]; None if unknown."""
         return None if self.bundle is None else self.bundle.observation.scale
 
-    def bind(self, env: RobotEnv) -> None:  # noqa: B027 - most policies need nothing of it
-        """Take what the policy needs of the env that it will drive; by default nothing.
+    def bind(self, setting: PolicyContext) -> None:  # noqa: B027 - most policies need nothing of it
+        """Take what the policy needs of what it will drive; by default nothing.
 
         Args:
-            env: made and checked for this policy, not reset yet.
+            setting: of the env, which is made and checked for this policy, and not reset yet.
         """
 
     def reset(self) -> None:  # noqa: B027 - most policies have no memory
@@ -177,9 +188,9 @@ def format_error(error: BaseException) -> str:
 class DecodedObservation:
     """One observation in SI units, in the base frame (x ahead, y to the left)."""
 
-    linear: float
+    linear: float = math.nan
     """Velocity by odometry [m/s]."""
-    angular: float
+    angular: float = math.nan
     """Yaw rate by odometry [rad/s]."""
     distance: float = math.nan
     """To the goal [m]; NaN without one."""
@@ -204,7 +215,11 @@ class DecodedObservation:
 
 @dataclass(frozen=True)
 class PolicyContext:
-    """Robot, period and layout of the observation: what a deployed policy may know."""
+    """Robot, period and layout of the observation: what a deployed policy may know.
+
+    `evaluate`, `run` and `benchmark` give it to every policy that has a method `bind`, once for
+    each env.
+    """
 
     config: RobotConfig
     task: str
@@ -219,6 +234,8 @@ class PolicyContext:
     """What distances are divided by [m]."""
     rays: slice | None
     """Where the LiDAR's ranges are in the observation; None without a LiDAR."""
+    episode_seed: Callable[[], int | None] = field(default=lambda: None, repr=False, compare=False)
+    """Returns the seed of the episode that has begun; None where it has none."""
 
     @classmethod
     def of(cls, env: RobotEnv) -> PolicyContext:
@@ -237,7 +254,17 @@ class PolicyContext:
             places={name: n for n, name in enumerate(task.observation)},
             scale=observation_scale(task),
             rays=rays,
+            episode_seed=lambda: env.np_random_seed,
         )
+
+    def rng(self, name: str) -> np.random.Generator:
+        """Return a generator for the episode that has begun, so that results repeat.
+
+        Args:
+            name: of the policy: another one draws other numbers in the same episode.
+        """
+        seed = max(int(self.episode_seed() or 0), 0)
+        return np.random.default_rng([zlib.crc32(name.encode()), seed])
 
     def need(self, policy: str, names: tuple[str, ...], what: str, instead: str) -> None:
         """Check that the task observes what a policy needs.
@@ -259,13 +286,16 @@ class PolicyContext:
             )
 
     def seen(self, observation: Observation) -> DecodedObservation:
-        """Take an observation apart, and convert it to SI units."""
+        """Take an observation apart, and convert it to SI units.
+
+        What the task doesn't observe under the names of this package's tasks is NaN or None.
+        """
         numbers, config = observation.astype(np.float64), self.config
         at, scale = self.places, self.scale or 1.0
-        told: dict[str, float | Floats | None] = {
-            "linear": numbers[at["linear_velocity"]] * config.max_linear,
-            "angular": numbers[at["angular_velocity"]] * config.max_angular,
-        }
+        told: dict[str, float | Floats | None] = {}
+        if "linear_velocity" in at and "angular_velocity" in at:
+            told["linear"] = numbers[at["linear_velocity"]] * config.max_linear
+            told["angular"] = numbers[at["angular_velocity"]] * config.max_angular
         if "goal_distance" in at:
             told["distance"] = numbers[at["goal_distance"]] * scale
             told["bearing"] = math.atan2(numbers[at["goal_sin"]], numbers[at["goal_cos"]])
@@ -282,48 +312,96 @@ class PolicyContext:
         return DecodedObservation(**told)  # type: ignore[arg-type]  # its own fields
 
 
-def is_callable(policy: str) -> bool:
-    """Return whether a policy argument names a Python file.
+_MODULE_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
+
+
+def is_callable(policy: Any) -> bool:
+    """Return whether a policy argument means Python code: a file, a module, or an object.
 
     Args:
-        policy: such as "mine.py" or "mine.py:act".
+        policy: such as "mine.py", "mine.py:act", "mine.module:Planner", or anything but a text.
     """
-    return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
+    if not isinstance(policy, str):
+        return True
+    file = policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
+    return file or (_MODULE_NAME.fullmatch(policy) is not None and not Path(policy).exists())
 
 
 class CallablePolicy(FilePolicy):
-    """A policy that is a function of a Python file, observation (n,) to action (2,).
+    """A policy in Python: a function, a class or an object, observation (n,) to action (2,).
 
-    Loading it runs the code of the file.
+    An object, of the class too, may have a state: `bind(setting)` is called once for each env, with
+    its `PolicyContext`, and `reset()` at the begin of each episode, right after the env's reset.
+    Loading one from a file or module runs its code.
 
     Args:
-        policy: "FILE.py:FUNCTION".
-        env_id: id of the env that it is for; by default the file's own global ENV_ID.
+        policy: "FILE.py:NAME" or "module:NAME" of a function or class, or an object. A class is
+            called without arguments, a `FilePolicy` such as a baseline with `env_id`.
+        env_id: id of the env that it is for; by default the global ENV_ID of file or module, or
+            the object's own `env_id`.
 
     Raises:
-        PolicyError: there is no such file or function, its code raises an exception, no env is
-            named, or (when called) the action isn't two finite numbers.
+        PolicyError: there is no such file or name, its code raises an exception, no env is named,
+            or (when called) the action isn't two finite numbers.
+        ConfigError: there is no such module, or nothing of this name in it.
     """
 
-    def __init__(self, policy: str, env_id: str = "") -> None:
-        file, _, self._name = (policy, "", "") if policy.endswith(".py") else policy.rpartition(":")
-        self.path = Path(file)
-        source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
-        self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
-        module = self._run_source(source)
-        known = [n for n, value in vars(module).items() if callable(value) and n[:1] != "_"]
-        self._act: Any = getattr(module, self._name, None) if self._name else None
-        if not callable(self._act):
+    env_named = True
+    """The user runs this code, so its ENV_ID is trusted."""
+
+    def __init__(self, policy: Any, env_id: str = "") -> None:
+        found: Any = policy
+        module, self._source = None, ""
+        if not isinstance(policy, str):
+            self.given = policy
+            self._name = getattr(policy, "__name__", type(policy).__name__)
+            self.path = Path(self._name)
+        elif _MODULE_NAME.fullmatch(policy) and not policy.rpartition(":")[0].endswith(".py"):
+            if "" not in sys.path:
+                sys.path.append("")  # modules in the current folder
+            found = reading.import_object("policy", policy)
+            self.path, self._name = Path(policy), policy.rpartition(":")[2]
+            module = sys.modules[policy.partition(":")[0]]
+            self._source = str(getattr(module, "__file__", None) or "")
+            if self._source:
+                self.sha256 = hashlib.sha256(Path(self._source).read_bytes()).hexdigest()
+        else:
+            name, _, self._name = (
+                (policy, "", "") if policy.endswith(".py") else policy.rpartition(":")
+            )
+            self.path, self._source = Path(name), name
+            source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
+            self.sha256, self.function = hashlib.sha256(source).hexdigest(), self._name
+            module = self._run_source(source)
+            found = getattr(module, self._name, None) if self._name else None
+        if not callable(found):
+            known = [n for n, one in vars(module).items() if callable(one) and n[:1] != "_"]
             named = f"has no function {self._name!r}" if self._name else "name a function of it"
             hint = suggest_name(self._name, known) if known else ""
             raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
-        self.env_id = env_id or str(getattr(module, "ENV_ID", ""))
-        self.env_named = True  # the user runs this file's code, so its ENV_ID is trusted
+        own = getattr(module, "ENV_ID", "") or getattr(found, "env_id", "")
+        self.env_id = env_id or str(own)
         if not self.env_id:
             raise PolicyError(
                 f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "
                 "another, or set ENV_ID in it"
             )
+        if isinstance(found, type):
+            arguments = (self.env_id,) if issubclass(found, FilePolicy) else ()
+            found = self._call("can't be made", found, *arguments)
+            if not callable(found):
+                raise PolicyError(f"{self.path}: {self._name} has no method __call__")
+        self._act: Any = found
+
+    def bind(self, setting: PolicyContext) -> None:
+        """Call the object's own `bind`, if it has one; PolicyError where that raises an error."""
+        if (bind := getattr(self._act, "bind", None)) is not None:
+            self._call("bind failed", bind, setting)
+
+    def reset(self) -> None:
+        """Call the object's own `reset`, if it has one; PolicyError where that raises an error."""
+        if (reset := getattr(self._act, "reset", None)) is not None:
+            self._call("reset failed", reset)
 
     def _run_source(self, source: bytes) -> ModuleType:
         """Run the file's source as a module."""
@@ -336,20 +414,25 @@ class CallablePolicy(FilePolicy):
         if folder not in sys.path:
             sys.path.append(folder)  # the file may import modules of its own folder
         sys.modules[name] = module  # dataclasses and pickle look modules up there
-        try:
+
+        def run() -> None:
             exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
+
+        self._call("can't be run", run)
+        return module
+
+    def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call the user's code; PolicyError with the line of the file where it raises an error."""
+        try:
+            return function(*arguments)
         except AcsarError:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
-            raise self._explain_failure("can't be run", error) from None
-        return module
-
-    def _explain_failure(self, what: str, error: BaseException) -> PolicyError:
-        """Build the error for an exception in the user's code, with the line of the file."""
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [f.lineno for f in frames if f.filename == str(self.path)]
-        line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
-        return PolicyError(f"{self.path}, line {line}: {what}: {format_error(error)}")
+            frames = traceback.extract_tb(error.__traceback__)
+            lines = [f.lineno for f in frames if f.filename == self._source]
+            line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
+            where = f"{self.path}, line {line}" if line else f"{self.path}"
+            raise PolicyError(f"{where}: {what}: {format_error(error)}") from None
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
         """Call the function; returns its action, shape (2,).
@@ -358,12 +441,7 @@ class CallablePolicy(FilePolicy):
             PolicyError: the function raises an exception, or gives anything but two finite
                 numbers.
         """
-        try:
-            given = self._act(observation)
-        except AcsarError:
-            raise
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's code raises
-            raise self._explain_failure(f"{self._name} failed", error) from None
+        given = self._call(f"{self._name} failed", self._act, observation)
         try:
             action = np.asarray(given, np.float32)
         except Exception:  # noqa: BLE001 - torch has errors of its own for tensors with gradients

@@ -35,6 +35,7 @@ Positive = Annotated[float, Field(gt=0.0, le=1e9)]
 Count = Annotated[int, Field(ge=0, le=10**15)]
 Size = Annotated[int, Field(gt=0, le=100_000)]
 Value = Annotated[Number | tuple[Number, ...] | None, Field(union_mode="left_to_right")]
+Span = tuple[Number, Number]
 Ranges = dict[Label, Annotated[tuple[Number, ...], Field(min_length=1, max_length=1_000)]]
 
 
@@ -178,11 +179,22 @@ class Bundle(Section):
     """The states of a recurrent policy, in the order of the graph's inputs and outputs."""
     rates: PolicyRates
     robot: RobotSummary
+    robots: dict[Label, Span] = Field(default_factory=dict, max_length=200)
+    """Least and largest number of the robots that it was trained on, by name, see
+    `describe.robot_number`; empty: it was trained on `robot` alone."""
     randomization: Ranges | None = None
     """Ranges of the training by name, see `Randomization`; None: not known."""
     training: TrainingSummary | None = None
     metrics: dict[Label, dict[Label, Number | None]] = Field(default_factory=dict, max_length=100)
     """Figures by occasion, such as {"held_out": {"success_rate": 0.97, "episodes": 64}}."""
+
+    @model_validator(mode="after")
+    def _spans_of_robots_are_in_order(self) -> Self:
+        """Check that no range of robots is upside down."""
+        for name, (low, high) in self.robots.items():
+            if low > high:
+                raise ConfigError(f"robots {show_value(name)}: {low:g} to {high:g} is no range")
+        return self
 
     def as_json(self) -> str:
         """Return the document; PolicyError where it is larger than what is read."""

@@ -20,6 +20,7 @@ from typing import Any
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import outline_radius
 from acsar_gym.config.robot import hash_calibration, hash_config
+from acsar_gym.config.section import Section
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import full_id, strip_module
 from acsar_gym.errors import AcsarError, PolicyError, escape_unprintable, shorten_text
@@ -88,6 +89,12 @@ REPORTED_FIELDS = {
 """Values of a robot that are told where they differ, and by how much they may [m]."""
 RANGE_MARGIN = 0.01
 """Relative width by which a range of the training is widened."""
+OUTLINE_NUMBERS: Mapping[str, Callable[[RobotConfig], float]] = {
+    "footprint_length": lambda config: _extent(config, 0),
+    "footprint_width": lambda config: _extent(config, 1),
+    "footprint_radius": lambda config: outline_radius(config.outline),
+}
+"""Numbers of a robot's footprint [m], for ranges of robots."""
 RETRAIN_HINT = "train it again, or choose the robot of its training with --robot"
 ARGUMENTS_HINT = "give the env the arguments that the policy was trained with"
 MAX_QUOTED_CHARS = 100
@@ -144,6 +151,7 @@ def describe_policy(
     metrics: Mapping[str, Mapping[str, float | None]] | None = None,
     state: Sequence[StateLayout] = (),
     width: int | None = None,
+    robots: Mapping[str, Range] | None = None,
 ) -> Bundle:
     """Describe a policy that was trained in an environment.
 
@@ -155,6 +163,8 @@ def describe_policy(
         metrics: figures of the policy by occasion; NaN becomes null.
         state: the states of a recurrent policy.
         width: how many numbers of an observation the policy takes, the first ones; None for all.
+        robots: least and largest number of the robots of the training by name, see `robot_number`;
+            None where it was the env's robot alone.
 
     Raises:
         PolicyError: something of it can't be written in a bundle.
@@ -181,6 +191,7 @@ def describe_policy(
                 calibration_sha256=hash_calibration(config),
                 values=robot_values(config, sensors),
             ),
+            robots=dict(robots or {}),
             randomization=ranges,
             training=training,
             metrics={
@@ -293,7 +304,7 @@ def check_bundle(
     here, in_this = f"in {task_text}: {RETRAIN_HINT}", f"in this {task_text}: {ARGUMENTS_HINT}"
     robot = {} if config is None else robot_values(config, sensors)
     for name in LAYOUT_FIELDS:
-        if name in bundle.robot.values and name in robot:
+        if name in bundle.robot.values and name in robot and name not in bundle.robots:
             was, now = bundle.robot.values[name], robot[name]
             on_robot = f"on this robot: {RETRAIN_HINT}"
             require(equal_values(was, now), name, format_value(was), format_value(now), on_robot)
@@ -326,6 +337,68 @@ def _quote(text: str) -> str:
     return escape_unprintable(shorten_text(text, MAX_QUOTED_CHARS))
 
 
+def robot_number(config: RobotConfig, name: str) -> Value:
+    """Return a number of a robot.
+
+    Args:
+        config: of the robot.
+        name: of OUTLINE_NUMBERS, ROBOT_FIELDS or LIDAR_FIELDS, or a field of the config, dotted
+            where it is in a section, such as "body.length".
+
+    Returns:
+        The number, one for each wheel, or None where the robot has none.
+
+    Raises:
+        PolicyError: a robot has no number of this name.
+    """
+    known = {**OUTLINE_NUMBERS, **ROBOT_FIELDS, **LIDAR_FIELDS}
+    if name in known:
+        found: Value = known[name](config)
+        return found
+    value: Any = config
+    for part in name.split("."):
+        if not isinstance(value, Section) or part not in type(value).model_fields:
+            raise PolicyError(
+                f"robots {_quote(name)}: a robot has no such number: export the policy again with "
+                "this acsar_gym"
+            )
+        value = getattr(value, part)
+    numbers = value if isinstance(value, tuple) else (value,)
+    if value is not None and not all(type(one) in (int, float) for one in numbers):
+        raise PolicyError(f"robots {_quote(name)}: isn't a number: export the policy again")
+    plain: Value = value
+    return plain
+
+
+def _extent(config: RobotConfig, axis: int) -> float:
+    """Return the size of a footprint along x (0) or y (1) [m]."""
+    ends = [corner[axis] for corner in config.outline]
+    return max(ends) - min(ends)
+
+
+def robots_outside(bundle: Bundle, config: RobotConfig) -> list[str]:
+    """Say where a robot lies outside of those that a policy was trained on, a line for each number.
+
+    Args:
+        bundle: of the policy.
+        config: of the robot.
+
+    Raises:
+        PolicyError: the bundle names a number that no robot has.
+    """
+    lines = []
+    for name, (low, high) in bundle.robots.items():
+        value = robot_number(config, name)
+        margin = 1e-6 * max(abs(low), abs(high))
+        inside = [low - margin <= one <= high + margin for one in as_numbers(value)]
+        if not (inside and all(inside)):
+            span = f"{low:.4g} to {high:.4g}"
+            lines.append(
+                f"{_quote(name)} of this robot is {format_value(value)}, the policy is for {span}"
+            )
+    return lines
+
+
 def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotConfig) -> list[str]:
     """Say how a robot differs from those of the training, one line for each field.
 
@@ -337,13 +410,18 @@ def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotCo
     own = robot_values(config, sensors) | {"rates.control": config.control_rate}
     file = bundle.robot.values | {"rates.control": bundle.rates.control}
     lines = []
+    several = {*bundle.robots}
+    if several & {*OUTLINE_NUMBERS}:
+        several.add("footprint.radius")
     for name, most in REPORTED_FIELDS.items():
+        if name in several:
+            continue  # `robots_outside` tells
         if name in file and name in own and not equal_values(file[name], own[name], most):
             was, now = format_value(file[name]), format_value(own[name])
             lines.append(f"{name} was {was} in the training and is {now} on this robot")
     for name, varied in RANDOMIZED_VALUES.items():
         values, trained = as_numbers(own.get(name)), as_numbers(bundle.robot.values.get(name))
-        if bundle.randomization is None or not (values and trained):
+        if bundle.randomization is None or not (values and trained) or name in several:
             continue
         low, high = trained_range(varied, trained, bundle.randomization)
         margin = RANGE_MARGIN * max(abs(low), abs(high))
@@ -422,6 +500,9 @@ def bundle_rows(bundle: Bundle) -> Iterator[tuple[str, str]]:
     yield "calibration", (robot.calibration_sha256 or "none")[:16]
     known = {name: format_value(one) for name, one in robot.values.items() if one is not None}
     yield "", _format_mapping(known)
+    if bundle.robots:
+        spans = {name: f"{low:.4g} to {high:.4g}" for name, (low, high) in bundle.robots.items()}
+        yield "robots", _format_mapping(spans)
     ranges = bundle.randomization
     if ranges is None:
         yield "randomization", "not known"

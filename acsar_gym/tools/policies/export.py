@@ -107,6 +107,16 @@ def make_normalizer(given: Any) -> torch.nn.Module | None:
     return Normalizer(*given)
 
 
+def describe_normalizer(bundle: Bundle, normalizer: torch.nn.Module) -> Bundle:
+    """Return a bundle that says with what its network normalizes observations."""
+    summary = NormalizerSummary(kind=type(normalizer).__name__)
+    if isinstance(normalizer, Normalizer):
+        ends = [(float(v.min()), float(v.max())) for v in (normalizer.mean, normalizer.std)]
+        summary = NormalizerSummary(kind="running", clip=normalizer.clip, mean=ends[0], std=ends[1])
+    seen = bundle.observation.model_copy(update={"normalizer": summary})
+    return bundle.model_copy(update={"observation": seen})
+
+
 def write_network(
     network: torch.nn.Module, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None
 ) -> None:
@@ -129,14 +139,7 @@ def write_network(
     weight = next(network.parameters(), torch.zeros(0))
     if normalizer is not None:
         normalizer.to(weight.device)
-        summary = NormalizerSummary(kind=type(normalizer).__name__)
-        if isinstance(normalizer, Normalizer):
-            ends = [(float(v.min()), float(v.max())) for v in (normalizer.mean, normalizer.std)]
-            summary = NormalizerSummary(
-                kind="running", clip=normalizer.clip, mean=ends[0], std=ends[1]
-            )
-        seen = bundle.observation.model_copy(update={"normalizer": summary})
-        bundle = bundle.model_copy(update={"observation": seen})
+        bundle = describe_normalizer(bundle, normalizer)
     module = (_RecurrentModule if bundle.state else _PolicyModule)(network, normalizer)
     shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
     example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)

@@ -237,18 +237,40 @@ def recurrent_states(policy: BasePolicy) -> tuple[StateLayout, ...]:
     return tuple(StateLayout(input=old, output=new, shape=shape) for old, new in names)
 
 
+class _StackedActor(torch.nn.Module):
+    """The same for a policy that was trained with VecFrameStack.
+
+    Its observation is the last ones side by side, the newest at the end. The others are its state,
+    zeros at the start of an episode, as VecFrameStack has them.
+    """
+
+    def __init__(self, actor: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
+        super().__init__()
+        self.actor, self.normalizer = actor, normalizer
+
+    def forward(self, observation: torch.Tensor, frames: torch.Tensor, *states: Any) -> Any:
+        """Map an observation (1, n), earlier ones and other states to action and next states."""
+        stacked = torch.cat((frames, observation), 1)
+        seen = stacked if self.normalizer is None else self.normalizer(stacked)
+        given = self.actor(seen, *states)
+        action, *after = given if isinstance(given, tuple) else (given,)
+        return action, stacked[:, observation.shape[1] :], *after
+
+
 def export_policy(
     policy: BasePolicy, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None = None
 ) -> None:
     """Write the deterministic actor of a model to one ONNX file.
 
-    The model is of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
+    The model is of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO. One that was trained with
+    VecFrameStack, whose observation is several of those of the bundle, gets a state.
 
     Args:
         policy: the policy of the model.
         path: file to write.
         bundle: what it was trained for and how.
-        normalizer: module that is applied to observations (batch, n) first.
+        normalizer: module that is applied to observations (batch, n) first, or to the stacked ones,
+            where its mean has as many numbers as these.
 
     Raises:
         PolicyError: the policy doesn't fit the env, or can't be exported.
@@ -256,12 +278,21 @@ def export_policy(
     from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional: onnx
 
     states = recurrent_states(policy)
-    actor = (_RecurrentActor if states else _Actor)(policy)
+    actor: torch.nn.Module = (_RecurrentActor if states else _Actor)(policy)
+    width, stacked = bundle.observation.width, sum(policy.observation_space.shape or ())
+    if stacked > width:
+        frames = StateLayout(input="frames", output="next_frames", shape=(1, stacked - width))
+        states = (frames, *states)
+        whole = isinstance(normalizer, export.Normalizer) and normalizer.mean.numel() == stacked
+        if normalizer is not None and whole:  # VecNormalize around VecFrameStack
+            bundle = export.describe_normalizer(bundle, normalizer)
+        actor = _StackedActor(actor, normalizer if whole else None)
+        normalizer = None if whole else normalizer
     bundle = bundle.model_copy(update={"state": states})
     export.write_network(actor, path, bundle, normalizer)
 
 
-def read_normalizer(path: Path, width: int) -> torch.nn.Module | None:
+def read_normalizer(path: Path, width: int, frames: int = 1) -> torch.nn.Module | None:
     """Read the normalization of observations from a saved VecNormalize.
 
     The file is a pickle: reading it can run any code in it.
@@ -269,10 +300,11 @@ def read_normalizer(path: Path, width: int) -> torch.nn.Module | None:
     Args:
         path: the pickle file.
         width: size of the observation.
+        frames: how many of them VecFrameStack gives the model at once.
 
     Returns:
-        A module for observations (batch, width); None if the VecNormalize doesn't change
-        observations.
+        A module for observations (batch, width) or stacked ones (batch, frames * width); None if
+        the VecNormalize doesn't change observations.
 
     Raises:
         PolicyError: the file can't be read, isn't a VecNormalize, or is for other observations.
@@ -291,6 +323,7 @@ def read_normalizer(path: Path, width: int) -> torch.nn.Module | None:
     rms: Any = saved.obs_rms
     mean: Any = getattr(rms, "mean", None)
     shape = np.shape(mean)
-    if shape != (width,):
-        raise PolicyError(f"{path}: for observations of shape {shape}, the model takes ({width},)")
+    if shape not in ((width,), (frames * width,)):
+        takes = " or ".join(f"({size},)" for size in dict.fromkeys((width, frames * width)))
+        raise PolicyError(f"{path}: for observations of shape {shape}, the model takes {takes}")
     return export.Normalizer(mean, np.sqrt(rms.var + saved.epsilon), saved.clip_obs)

@@ -40,7 +40,8 @@ able to unpickle them."""
 class ZipPolicy(FilePolicy):
     """A policy from a zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
 
-    Loading a zip can run any code in it. Statistics of a VecNormalize aren't part of a zip.
+    Loading a zip can run any code in it. Statistics of a VecNormalize aren't part of a zip. A
+    policy that was trained with VecFrameStack gets the last observations side by side, as there.
 
     Args:
         path: the zip.
@@ -78,7 +79,10 @@ class ZipPolicy(FilePolicy):
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
         self._width = (self.network.observation_space.shape or (0,))[0]
+        self.frames = 1
+        """How many observations it gets at once; known once it is checked with an env."""
         self._state: tuple[NDArray[Any], ...] | None = None
+        self._seen = np.zeros(0, np.float32)
 
     def check(
         self,
@@ -87,7 +91,7 @@ class ZipPolicy(FilePolicy):
         policy_rate: float | None = None,
         config: RobotConfig | None = None,
     ) -> None:
-        """As FilePolicy.check; also compares the spaces.
+        """As FilePolicy.check; also compares the spaces, and counts the frames.
 
         Args:
             task: of the env.
@@ -100,24 +104,34 @@ class ZipPolicy(FilePolicy):
         """
         super().check(task, sensors, policy_rate, config)
         action, seen = task_spaces(task, sensors)
+        times, rest = divmod(self._width, len(seen.low))
+        self.frames = 1 if rest else max(times, 1)
+        low, high = (np.repeat(end, self.frames)[: self._width] for end in (seen.low, seen.high))
+        own = Box(low, high)  # in VecFrameStack's order; a policy may leave out the last numbers
         spaces = self.network.action_space, self.network.observation_space
-        low, high = (np.asarray(bound)[: self._width] for bound in (seen.low, seen.high))
-        first = Box(low, high)  # a policy may leave out the last numbers
-        for space, wanted in zip(spaces, (action, first), strict=True):
+        for space, wanted, whole in zip(spaces, (action, own), (action, seen), strict=True):
             if space != wanted:
                 raise PolicyError(
-                    f"{self.path}: made for {space}, but {task_name(task)} has {wanted}"
+                    f"{self.path}: made for {space}, but {task_name(task)} has {whole}: of the "
+                    "wrappers that change observations, only VecNormalize and VecFrameStack can be "
+                    "part of a policy"
                 )
 
     def reset(self) -> None:
-        """Begin an episode: the state of a recurrent policy becomes zero."""
+        """Begin an episode: earlier observations and states become zero."""
         self._state = None
+        self._seen = np.zeros(0, np.float32)
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
         """Compute the deterministic action in [-1, 1], shape (2,), for one observation."""
+        if self.frames > 1:
+            width = self.frames * observation.size
+            padded = (np.zeros(width, np.float32), self._seen, observation)
+            observation = self._seen = np.concatenate(padded)[-width:]
+        observation = observation[: self._width]
         begun = np.array([self._state is None])
         action, self._state = self.network.predict(
-            observation[: self._width], self._state, begun, deterministic=True
+            observation, self._state, begun, deterministic=True
         )
         return np.asarray(action, np.float32)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmark_tools import cell, part
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -11,7 +12,7 @@ from scipy import stats
 
 from acsar_gym.tools.benchmark import figures
 from acsar_gym.tools.benchmark.figures import interquartile_mean
-from acsar_gym.tools.evaluation.metrics import row_means, stratified_interval
+from acsar_gym.tools.evaluation.metrics import resample, row_means, stratified_interval
 
 X = np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [2.0, 1.0]])
 Y = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
@@ -77,3 +78,50 @@ def test_the_interval_of_an_improvement_holds_its_value() -> None:
     low, high = figures.improvement_interval(x, y)
     assert 0.5 < low < figures.probability_of_improvement(x, y) < high < 1.0
     assert figures.improvement_interval(x, np.full((1, 60), 99.0)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("rows", "p"),
+    [
+        ([[0, 0, 0]], 1.0),
+        ([[1] * 6], 2 / 64),
+        ([[-1] * 6], 2 / 64),
+        ([[1, 1, 1, -1, 0, 0]], 2 * 5 / 16),
+        ([[1, -1]], 1.0),
+        ([[1] * 6, [1] * 4 + [0] * 2], 2 / 16),  # the less significant seed
+        ([[1] * 6, [-1] * 6], 1.0),  # seeds that contradict each other
+        ([[1] * 6, [0] * 6], 1.0),
+    ],
+)
+def test_mcnemars_exact_test(rows: list[list[int]], p: float) -> None:
+    assert figures.mcnemar_p(np.array(rows, float)) == pytest.approx(p)
+
+
+def test_the_paired_p_is_that_of_a_paired_t_test_where_there_are_many_scenes() -> None:
+    """And few scenes prove nothing, whichever way they all point."""
+    rng = np.random.default_rng(3)
+    one = rng.normal(0.5, 0.1, 200)
+    other = one - rng.normal(0.01, 0.08, 200)
+    expected = stats.ttest_rel(one, other).pvalue
+    drawn = resample((one - other)[None], row_means)
+    assert 0.01 < expected < 0.5
+    assert figures.bootstrap_p(drawn, 200) == pytest.approx(expected, abs=0.03)
+    assert figures.bootstrap_p(np.ones(2000), 3) == 0.25
+    assert figures.bootstrap_p(np.ones(2000), 200) == pytest.approx(2 / 2001)
+
+
+def test_pairs_are_of_the_same_scenes_though_a_benchmark_is_unfinished() -> None:
+    """The parts of two agents that finished first aren't those of the same scenes."""
+    parts = [
+        part(cell("ours"), (0.9, 0.8), first=0),
+        part(cell("ours"), (0.7, 0.0), first=4),
+        part(cell("floor"), (0.1, 0.1), first=2),
+        part(cell("floor"), (0.5, 0.5), first=4),
+    ]
+    rows = figures.group_rows(figures.group_cells(parts), {"ours": "learned", "floor": "baseline"})
+    score, success = figures.compare_with_best(rows)
+    assert score["scene_count"] == 2
+    assert score["values"] == pytest.approx([0.35, 0.5])
+    assert success["difference"] == -0.5
+    (improved,) = figures.compare_pairs(rows)
+    assert improved["probability"] == 0.5

@@ -34,9 +34,14 @@ def told() -> dict[str, Any]:
 def test_the_page_has_tables_plots_and_provenance(told: dict[str, Any]) -> None:
     made = benchmark_page(told)
     titles = [section.title for section in made.sections]
-    assert titles == ["PointGoal-v0", "Probability of improvement", "Robustness", "Provenance"]
+    assert titles == [
+        "PointGoal-v0, open/acsar",
+        "Probability of improvement",
+        "Robustness",
+        "Provenance",
+    ]
     html = unescape(made.html())
     for words in ("packaged", "75.0%", "other doesn't drive PointGoal-v0", "5 % of the lines"):
         assert words in html
-    assert told["header"]["scenes"]["PointGoal-v0"]["test"]["sha256"] in html
+    assert told["header"]["scenes"]["PointGoal-v0"]["open/acsar"]["sha256"] in html
     assert not re.findall(r"<(?:img|script|link)[^>]+(?:src|href)=", html)

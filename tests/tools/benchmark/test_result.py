@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmark_tools import ENV_ID, cell, part, plan
+from benchmark_tools import ENV_ID, SET, cell, part, plan
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.benchmark import figures, result
@@ -57,6 +58,10 @@ def test_a_row_holds_all_training_seeds(told: dict[str, Any]) -> None:
     assert (ours["success_worst_seed"], ours["success_median_seed"]) == (0.75, 0.875)
     assert ours["success_interval"] == list(metrics.wilson_interval(7, 8))
     scores = np.array([GOOD, (0.9, 0.85, 0.0, 0.9)])
+    assert ours["score"] == pytest.approx(scores.mean())
+    assert ours["intervals"]["score"] == pytest.approx(
+        metrics.stratified_interval(scores, metrics.row_means)
+    )
     assert ours["score_iqm"] == pytest.approx(figures.interquartile_mean(scores.ravel()))
     assert ours["intervals"]["score_iqm"] == pytest.approx(
         metrics.stratified_interval(scores, figures.interquartile_mean)
@@ -64,11 +69,11 @@ def test_a_row_holds_all_training_seeds(told: dict[str, Any]) -> None:
 
 
 def test_the_best_are_compared_and_a_refused_agent_has_no_figures(told: dict[str, Any]) -> None:
-    success, score = told["best"]
-    assert (success["figure"], score["figure"]) == ("success_rate", "score_iqm")
-    assert (score["learned"], score["baseline"]) == ("ours", "floor")
-    assert score["better"]
-    assert not score["apart"]
+    score, success = told["paired"]
+    assert (score["figure"], success["figure"]) == ("score", "success")
+    assert (score["agent"], score["over"], score["scene_count"]) == ("ours", "floor", 4)
+    assert score["values"] == pytest.approx([6.2 / 8, 0.225])
+    assert score["difference"] == pytest.approx(6.2 / 8 - 0.225)
     (improved,) = told["improvements"]
     assert improved["probability"] == pytest.approx(7 / 8)
     assert row(told, "other")["refused"] == "other: needs a LiDAR"
@@ -83,10 +88,10 @@ def test_each_figure_has_its_own_best_baseline() -> None:
         part(cell("fast"), (0.7, 0.7, 0.7, 0.0)),
     ]
     told = result.make_result(plan(ours="learned", slow="baseline", fast="baseline"), parts)
-    success, score = told["best"]
-    assert (success["baseline"], success["baseline_value"]) == ("slow", 1.0)
-    assert not success["better"]
-    assert (score["baseline"], score["better"]) == ("fast", True)
+    ours = {one["figure"]: one for one in told["paired"] if one["agent"] == "ours"}
+    assert (ours["success"]["over"], ours["success"]["difference"]) == ("slow", -0.25)
+    assert ours["score"]["over"] == "fast"
+    assert ours["score"]["difference"] == pytest.approx(0.075)
 
 
 def test_figures_are_those_of_an_evaluation() -> None:
@@ -94,7 +99,7 @@ def test_figures_are_those_of_an_evaluation() -> None:
         EpisodeResult(True, False, 0.0, 4.0, 1.5, (1, 0, 0), 0.02, 400, 0, 1.4, 0.0, 1.5, 0.3),
         EpisodeResult(False, True, 0.0, 9.0, 2.0, (1, 0, 0), 0.04, 900, 0, 1.9, 0.5, 2.0, 0.5),
     ]
-    scoring = Scoring("ObstacleGoal-v1", 0.5, 0.15)
+    scoring = Scoring("completion_time", 0.5, 0.15)
     ours = summarise_records([record_episode(each, 0, scoring) for each in results])
     theirs = metrics.summarise_episodes(results)
     names = ["success_rate", "collision_rate", "spl", "soft_spl", "time_to_goal", "path"]
@@ -105,21 +110,25 @@ def test_figures_are_those_of_an_evaluation() -> None:
 
 def test_scores_of_the_ids() -> None:
     ended = EpisodeResult(True, False, 1.0, 5.0, 1.5, (1, 0, 0), 0.0, 400, 0, 1.15, 0.0, 2.8)
-    goal = Scoring("PointGoal-v0", 0.5, 0.15)
+    goal = Scoring("completion_time", 0.5, 0.15)
     assert score_episode(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
     assert score_episode(replace(ended, ended=2.0), goal) == 1.0
     assert score_episode(replace(ended, shortest=0.1), goal) == 0.0
     assert score_episode(replace(ended, success=False), goal) == 0.0
-    follow = replace(goal, id="PathFollow-v0")
+    assert score_episode(replace(ended, shortest=math.nan), goal) == 1.0
+    follow = replace(goal, name="cross_track")
     assert score_episode(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
     assert score_episode(replace(ended, cross_track=0.3), follow) == 0.0
+    told = replace(ended, told={"laps": 3.0})
+    assert score_episode(told, replace(goal, name="laps")) == 3.0
+    assert score_episode(replace(told, success=False), replace(goal, name="laps")) == 0.0
 
 
 def test_the_page_says_it_all(told: dict[str, Any]) -> None:
     page = format_tables(told)
     for words in (
         "| 87.5% (52.9 to 97.8), worst seed 75.0%, median 87.5% |",
-        "| success | ours | floor | 87.5% : 50.0% | yes |",
+        "| success | ours | 87.5% : 50.0% | +37.5 points (-37.5 to +100.0) over floor, p 1.000 |",
         "| 5 % of the lines lost | 50.0% (0.571) |",
         "- other: needs a LiDAR",
     ):
@@ -139,7 +148,7 @@ def test_folders_are_combined(tmp_path: Path) -> None:
     found, parts = result.combine_folders(folders)
     assert list(found["agents"]) == ["ours", "floor"]
     assert repr(parts) == repr(PARTS[:4])
-    assert result.make_result(found, parts)["best"][0]["baseline"] == "floor"
+    assert result.make_result(found, parts)["paired"][0]["over"] == "floor"
 
 
 def combine_with(tmp_path: Path, change: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
@@ -155,16 +164,16 @@ def combine_with(tmp_path: Path, change: Callable[[dict[str, Any]], object]) -> 
 
 
 def test_the_largest_number_of_scenes_counts(tmp_path: Path) -> None:
-    found = combine_with(tmp_path, lambda told: told["scenes"][ENV_ID]["test"].update(count=4))
-    assert found["scenes"][ENV_ID]["test"]["count"] == 4
+    found = combine_with(tmp_path, lambda told: told["scenes"][ENV_ID][SET].update(count=4))
+    assert found["scenes"][ENV_ID][SET]["count"] == 4
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (
-            lambda told: told["scenes"][ENV_ID]["test"].update(sha256="0" * 64),
-            f"{ENV_ID} test",
+            lambda told: told["scenes"][ENV_ID][SET].update(sha256="0" * 64),
+            f"{ENV_ID} {SET}",
         ),
         (
             lambda told: told["agents"]["packaged"][0].update(sha256="0" * 64),
@@ -187,5 +196,5 @@ def test_links_are_compared_in_the_scenes_that_all_drove() -> None:
     ]
     page = format_tables(result.make_result(plan(ours="learned", floor="baseline"), parts))
     _, _, compared = page.partition("## The same agents behind other links")
-    assert "| PointGoal-v0 | test | ours | 2 | 50.0% | 100.0% |" in compared
+    assert "| PointGoal-v0 | open/acsar | ours | 2 | 50.0% | 100.0% |" in compared
     assert "floor" not in compared

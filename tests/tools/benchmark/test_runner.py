@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pytest
 
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
@@ -17,14 +18,15 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
 from acsar_gym.tools.benchmark.figures import group_cells
 from acsar_gym.tools.benchmark.plan import CHUNK_SIZES, BenchmarkJob, BenchmarkPlan
-from acsar_gym.tools.benchmark.scenes import SCENES
+from acsar_gym.tools.benchmark.scenes import SceneSet, find_sets
 from acsar_gym.tools.benchmark.store import Part, Store
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, shortest_path
 
-ID = "PointGoal-v0"
+ID = "acsar_gym/PointGoal-v0"
+SET = find_sets(ID)[0]
 BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
 
 
@@ -34,10 +36,15 @@ def _no_env_is_kept() -> Iterator[None]:
     runner.keep_env.cache_clear()
 
 
+def set_named(name: str) -> SceneSet:
+    ids = (f"acsar_gym/{each}" for each in IDS)
+    return next(some for each in ids for some in find_sets(each) if some.name == name)
+
+
 def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
     """Two scenes of the open floor, planar."""
     some = tuple(BASELINES[name] for name in names or ("turn_drive",))
-    return BenchmarkPlan(some, (ID,), **{"links": ("planar",), "count": 2, **changes})
+    return BenchmarkPlan(some, (SET,), **{"links": ("planar",), "count": 2, **changes})
 
 
 def make_store(folder: Path) -> Store:
@@ -49,7 +56,7 @@ def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path)
     (part,) = runner.run_plan(make_plan(), Store(tmp_path))
     policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
     env = runs.make_env(policy, "planar", None, {})
-    results = list(run_episodes(env, policy, 2, SCENES[ID].test.numbers[0]))
+    results = list(run_episodes(env, policy, 2, SET.numbers[0]))
     env.close()
     assert [each.success for each in part.episodes] == [True, True]
     for name in ("path", "energy"):
@@ -94,53 +101,40 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_refusal_names_no_folder_of_this_machine() -> None:
-    own = plan.choose_agents(["packaged"], list(IDS), None, 1)[0]
-    job = next(BenchmarkPlan((own,), (own.id,), ("planar",), count=1).jobs())
+    own = plan.choose_agents(["packaged"], ["acsar_gym/Barn-v1"], None, 1)[0]
+    job = next(BenchmarkPlan((own,), (set_named("barn"),), ("planar",), count=1).jobs())
     elsewhere = replace(job.policy, env="acsar_gym/PathFollow-v0")
     part = runner.run_job(replace(job, policy=elsewhere))
     assert part.refused.startswith("barn.onnx: ")
     assert str(AGENTS) not in part.refused
 
 
-@pytest.mark.parametrize("name", [n for n in plan.CONDITIONS if n not in ("husky", "jackal")])
+@pytest.mark.parametrize("name", list(plan.CONDITIONS))
 def test_every_condition_can_be_driven(name: str) -> None:
-    """With a LiDAR where it is about one; robots of other sizes are a slow test."""
     job = next(make_plan(conditions=(name,), count=1).jobs())
     (episode,) = runner.run_job(job).episodes
-    assert episode.scene == SCENES[ID].test.numbers[0]
+    assert episode.scene == SET.numbers[0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["husky", "jackal"])
+@pytest.mark.parametrize("name", ["clutter/husky", "clutter/jackal", "barn-fast", "barn-husky"])
 def test_other_robots_drive(name: str) -> None:
-    env_id = "ObstacleGoal-v1"
-    own = BenchmarkPlan(tuple(plan.baseline_agents([env_id])), (env_id,), ("bullet",), (name,), 1)
+    some = set_named(name)
+    own = BenchmarkPlan(
+        tuple(plan.baseline_agents([f"acsar_gym/{some.id}"])), (some,), ("bullet",), count=1
+    )
     job = next(job for job in own.jobs() if job.cell.agent == "dwa")
-    assert runner.run_job(job).episodes
+    (episode,) = runner.run_job(job).episodes
+    if some.score == "barn_score":
+        assert episode.score == pytest.approx(episode.barn_score)
 
 
 def test_worlds_of_a_husky_can_be_made() -> None:
-    condition = plan.CONDITIONS["husky"]
-    options = condition.options(condition.config, "barn")
-    radius = footprint_radius(condition.config)
+    some = set_named("barn-husky")
+    radius = footprint_radius(some.config)
+    options = plan.CONDITIONS["nominal"].options(some, some.config)
     world = Pool.of("barn:100000-100001", options["difficulty"], radius)[100_000]
     assert len(shortest_path(world, radius)) >= 2
-    assert "difficulty" not in condition.options(condition.config, "clutter")
-
-
-@pytest.mark.parametrize(
-    ("condition", "how", "refused"),
-    [
-        ("husky", {"simulated": True, "published": True}, True),
-        ("jackal", {"simulated": True, "published": True}, False),
-        ("husky", {"simulated": True, "published": False}, False),
-        ("dropped-2", {"simulated": False, "published": False}, False),
-    ],
-)
-def test_conditions_that_nobody_can_drive_under(
-    condition: str, how: dict[str, bool], refused: bool
-) -> None:
-    assert bool(plan.CONDITIONS[condition].impossible(**how)) == refused
 
 
 def test_randomization_is_refused_behind_the_port() -> None:
@@ -169,7 +163,7 @@ def test_a_fault_of_this_machine_is_no_refusal(
 def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
-    own = BenchmarkPlan((plan.submitted_agent(f"{file}:act"),), (ID,), ("planar",), count=1)
+    own = BenchmarkPlan((plan.submitted_agent(f"{file}:act"),), (SET,), ("planar",), count=1)
     store = make_store(tmp_path / "out")
     with pytest.raises(PolicyError, match="act"):
         runner.run_plan(own, store)
@@ -180,7 +174,7 @@ def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
     """Another machine has no such file."""
     file = tmp_path / "mine.onnx"
     shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
-    own = BenchmarkPlan((plan.submitted_agent(str(file)),), (ID,), ("planar",), count=1)
+    own = BenchmarkPlan((plan.submitted_agent(str(file)),), (SET,), ("planar",), count=1)
     job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
     file.unlink()
     part = runner.run_job(job)
@@ -197,16 +191,17 @@ def test_several_processes_find_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("env_id", "name"), [("PointGoal-v0", "turn_drive"), ("Barn-v1", "dwa")])
-def test_over_an_emulated_port(env_id: str, name: str) -> None:
+@pytest.mark.parametrize(("scenes", "name"), [("open/acsar", "turn_drive"), ("barn", "dwa")])
+def test_over_an_emulated_port(scenes: str, name: str) -> None:
     """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""
-    (own,) = (each for each in plan.baseline_agents([env_id]) if each.name == name)
-    job = next(BenchmarkPlan((own,), (env_id,), ("port",), port_count=1).jobs())
+    some = set_named(scenes)
+    (own,) = (e for e in plan.baseline_agents([f"acsar_gym/{some.id}"]) if e.name == name)
+    job = next(BenchmarkPlan((own,), (some,), ("port",), port_count=1).jobs())
     (episode,) = runner.run_job(job).episodes
     assert episode.success
     assert episode.driven == pytest.approx(episode.path, rel=0.05)
     assert 0.0 <= episode.odometry_error < 0.05 * episode.driven
-    assert (episode.clearance > 0.0) == (env_id == "Barn-v1")
+    assert (episode.clearance > 0.0) == (scenes == "barn")
     assert 0.0 < episode.spl <= 1.0
 
 
@@ -216,13 +211,12 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
         (tmp_path / "ppo" / seed).mkdir(parents=True)
         (tmp_path / "ppo" / seed / "policy.onnx").write_bytes(policy)
     found = plan.choose_agents(["ppo"], [ID], tmp_path, 2)
-    told = [(each.name, each.training_seed, each.id) for each in found]
+    told = [(each.name, each.training_seed, each.env) for each in found]
     assert told == [("ppo", 0, ID), ("ppo", 1, ID)]
-    assert not plan.choose_agents(["ppo"], ["Barn-v1"], tmp_path, 2)
+    assert not plan.choose_agents(["ppo"], ["acsar_gym/Barn-v1"], tmp_path, 2)
 
 
-def test_a_policy_for_another_id_has_no_scenes(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text("ENV_ID = 'CartPole-v1'\ndef act(seen):\n    return seen[:2]\n")
-    with pytest.raises(PolicyError, match="CartPole-v1"):
-        plan.submitted_agent(f"{file}:act")
+def test_an_env_of_another_kind_has_no_scenes() -> None:
+    gymnasium.register("other/Cart-v0", "gymnasium.envs.classic_control:CartPoleEnv")
+    with pytest.raises(ConfigError, match="--env 'other/Cart-v0': not an environment of acsar_gym"):
+        find_sets("other/Cart-v0")

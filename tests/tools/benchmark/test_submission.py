@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmark_tools import ENV_ID, cell, part, plan
+from benchmark_tools import ENV_ID, SET, cell, part, plan
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.benchmark import result
 from acsar_gym.tools.benchmark.store import Part
 
 Told = dict[str, Any]
-CONDITIONS = ("nominal", "dropped-5", "husky")
+CONDITIONS = ("nominal", "dropped-5", "feedback-30")
 PARTS = [
     part(),
     part(cell(condition="dropped-5"), (0.5, 0.0)),
-    Part(cell(condition="husky"), 0, refused="mine: made for another robot"),
+    Part(cell(condition="feedback-30"), 0, refused="mine: made for another robot"),
 ]
 
 
@@ -67,19 +67,21 @@ def test_a_changed_submission_is_refused(row: Path) -> None:
         (lambda told: told["rows"][0].update(success_rate=0.5), r"rows\[0\]\.success_rate = 0\.5"),
         (lambda told: told["rows"][1]["profile"].reverse(), r"rows\[1\]\.profile\[0\]"),
         (lambda told: told["rows"].pop(), "rows = "),
-        (lambda told: told["best"].append({"learned": "mine"}), "best = "),
+        (lambda told: told["paired"].append({"agent": "mine"}), "paired = "),
         (lambda told: told.update(award="gold"), "award = "),
         (lambda told: told["header"].update(scenes={}), "scenes"),
         (
-            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(sha256="0" * 64),
+            lambda told: told["header"]["scenes"][ENV_ID][SET].update(sha256="0" * 64),
             ENV_ID,
         ),
         (
-            lambda told: told["header"]["scenes"][ENV_ID].update(mine={"count": 2, "first": 0}),
+            lambda told: told["header"]["scenes"][ENV_ID].update(
+                mine=told["header"]["scenes"][ENV_ID][SET]
+            ),
             ENV_ID,
         ),
         (
-            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(count=1001),
+            lambda told: told["header"]["scenes"][ENV_ID][SET].update(count=1001),
             ENV_ID,
         ),
         (lambda told: told["header"]["links"].append("warp"), "links"),
@@ -95,7 +97,7 @@ def test_a_changed_submission_is_refused(row: Path) -> None:
             "first 2 scenes",
         ),
         (
-            lambda told: told["header"]["scenes"][ENV_ID]["test"].update(count=3),
+            lambda told: told["header"]["scenes"][ENV_ID][SET].update(count=3),
             "first 3 scenes",
         ),
         (

@@ -12,7 +12,7 @@ from cli_tools import Call, assert_one_line
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark.result import ROW_SUFFIX
 
-SMALL = ("--ids", "point_goal", "--links", "planar", "--scenes", "2")
+SMALL = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar", "--scenes", "2")
 
 
 @pytest.fixture

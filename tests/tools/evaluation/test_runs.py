@@ -14,12 +14,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import provenance, runs
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import FilePolicy
+from acsar_gym.tools.policies.base import PolicyContext
 from acsar_gym.worlds import Region, World
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
@@ -146,8 +146,8 @@ class Counting(Idle):
     def __init__(self) -> None:
         self.told: list[str] = []
 
-    def bind(self, env: RobotEnv) -> None:
-        self.told.append(f"bound to {env.ticks_per_step} ticks a step")
+    def bind(self, setting: PolicyContext) -> None:
+        self.told.append(f"bound to a step of {setting.period:g} s")
 
     def reset(self) -> None:
         self.told.append("reset")
@@ -161,4 +161,4 @@ def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
     policy = Counting()
     runs.evaluate_policy(policy, "planar", None, range(2))
     told = [key for key, _ in itertools.groupby(policy.told)]
-    assert told == ["bound to 10 ticks a step", *["reset", "called"] * 2]
+    assert told == ["bound to a step of 0.1 s", *["reset", "called"] * 2]

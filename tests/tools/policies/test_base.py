@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import importlib
+import itertools
+import sys
+import uuid
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.errors import PolicyError
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools import cli
+from acsar_gym.tools.benchmark import plan
+from acsar_gym.tools.benchmark.runner import run_plan
+from acsar_gym.tools.benchmark.scenes import find_sets
+from acsar_gym.tools.benchmark.store import Store
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 
@@ -110,6 +121,130 @@ def test_its_classes_know_their_module(mine: Path) -> None:
     mine.write_text(CLASSES)
     action = runs.load_policy(f"{mine}:act", trust=False)(np.zeros(7, np.float32))
     assert action.tolist() == [0.5, 0.0]
+
+
+PLANNER = """
+ENV_ID = "acsar_gym/PointGoal-v0"
+TOLD = []
+
+class Planner:
+    def bind(self, setting):
+        TOLD.append(f"bound to {setting.task} at {setting.config.max_linear:g} m/s")
+
+    def reset(self):
+        TOLD.append("reset")
+
+    def __call__(self, observation):
+        TOLD.append("called")
+        return 0.5, 0.0
+
+made = Planner
+"""
+BASELINE = """
+from acsar_gym.tools.baselines import BaselinePolicy
+
+ENV_ID = "acsar_gym/PointGoal-v0"
+TOLD = []
+
+class Mine(BaselinePolicy):
+    needs = ("goal_distance",)
+
+    def equip(self, setting):
+        super().equip(setting)
+        TOLD.append(f"bound to {setting.task} at {setting.config.max_linear:g} m/s")
+
+    def reset(self):
+        super().reset()
+        TOLD.append("reset")
+
+    def act(self, seen):
+        self.rng.uniform()
+        TOLD.append("called")
+        return 0.25 + 0.0 * seen.distance, 0.0
+"""
+CONTRACT = ["bound to acsar_gym/PointGoal-v0 at 0.5 m/s", *["reset", "called"] * 2]
+
+
+def told_by(module: str) -> list[str]:
+    """What a module's policy was told, without repeats."""
+    return [key for key, _ in itertools.groupby(sys.modules[module].TOLD)]
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a new module in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    name = f"mine_{uuid.uuid4().hex}"
+    yield name
+    sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("kind", ["module", "file", "object"])
+@pytest.mark.parametrize(
+    ("source", "name"), [(PLANNER, "Planner"), (PLANNER, "made"), (BASELINE, "Mine")]
+)
+@pytest.mark.parametrize("runner", ["evaluate", "benchmark"])
+def test_a_class_is_bound_once_and_reset_before_every_episode(
+    source: str, name: str, kind: str, runner: str, module: str, tmp_path: Path
+) -> None:
+    Path(f"{module}.py").write_text(source)
+    policy: Any = f"{module}:{name}" if kind == "module" else f"{module}.py:{name}"
+    held = f"acsar_gym_policy_{module}" if kind == "file" else module
+    if kind == "object":
+        made = getattr(importlib.import_module(module), name)
+        policy = made("acsar_gym/PointGoal-v0") if source == BASELINE else made()
+    if runner == "evaluate":
+        loaded = runs.load_policy(policy, trust=False, env="point_goal")
+        runs.evaluate_policy(loaded, "planar", None, range(2))
+    else:
+        agent = plan.submitted_agent(policy, "acsar_gym/PointGoal-v0")
+        some = find_sets("acsar_gym/PointGoal-v0")[0]
+        (part,) = run_plan(
+            plan.BenchmarkPlan((agent,), (some,), ("planar",), count=2), Store(tmp_path)
+        )
+        assert len(part.episodes) == 2
+    assert told_by(held) == CONTRACT
+
+
+def test_any_object_with_a_state_drives_episodes(module: str) -> None:
+    """Without load_policy, too."""
+    Path(f"{module}.py").write_text(PLANNER)
+    planner = importlib.import_module(module).Planner()
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+    assert len(list(evaluation.run_episodes(env, planner, 2, seed=0))) == 2
+    env.close()
+    assert told_by(module) == CONTRACT
+
+
+@pytest.mark.parametrize(
+    ("policy", "source", "said"),
+    [
+        ("{0}:Nothing", PLANNER, "Nothing"),
+        ("no_such_module:act", PLANNER, "no_such_module"),
+        (
+            "{0}:Planner",
+            PLANNER.replace("TOLD.append(f", "raise ValueError(f"),
+            "line 7: bind failed",
+        ),
+        ("{0}:Planner", PLANNER.replace('append("reset")', "nothing"), "line 10: reset failed"),
+        ("{0}:Planner", PLANNER.replace('append("called")', "nothing"), "line 13: Planner failed"),
+        (
+            "{0}:Planner",
+            PLANNER.replace("class Planner:", "class Planner:\n    def __init__(self, x): pass\n"),
+            "can't be made: TypeError",
+        ),
+        ("{0}:Mine", BASELINE.replace("goal_distance", "ahead_1"), "needs a goal"),
+    ],
+)
+def test_what_is_wrong_with_a_class_is_one_line(
+    policy: str, source: str, said: str, module: str
+) -> None:
+    Path(f"{module}.py").write_text(source)
+    with pytest.raises((PolicyError, ConfigError)) as raised:
+        loaded = runs.load_policy(policy.format(module), trust=False, env="point_goal")
+        runs.evaluate_policy(loaded, "planar", None, range(1))
+    assert said in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_missing_file_or_name_is_one_line(mine: Path) -> None:

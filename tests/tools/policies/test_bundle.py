@@ -299,3 +299,101 @@ def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> N
 def test_a_state_that_cannot_be_kept_is_one_line(options: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"p\.onnx: "):
         OnnxPolicy(counting(tmp_path / "p.onnx", **options))
+
+
+ROBOTS = {
+    "max_linear": [0.3, 2.0],
+    "footprint_length": [0.25, 0.9],
+    "footprint_width": [0.25, 0.7],
+    "footprint_radius": [0.2, 0.6],
+    "motor.time_constant": [0.05, 0.2],
+    "body.mass": [1.0, 60.0],
+}
+
+
+def outside(tmp_path: Path, robot: RobotConfig, robots: dict[str, list[float]]) -> tuple[str, ...]:
+    """What is told of a robot by a policy for these robots."""
+    policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robots=robots))
+    runs.make_env(policy, "planar", robot, {}).close()
+    return policy.outside
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, ""),
+        ({"max_linear": 2.0, "body": {"mass": 60.0}}, ""),
+        ({"max_linear": 2.1}, "max_linear of this robot is 2.1, the policy is for 0.3 to 2"),
+        ({"body": {"length": 1.0}}, "footprint_length of this robot is 1, the policy is for 0.25"),
+        ({"body": {"width": 0.8}}, "footprint_width of this robot is 0.8, the policy"),
+        (
+            {"footprint": [(0.43, 0.0), (-0.43, 0.3), (-0.43, -0.3)]},
+            "",
+        ),
+        (
+            {"footprint": [(0.65, 0.0), (-0.2, 0.3), (-0.2, -0.3)]},
+            "footprint_radius of this robot is 0.65, the policy is for 0.2 to 0.6",
+        ),
+        (
+            {"motor": {"time_constant": (0.1, 0.1, 0.3, 0.1)}},
+            "motor.time_constant of this robot is 0.1, 0.1, 0.3, 0.1, the policy is for 0.05",
+        ),
+    ],
+)
+def test_a_policy_says_which_robots_it_is_for(
+    changes: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    lines = outside(tmp_path, ACSAR.with_(**changes), ROBOTS)
+    assert [line[: len(said)] for line in lines] == ([said] if said else [])
+
+
+def test_a_robot_in_the_range_does_not_differ_from_that_of_the_training(tmp_path: Path) -> None:
+    policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robots=ROBOTS))
+    big = {"max_linear": 1.0, "body": {"mass": 9.0, "length": 0.6}}
+    runs.make_env(policy, "planar", ACSAR.with_(**big), {}).close()
+    assert policy.differences == policy.outside == ()
+
+
+@pytest.mark.parametrize(
+    ("robots", "said"),
+    [
+        ({"tail.length": [0.0, 1.0]}, "robots tail.length: a robot has no such number"),
+        ({"__class__": [0.0, 1.0]}, "robots __class__: a robot has no such number"),
+        ({"name": [0.0, 1.0]}, "robots name: isn't a number"),
+        ({"body": [0.0, 1.0]}, "robots body: isn't a number"),
+        ({"geofence": [0.0, 1.0]}, ""),
+    ],
+)
+def test_names_that_no_robot_has(robots: dict[str, list[float]], said: str, tmp_path: Path) -> None:
+    if not said:
+        (line,) = outside(tmp_path, ACSAR, robots)
+        assert line == "geofence of this robot is none, the policy is for 0 to 1"
+        return
+    with pytest.raises(PolicyError) as raised:
+        outside(tmp_path, ACSAR, robots)
+    assert said in str(raised.value)
+
+
+def test_a_range_of_robots_is_checked_and_told() -> None:
+    assert "max_linear" in fails(json.dumps(changed(robots={"max_linear": [2.0, 0.3]})))
+    found = dict(bundle_rows(parse_bundle(json.dumps(changed(robots=ROBOTS)))))
+    assert found["robots"].startswith("max_linear 0.3 to 2, footprint_length 0.25 to 0.9")
+
+
+def test_run_refuses_another_robot_and_evaluate_warns(tmp_path: Path) -> None:
+    policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robots={"max_linear": [0.3, 2.0]}))
+    ACSAR.with_(max_linear=2.5).save(tmp_path / "fast.yaml")
+    robot, said = str(tmp_path / "fast.yaml"), "max_linear of this robot is 2.5, the policy is for"
+    with pytest.warns(PolicyWarning, match=said):
+        done = runs.evaluate_policy(policy, "planar", robot, range(1))
+    assert done.header["policy"]["differences"][0].startswith(said)
+    with pytest.raises(PolicyError, match=f"{said} 0.3 to 2: train it again") as raised:
+        runs.drive_to_goal(policy, "planar", robot, (0.5, 0.0))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_real_robot_that_a_policy_is_not_for_is_refused(tmp_path: Path) -> None:
+    """Before its port is opened."""
+    policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robots={"max_linear": [1.0, 2.0]}))
+    with pytest.raises(PolicyError, match=r"max_linear of this robot is 0\.5"):
+        runs.make_env(policy, "/dev/ttyUSB7", None, {})

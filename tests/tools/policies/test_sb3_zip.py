@@ -178,6 +178,67 @@ def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> 
         runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=named)
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "normalizer"),
+    [
+        ("PPO", "around"),
+        *(pytest.param("PPO", name, marks=pytest.mark.slow) for name in ("", "inside")),
+        *(pytest.param("RecurrentPPO", name, marks=pytest.mark.slow) for name in ("", "inside")),
+    ],
+)
+def test_a_frame_stack_becomes_part_of_the_file(
+    algorithm: str, normalizer: str, tmp_path: Path
+) -> None:
+    """With VecNormalize inside or around it; two episodes, as the training's wrappers have them."""
+    from sb3_contrib import RecurrentPPO
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+
+    from acsar_gym.tools.policies.sb3 import make_batch
+
+    env: Any = make_batch("point_goal", 1)
+    env = VecNormalize(env, clip_obs=1.5) if normalizer == "inside" else env
+    env = frames = VecFrameStack(env, 3)
+    env = VecNormalize(env, clip_obs=1.5) if normalizer == "around" else env
+    recurrent = algorithm == "RecurrentPPO"
+    kind: Any = RecurrentPPO if recurrent else PPO
+    net: dict[str, Any] = {"net_arch": [8], **({"lstm_hidden_size": 4} if recurrent else {})}
+    network = "MlpLstmPolicy" if recurrent else "MlpPolicy"
+    options: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "policy_kwargs": net}
+    model = kind(network, env, device="cpu", seed=0, **options).learn(16)
+    for weight in model.policy.parameters():
+        weight.data.normal_(0.0, 0.4)
+    path, out = tmp_path / "model.zip", tmp_path / "policy.onnx"
+    model.save(path)
+    statistics: Any = env if normalizer == "around" else frames.venv
+    if normalizer:
+        statistics.save(str(tmp_path / "saved"))
+    named = str(tmp_path / "saved") if normalizer else None
+    runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=named)
+    policies: list[FilePolicy] = [OnnxPolicy(out)]
+    assert policies[0].bundle is not None
+    assert (policies[0].bundle.observation.normalizer is not None) == bool(normalizer)
+    if not normalizer:
+        policies.append(runs.load_policy(str(path), trust=True, env="point_goal"))
+        runs.make_env(policies[1], "planar", None, {}).close()
+    stacks: Any = frames.stacked_obs
+    for episode in np.random.default_rng(0).uniform(-2.0, 2.0, (2, 6, 7)).astype(np.float32):
+        state = None
+        for policy in policies:
+            policy.reset()
+        for step, seen in enumerate(episode):
+            once = (statistics.normalize_obs(seen) if normalizer == "inside" else seen)[None]
+            stacked = (
+                stacks.update(once, np.zeros(1, bool), [{}])[0] if step else stacks.reset(once)
+            )
+            given = statistics.normalize_obs(stacked) if normalizer == "around" else stacked
+            begins = np.array([step == 0])
+            expected, state = model.predict(given, state, begins, deterministic=True)
+            for policy in policies:
+                assert policy(seen) == pytest.approx(expected[0], abs=1e-5)
+    env.close()
+
+
 def test_training_goes_on_where_a_zip_ended(tmp_path: Path) -> None:
     from stable_baselines3 import PPO
 

@@ -21,8 +21,14 @@ Folders = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER [FOLDER ...]
 class BenchmarkChoice:
     """What is compared."""
 
-    ids: Names = ()
-    """Ids: point_goal, obstacle_goal, barn, path_follow; default: all."""
+    env: Annotated[Names, tyro.conf.arg(aliases=["--ids"])] = ()
+    """Ids: point_goal, obstacle_goal, barn, path_follow, mine.module:mine/Task-v0; default: all of
+    acsar_gym's."""
+    sets: Names = ()
+    """Sets of scenes: open, clutter, clutter/husky, clutter-unseen, barn, barn-fast, ...; default:
+    all of these ids."""
+    robots: Names = ()
+    """Robots that drive instead of those of the sets: presets or config files."""
     agents: Names = ()
     """Agents: packaged, baselines such as dwa, names in --trained; default: all."""
     trained: Folder = None
@@ -36,11 +42,11 @@ class BenchmarkChoice:
     port_scenes: int = 40
     """Scenes of every cell behind the emulated port."""
     conditions: Names = ("nominal",)
-    """Conditions: nominal, randomization-1 to -3, dropped-2, husky, ...; a wrong name lists all."""
+    """Conditions: nominal, randomization-1 to -3, dropped-2, ...; a wrong name lists all."""
     profile: bool = False
     """All conditions: the robustness profile."""
     barn: Folder = None
-    """Folder of the published BARN worlds, a set of scenes of their own."""
+    """Folder of the published BARN worlds, in which barn and barn-fast are driven, too."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +84,16 @@ def run_benchmark(
     Args:
         what: ids, agents, links, scenes and conditions.
         how: folder, processes and output.
-        policy: benchmark this policy alone: an ONNX file, or a function such as mine.py:act.
+        policy: benchmark this policy alone: an ONNX file, or a function or class such as
+            mine.py:act or mine.module:Planner.
         combine: write tables from these folders; runs nothing.
         check: check such a row of --policy, and run nothing.
     """
     from acsar_gym.registration import IDS  # noqa: PLC0415
-    from acsar_gym.tools.benchmark import plan, result  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import plan, result, scenes  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
+    ids = list(dict.fromkeys(plan.find_env(name) for name in what.env))
     if check is not None:
         print(result.check_row(check))
         return 0
@@ -94,20 +102,27 @@ def run_benchmark(
         raise ConfigError(
             "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
         )
+    if policy and len(ids) > 1:
+        raise ConfigError("--policy: drives one --env")
     report.make_folder(how.out)
     if combine:
         told = result.make_result(*result.combine_folders(combine))
     else:
         named = tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions))
         if policy:
-            found = [plan.submitted_agent(policy)]
-            ids: tuple[str, ...] = (found[0].id,)
+            found = [plan.submitted_agent(policy, *ids)]
+            ids = [found[0].env]
         else:
-            ids = tuple(dict.fromkeys(plan.short_id(name) for name in what.ids)) or tuple(IDS)
+            ids = ids or [f"{scenes.OWN_NAMESPACE}{name}" for name in IDS]
             found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
-        scenes = what.scenes, what.port_scenes
+        every = [some for env_id in ids for some in scenes.find_sets(env_id, what.robots)]
+        sets = scenes.choose_sets(every, what.sets)
+        if what.barn is not None:
+            sets += scenes.published_sets(sets, what.barn)
         told = result.run_benchmark(
-            plan.BenchmarkPlan(tuple(found), ids, what.links, named, *scenes, what.barn),
+            plan.BenchmarkPlan(
+                *(tuple(found), tuple(sets), what.links, named, what.scenes, what.port_scenes)
+            ),
             how.out,
             workers=how.workers,
             address=how.address,
