@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,10 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside
-from acsar_gym.worlds.search import Costs, clearance_costs, sweep_distances
+from acsar_gym.worlds.search import COST_FADE, Costs, clearance_costs, sweep_distances
 
 
 @loop
@@ -232,8 +234,21 @@ def solve_motion(before: Point, after: Point, length: float, turn: float) -> tup
 
 FIELD_MARGIN = 1.5
 """How far the field reaches around start, robot, goal and all that is known [m]."""
-FIELD_COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
-"""Costs of cells near obstacles."""
+LETHAL_COST = 60.0
+"""Cost of a metre where the footprint would touch something."""
+
+
+@dataclass(frozen=True)
+class MapConstants(Constants):
+    """Constants of the plan on the map."""
+
+    tight: float = constant(8.0, 2.0, 20.0)
+    """Additional cost of a metre where only the footprint itself fits; it falls to 0 where the disc
+    around it does."""
+    heavy: float = constant(4.0, 0.5, 12.0)
+    """Additional cost of a metre up to there, which fades beyond it."""
+    fade: float = constant(0.5, 0.15, 1.5)
+    """Distance over which it falls to 1/e [radius]."""
 
 
 class Potential(NamedTuple):
@@ -261,6 +276,7 @@ def compute_potential(
     robot: tuple[float, float],
     goal: tuple[float, float],
     radii: tuple[float, float],
+    constants: MapConstants,
 ) -> Potential:
     """Compute the potential of a goal.
 
@@ -269,6 +285,7 @@ def compute_potential(
         robot: where the robot is [m].
         goal: the goal [m].
         radii: of the circle within the footprint, and of the one around it [m].
+        constants: of the costs near obstacles.
     """
     with require_extra("the baseline navfn", "scipy"):
         from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
@@ -290,7 +307,10 @@ def compute_potential(
         distances = distance_transform_edt(~occupied, sampling=CELL_SIZE)
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL_SIZE), round((goal[1] - y) / CELL_SIZE)
-    sweep_distances(values, clearance_costs(distances, radii, FIELD_COSTS) * CELL_SIZE, i, j)
+    near = Costs(lethal=LETHAL_COST, tight=constants.tight, heavy=constants.heavy)
+    unit = constants.fade * radii[1] / COST_FADE  # so that they fade over that distance
+    costs = clearance_costs(distances / unit, (radii[0] / unit, radii[1] / unit), near)
+    sweep_distances(values, costs * CELL_SIZE, i, j)
     return Potential(values, x, y)
 
 
@@ -387,6 +407,7 @@ class MappedPolicy(BaselinePolicy):
     needs = GOAL_NUMBERS
     lidar = True
     compiled = True
+    constants_type = MapConstants
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
@@ -394,7 +415,7 @@ class MappedPolicy(BaselinePolicy):
         config = setting.config
         corners = np.array(config.outline)
         self.sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        self.outer = footprint.outline_radius(config.outline)
+        self.outer = self.units.radius
         self.radii = (footprint.border_distance(config.outline, 0.0, 0.0), self.outer)
         self._angles = ray_spec(config).angles()
         self.reset()
@@ -428,7 +449,9 @@ class MappedPolicy(BaselinePolicy):
             self.known.update(origin, ends, met.astype(np.float64))
             self._scan = ends[met]
         if self._steps % REPLAN_STEPS == 0:
-            self.plan: Potential = compute_potential(self.known, pose[:2], motion.goal, self.radii)
+            self.plan: Potential = compute_potential(
+                self.known, pose[:2], motion.goal, self.radii, self.constants
+            )
         self._steps += 1
         self.sent = self.decide(pose, motion.goal, seen)
         return self.sent
@@ -463,11 +486,11 @@ class MappedPolicy(BaselinePolicy):
 
         Args:
             pose: of the robot.
-            reach: how far it may drive meanwhile [m].
+            reach: how far from the robot obstacles count [m].
             goal: in the odometry frame [m].
             radius: of the goal [m].
         """
-        near, plan = self.obstacles(pose, reach + self.outer + 0.3), self.plan
+        near, plan = self.obstacles(pose, reach), self.plan
         return Surroundings(
             near, self.sides, self.outer, plan.values, plan.x, plan.y, *goal, radius
         )
