@@ -3,8 +3,8 @@
     pip install "acsar_gym[train,fast]"
     python agents/tune_baselines.py mppi --env barn --robot jackal --minutes 20
 
-It maximizes the mean score of the benchmark (of Barn the contest's, at the robot's own speed) in the
-64 worlds of the validation split, on link planar: Optuna's TPE proposes, and successive halving
+It maximizes the mean score of the benchmark (of Barn the contest's, at the robot's own speed) in
+the 64 worlds of the validation split, on link planar: Optuna's TPE proposes, and successive halving
 drops what is worse than half of the others after 8, 16 and 32 worlds. Then both drive 100 worlds
 that belong to no split. The result goes into acsar_gym/tools/baselines/tuned.json, with its worlds,
 seeds and scores, and is used from then on; `--minutes 0` only compares.
@@ -43,13 +43,17 @@ class Course:
         policy: the baseline.
         robot: preset or file.
         numbers: of the worlds, or a split; seeds count from 0.
+        steps: after which an episode ends; by default those of the id.
     """
 
-    def __init__(self, policy: BaselinePolicy, robot: str, numbers: str) -> None:
-        kind = runs.make_env(policy, "planar", robot, {}).unwrapped.pool.kind
-        self.worlds = f"{kind}:{numbers}"
-        self.policy = policy
-        self.env = runs.make_env(policy, "planar", robot, {"worlds": self.worlds})
+    def __init__(
+        self, policy: BaselinePolicy, robot: str, numbers: str, steps: int | None = None
+    ) -> None:
+        other: Any = runs.make_env(policy, "planar", robot, {})
+        self.policy, self.worlds = policy, f"{other.unwrapped.pool.kind}:{numbers}"
+        other.close()
+        options = {"worlds": self.worlds, "max_episode_steps": steps}
+        self.env = runs.make_env(policy, "planar", robot, options)
         self.inner: Any = self.env.unwrapped
         self.config = self.inner.robot.config
 
@@ -86,13 +90,12 @@ class Course:
         }
 
 
-def search(course: Course, minutes: float, trials: int | None, first: list[Constants]) -> Any:
+def search(course: Course, minutes: float, first: list[Constants]) -> Any:
     """Search constants.
 
     Args:
         course: the worlds.
         minutes: after which no trial begins.
-        trials: most trials.
         first: constants to begin with.
 
     Returns:
@@ -125,7 +128,7 @@ def search(course: Course, minutes: float, trials: int | None, first: list[Const
     )
     for constants in first:
         study.enqueue_trial({name: getattr(constants, name) for name in ranges}, True)
-    study.optimize(drive_all, n_trials=trials, timeout=60.0 * minutes)
+    study.optimize(drive_all, timeout=60.0 * minutes)
     return study
 
 
@@ -149,7 +152,7 @@ def main(
     env: str = "barn",
     robot: str = "jackal",
     minutes: float = 20.0,
-    trials: int | None = None,
+    steps: int | None = None,
     worlds: str = registry.VALIDATION,
     fresh: str = FRESH,
     file: Path = TUNED,
@@ -161,13 +164,13 @@ def main(
         env: short name or id of the env.
         robot: preset.
         minutes: after which no trial begins; 0 to compare only.
-        trials: most trials.
+        steps: after which an episode of the search ends, which saves time where planners get stuck.
         worlds: numbers or split of the worlds of the search.
         fresh: numbers of the worlds of the comparison; "" for none.
         file: that the result is written to.
     """
     policy = load_baseline(planner, find_id(env))
-    kind, course = policy.constants_type, Course(policy, robot, worlds)
+    kind, course = policy.constants_type, Course(policy, robot, worlds, steps)
     known = find_constants(kind, planner, policy.env_id, course.config)
     entry: dict[str, Any] = {"planner": planner, "id": short_id(policy.env_id), "robot": robot}
     for each in json.loads(file.read_text()):
@@ -175,7 +178,7 @@ def main(
     entry.setdefault("constants", {})
     if minutes > 0.0:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        study = search(course, minutes, trials, list(dict.fromkeys([kind(), known])))
+        study = search(course, minutes, list(dict.fromkeys([kind(), known])))
         entry["constants"] = {
             name: round_figures(value)
             for name, value in study.best_params.items()

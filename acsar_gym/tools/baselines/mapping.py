@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
@@ -148,6 +149,7 @@ def mark_scan(
             places[i, j, 2] = count
 
 
+Integers = NDArray[np.int64]
 Pose = tuple[float, float, float]
 Point = tuple[float, float]
 SOLVER_ROUNDS = 3
@@ -356,11 +358,51 @@ MotionState = tuple[float, float, float, float, float, float, float]
 """Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
 
 
+BUCKET_SIZE = 0.4
+"""Side of the squares into which obstacles are sorted [m]."""
+
+
+@loop
+def sort_points(points: Floats, x: float, y: float, count: int) -> tuple[Floats, Integers]:
+    """Sort points into a square of `count` by `count` buckets.
+
+    Args:
+        points: (n, 2) [m]; those outside count to the nearest bucket.
+        x: of the square's corner [m].
+        y: of the square's corner [m].
+        count: of buckets along a side.
+
+    Returns:
+        The points by bucket, (n, 2), and the place of each bucket's first one, (count^2 + 1,).
+    """
+    buckets = np.empty(len(points), np.int64)
+    firsts = np.zeros(count * count + 1, np.int64)
+    for n in range(len(points)):
+        i = min(max(int((points[n, 0] - x) / BUCKET_SIZE), 0), count - 1)
+        j = min(max(int((points[n, 1] - y) / BUCKET_SIZE), 0), count - 1)
+        buckets[n] = i * count + j
+        firsts[buckets[n] + 1] += 1
+    for k in range(count * count):
+        firsts[k + 1] += firsts[k]
+    found, filled = np.empty_like(points), firsts.copy()
+    for n in range(len(points)):
+        found[filled[buckets[n]]] = points[n]
+        filled[buckets[n]] += 1
+    return found, firsts
+
+
 class Surroundings(NamedTuple):
     """What surrounds the robot, in the frame of its pose."""
 
     near: Floats
-    """(n, 2): obstacles [m]."""
+    """(n, 2): obstacles, sorted into buckets [m]."""
+    firsts: Integers
+    """See `sort_points`."""
+    corner_x: float
+    """Of the buckets [m], with y the next one."""
+    corner_y: float
+    count: int
+    """Buckets along a side."""
     sides: Floats
     """(sides, 4): of the footprint, in the base frame [m]."""
     outer: float
@@ -380,7 +422,32 @@ class Surroundings(NamedTuple):
 @loop
 def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
     """Clearance of the footprint at a pose, at most `most` [m]."""
-    return points_clearance(x, y, theta, around.near, around.sides, around.outer, most)
+    reach, count, sides = around.outer + most, around.count, around.sides
+    left, low = x - reach - around.corner_x, y - reach - around.corner_y
+    i0 = min(max(int(left / BUCKET_SIZE), 0), count - 1)
+    j0 = min(max(int(low / BUCKET_SIZE), 0), count - 1)
+    i1 = min(max(int((left + 2.0 * reach) / BUCKET_SIZE), 0), count - 1)
+    j1 = min(max(int((low + 2.0 * reach) / BUCKET_SIZE), 0), count - 1)
+    nearest, square = -1, reach * reach
+    for i in range(i0, i1 + 1):
+        for n in range(around.firsts[i * count + j0], around.firsts[i * count + j1 + 1]):
+            dx, dy = around.near[n, 0] - x, around.near[n, 1] - y
+            if dx * dx + dy * dy < square:
+                nearest, square = n, dx * dx + dy * dy
+    if nearest < 0:
+        return most
+    cos, sin = math.cos(theta), math.sin(theta)
+    dx, dy = around.near[nearest, 0] - x, around.near[nearest, 1] - y
+    best = min(most, polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides))
+    for i in range(i0, i1 + 1):
+        for n in range(around.firsts[i * count + j0], around.firsts[i * count + j1 + 1]):
+            dx, dy = around.near[n, 0] - x, around.near[n, 1] - y
+            if dx * dx + dy * dy < (around.outer + best) * (around.outer + best):
+                gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
+                best = min(best, gap)
+                if best == 0.0:
+                    return 0.0
+    return best
 
 
 @jit
@@ -490,9 +557,22 @@ class MappedPolicy(BaselinePolicy):
             goal: in the odometry frame [m].
             radius: of the goal [m].
         """
-        near, plan = self.obstacles(pose, reach), self.plan
+        plan, (x, y) = self.plan, (pose[0] - reach, pose[1] - reach)
+        count = math.ceil(2.0 * reach / BUCKET_SIZE)
+        near, firsts = sort_points(self.obstacles(pose, reach), x, y, count)
         return Surroundings(
-            near, self.sides, self.outer, plan.values, plan.x, plan.y, *goal, radius
+            near,
+            firsts,
+            x,
+            y,
+            count,
+            self.sides,
+            self.outer,
+            plan.values,
+            plan.x,
+            plan.y,
+            *goal,
+            radius,
         )
 
     def carrot(

@@ -144,7 +144,7 @@ def make_model(config: RobotConfig, units: RobotUnits, constants: MppiConstants)
         dt=dt,
         checks=checks,
         nose=k.nose * radius,
-        reach=5.0 * k.near_fade * radius,
+        reach=4.0 * k.near_fade * radius,
         near_cost=k.near_cost * speed,
         near_fade=k.near_fade * radius,
         crash_clearance=k.crash_clearance * radius,
