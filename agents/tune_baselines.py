@@ -178,7 +178,7 @@ def main(
     entry.setdefault("constants", {})
     if minutes > 0.0:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
-        study = search(course, minutes, list(dict.fromkeys([kind(), known])))
+        study = search(course, minutes, list(dict.fromkeys([known, kind()])))
         entry["constants"] = {
             name: round_figures(value)
             for name, value in study.best_params.items()
@@ -189,7 +189,6 @@ def main(
             "seeds": f"0-{len(course) - 1}",
             "trials": len(study.trials),
             "score": round(study.best_value, 4),
-            "score_of_defaults": round(study.trials[0].value, 4),
         }
         print(f"{planner} {entry['id']} {robot}: {entry['constants']}\n  {entry['search']}")
         write_entry(entry, file)
