@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import Observation
+from acsar_gym.tools.baselines.tuning import TUNED, Constants, RobotUnits, find_constants
 from acsar_gym.tools.policies.base import DecodedObservation, FilePolicy, PolicyContext
 
 
@@ -39,6 +40,8 @@ class BaselinePolicy(FilePolicy):
     """Whether it needs a LiDAR."""
     compiled: ClassVar[bool] = False
     """Whether it is too slow without numba."""
+    constants_type: ClassVar[type[Constants]] = Constants
+    """Class of its constants."""
     env_named = True
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -50,7 +53,8 @@ class BaselinePolicy(FilePolicy):
         self.path, self.env_id = Path(self.name), env_id
         with contextlib.suppress(TypeError, OSError):  # there is no file in a notebook
             source = Path(inspect.getsourcefile(type(self)) or "")
-            self.sha256 = hashlib.sha256(source.read_bytes()).hexdigest()
+            self.sha256 = hashlib.sha256(source.read_bytes() + TUNED.read_bytes()).hexdigest()
+        self._given: Constants | None = None
         self._rng: np.random.Generator | None = None
 
     def bind(self, setting: PolicyContext) -> None:
@@ -67,6 +71,14 @@ class BaselinePolicy(FilePolicy):
             setting.need(self.name, (), "a LiDAR", "obstacle_goal")
         self.equip(setting)
 
+    def use_constants(self, given: Constants | None) -> None:
+        """Decide with these constants from the next `equip` on, as a search does.
+
+        Args:
+            given: of its `constants_type`; None for those that are known for the robot.
+        """
+        self._given = given
+
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task; subclasses derive their own numbers here.
 
@@ -74,6 +86,10 @@ class BaselinePolicy(FilePolicy):
             setting: of the env.
         """
         self.setting = setting
+        self.units = RobotUnits.of(setting.config, setting.period)
+        self.constants: Any = self._given or find_constants(
+            self.constants_type, self.name, self.env_id, setting.config
+        )
 
     def reset(self) -> None:
         """Begin an episode; subclasses forget the last one here."""

@@ -13,13 +13,15 @@ alone ends in the first dead end. Arcs have the robot's acceleration limits and 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from acsar_gym.jit import jit, loop
-from acsar_gym.safety.rules import read_limits
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tools.baselines.mapping import (
+    MapConstants,
     MappedPolicy,
     MotionState,
     Pose,
@@ -28,55 +30,103 @@ from acsar_gym.tools.baselines.mapping import (
     pose_clearance,
     way_left,
 )
+from acsar_gym.tools.baselines.tuning import constant
 from acsar_gym.tools.policies.base import DecodedObservation, PolicyContext
 
 LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
 """How many linear and angular velocities of the window are tried."""
-REVERSE_SHARE = 0.4
-"""Greatest speed backwards, out of dead ends, as a share of the greatest one ahead."""
-ARC_SECONDS = 1.5
-"""How far ahead an arc is scored [s]."""
-TURN_SECONDS = 0.6
-"""How long the robot turns on an arc before it goes straight [s]."""
 ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
-HOLD_SECONDS = 0.2
-"""How long a velocity is kept before the robot brakes, when it is checked for collisions [s]."""
-ARC_NOSE = 0.25
-"""The navigation function counts this far ahead of the robot, so that its heading matters [m]."""
-STOP_CLEARANCE = 0.03
-"""Least clearance of the footprint on the way to a stop [m]."""
-NEAR_COST, NEAR_FADE = 0.15, 0.06
-"""Cost of a second without clearance [m/s], and the clearance where it has fallen to 1/e [m]."""
-BLOCKED_COST = 0.3
-"""Cost of an arc that comes too near to something, times the share of it that is left [m]."""
 STILL_STEPS, ALIGNED_BEARING = 5, 0.3
 """After so many decisions to stand still it turns to the plan, up to this bearing [rad]."""
-STOP_DECELERATION = 3.0
-"""Deceleration of a full stop, which the command limits don't slow down [m/s^2]."""
 
-ArcModel = tuple[float, float, float]
-"""Greatest linear [m/s^2] and angular acceleration [rad/s^2], and the share of the difference to
-the command by which the twist changes in a STEP."""
+
+@dataclass(frozen=True)
+class DwaConstants(MapConstants):
+    """Constants of the dynamic window approach."""
+
+    reverse_share: float = constant(0.4, 0.1, 1.0)
+    """Greatest speed backwards, out of dead ends [top speed]."""
+    arc_time: float = constant(1.5, 0.6, 3.0)
+    """How far ahead an arc is scored [s]."""
+    turn_time: float = constant(0.6, 0.2, 1.2)
+    """How long the robot turns on an arc before it goes straight [s]."""
+    hold_periods: float = constant(2.0, 1.0, 4.0)
+    """How long a velocity is kept before the robot brakes, when it is checked for collisions
+    [period]."""
+    nose: float = constant(1.0, 0.3, 4.0)
+    """The navigation function counts this far ahead of the robot, so that its heading matters
+    [radius]."""
+    stop_clearance: float = constant(0.125, 0.03, 0.4)
+    """Least clearance of the footprint on the way to a stop [radius]."""
+    near_cost: float = constant(0.3, 0.05, 2.0)
+    """Cost of a second without clearance [s at top speed]."""
+    near_fade: float = constant(0.25, 0.1, 1.0)
+    """Clearance where that cost has fallen to 1/e [radius]."""
+    blocked_cost: float = constant(0.6, 0.1, 3.0)
+    """Cost of an arc that comes too near to something, times the share of it that is left [s at top
+    speed]."""
+
+
+class ArcModel(NamedTuple):
+    """The robot and the constants on arcs, in SI units."""
+
+    acceleration: float
+    """Greatest linear acceleration [m/s^2], the angular one [rad/s^2], and the linear one of a full
+    stop [m/s^2]."""
+    spin: float
+    braking: float
+    blend: float
+    """Share of the difference to the command by which the twist changes in a step."""
+    arc_steps: int
+    """Steps of an arc, of its turn, of holding a velocity, and until the robot stands at last."""
+    turn_steps: int
+    hold_steps: int
+    stop_steps: int
+    nose: float
+    """[m]."""
+    stop_clearance: float
+    """[m]."""
+    reach: float
+    """Clearance from which more makes no difference [m]."""
+    near_cost: float
+    """[m/s]."""
+    near_fade: float
+    """[m]."""
+    blocked_cost: float
+    """[m]."""
 
 
 class Dwa(MappedPolicy):
     """Samples the velocities that can be reached within a step, and keeps able to stop."""
 
     name = "dwa"
+    constants_type = DwaConstants
+    constants: DwaConstants
     _still = 0
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
-        config = setting.config
-        forward = read_limits(config.linear_limits, config.max_linear)
-        turning = read_limits(config.angular_limits, config.max_angular)
-        lag = sum(config.motor.of_wheel(wheel).time_constant for wheel in range(4)) / 4.0
-        self._model = (
-            min(forward.max_acceleration, 1e3),
-            min(turning.max_acceleration, 1e3),
-            1.0 - math.exp(-ARC_STEP / lag) if lag > 0.0 else 1.0,
+        units, k = self.units, self.constants
+        hold = k.hold_periods * units.period
+        self._model = ArcModel(
+            acceleration=units.acceleration,
+            spin=units.spin,
+            braking=units.braking,
+            blend=1.0 - math.exp(-ARC_STEP / units.lag) if units.lag > 0.0 else 1.0,
+            arc_steps=units.steps(k.arc_time, ARC_STEP),
+            turn_steps=units.steps(k.turn_time, ARC_STEP),
+            hold_steps=units.steps(hold, ARC_STEP),
+            stop_steps=units.steps(
+                hold + units.speed / units.braking + 8.0 * units.lag + ARC_STEP, ARC_STEP
+            ),
+            nose=k.nose * units.radius,
+            stop_clearance=k.stop_clearance * units.radius,
+            reach=4.0 * k.near_fade * units.radius,
+            near_cost=k.near_cost * units.speed,
+            near_fade=k.near_fade * units.radius,
+            blocked_cost=k.blocked_cost * units.speed,
         )
 
     def decide(
@@ -85,16 +135,16 @@ class Dwa(MappedPolicy):
         """Choose the best admissible velocity [m/s, rad/s]; stops where there is none."""
         config = self.setting.config
         window = self._window(config.max_linear, config.max_angular)
-        around = self.around(
-            pose, config.max_linear * ARC_SECONDS, goal, 0.9 * self.setting.tolerance
-        )
+        ahead = config.max_linear * self.constants.arc_time + self._model.nose
+        reach = ahead + self.outer + self._model.reach
+        around = self.around(pose, reach, goal, 0.9 * self.setting.tolerance)
         state = (*pose, seen.linear, seen.angular, *self.sent)
         scores = score_window(window, state, self._model, around)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
             return self._escape(around, state)
         linear, angular = window[best].tolist()
-        idle = abs(linear) < 0.03 and abs(angular) < 0.15
+        idle = abs(linear) < 0.06 * config.max_linear and abs(angular) < 0.1 * config.max_angular
         self._still = self._still + 1 if idle or self._still > STILL_STEPS else 0
         if self._still > STILL_STEPS:
             return self._align(pose, goal, state, around) or (linear, angular)
@@ -109,7 +159,7 @@ class Dwa(MappedPolicy):
         self, pose: Pose, goal: tuple[float, float], state: MotionState, around: Surroundings
     ) -> tuple[float, float] | None:
         """Turn towards the plan; None once it lies ahead, or where there is no room to turn."""
-        x, y = self.carrot(pose, goal, 0.4)
+        x, y = self.carrot(pose, goal, 1.7 * self.outer)
         bearing = math.atan2(y, x)
         turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
         if abs(bearing) < ALIGNED_BEARING or not can_stop(0.0, turn, state, self._model, around):
@@ -119,9 +169,10 @@ class Dwa(MappedPolicy):
 
     def _window(self, fastest: float, turning: float) -> Floats:
         """(n, 2): velocities that can be reached in a step, and standing still."""
-        linear, angular = self._model[0] * self.setting.period, self._model[1] * self.setting.period
+        linear, angular = self._model.acceleration, self._model.spin
+        linear, angular = linear * self.setting.period, angular * self.setting.period
         v = self.sent[0] + np.linspace(-linear, linear, LINEAR_SAMPLES)
-        v = np.clip(v, -REVERSE_SHARE * fastest, fastest)
+        v = np.clip(v, -self.constants.reverse_share * fastest, fastest)
         w = np.clip(
             self.sent[1] + np.linspace(-angular, angular, ANGULAR_SAMPLES), -turning, turning
         )
@@ -131,14 +182,14 @@ class Dwa(MappedPolicy):
 
     def _escape(self, around: Surroundings, state: MotionState) -> tuple[float, float]:
         """Back off slowly, or turn, to where there is more clearance; nothing is admissible."""
-        x, y, theta = state[:3]
+        (x, y, theta), units = state[:3], self.units
         best, chosen = -1.0, (0.0, 0.0)
-        for linear in (0.0, -0.1, 0.1):
-            for angular in (0.0, -0.6, 0.6):
+        for linear in (0.0, -0.2 * units.speed, 0.2 * units.speed):
+            for angular in (0.0, -0.4 * units.turning, 0.4 * units.turning):
                 heading = theta + 0.3 * angular
                 ahead = 0.3 * linear
                 there = x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading
-                free = pose_clearance(*there, around, 0.2)
+                free = pose_clearance(*there, around, self.outer)
                 if free > best + 1e-3:
                     best, chosen = free, (linear, angular)
         return chosen
@@ -159,9 +210,9 @@ def advance_arc(
     """
     x, y, theta, v, w, sent_v, sent_w = state
     sent_v += min(max(linear - sent_v, -brake * ARC_STEP), brake * ARC_STEP)
-    sent_w += min(max(angular - sent_w, -model[1] * ARC_STEP), model[1] * ARC_STEP)
-    v += model[2] * (sent_v - v)
-    w += model[2] * (sent_w - w)
+    sent_w += min(max(angular - sent_w, -model.spin * ARC_STEP), model.spin * ARC_STEP)
+    v += model.blend * (sent_v - v)
+    w += model.blend * (sent_w - w)
     theta += w * ARC_STEP
     return (
         x + v * ARC_STEP * math.cos(theta),
@@ -201,21 +252,21 @@ def score_velocity(
     linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
 ) -> float:
     """Score of one admissible velocity."""
-    cost, steps = 0.0, int(ARC_SECONDS / ARC_STEP + 0.5)
+    cost, steps = 0.0, model.arc_steps
     for step in range(steps):
-        turning = angular if step * ARC_STEP < TURN_SECONDS else 0.0
-        state = advance_arc(state, linear, turning, model[0], model)
+        turning = angular if step < model.turn_steps else 0.0
+        state = advance_arc(state, linear, turning, model.acceleration, model)
         if step % 2 == 0:
             continue
-        free = pose_clearance(state[0], state[1], state[2], around, 0.25)
-        cost += 2.0 * ARC_STEP * NEAR_COST * math.exp(-free / NEAR_FADE)
+        free = pose_clearance(state[0], state[1], state[2], around, model.reach)
+        cost += 2.0 * ARC_STEP * model.near_cost * math.exp(-free / model.near_fade)
         left = 1.0 - step / steps
-        if free < STOP_CLEARANCE:
-            cost += BLOCKED_COST * left
+        if free < model.stop_clearance:
+            cost += model.blocked_cost * left
             break
         if in_goal(state[0], state[1], around):
             return cost - left
-    return cost + way_left(state[0], state[1], state[2], ARC_NOSE, around)
+    return cost + way_left(state[0], state[1], state[2], model.nose, around)
 
 
 @loop
@@ -226,14 +277,16 @@ def can_stop(
 
     Where it is too near to something already, coming no nearer is enough.
     """
-    least = pose_clearance(state[0], state[1], state[2], around, STOP_CLEARANCE) - 1e-3
-    for step in range(int(1.0 / ARC_STEP)):
-        if step * ARC_STEP < HOLD_SECONDS:
-            state = advance_arc(state, linear, angular, model[0], model)
+    wanted = model.stop_clearance
+    least = pose_clearance(state[0], state[1], state[2], around, wanted) - 1e-3
+    for step in range(model.stop_steps):
+        holding = step < model.hold_steps
+        if holding:
+            state = advance_arc(state, linear, angular, model.acceleration, model)
         else:
-            state = advance_arc(state, 0.0, 0.0, STOP_DECELERATION, model)
-        if pose_clearance(state[0], state[1], state[2], around, STOP_CLEARANCE) < least:
+            state = advance_arc(state, 0.0, 0.0, model.braking, model)
+        if pose_clearance(state[0], state[1], state[2], around, wanted) < least:
             return False
-        if step * ARC_STEP >= HOLD_SECONDS and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
+        if not holding and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break
     return True

@@ -16,26 +16,39 @@ the goal, among those that the robot fits through.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import footprint
 from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 
-CENTRE_WEIGHT = 0.35
-"""Weight of the gap's centre [m]."""
-RADIUS_MARGIN = 0.04
-"""How much the robot's radius is enlarged [m]."""
-OBSTACLE_REACH = 1.5
-"""Obstacles farther away than this are no obstacles yet [m]."""
 DIRECTION_BINS = 360
 """Directions that are distinguished."""
-MAX_COURSE = 0.6
-"""It turns on the spot while its course is farther off than this [rad]."""
+
+
+@dataclass(frozen=True)
+class GapConstants(Constants):
+    """Constants of follow the gap."""
+
+    centre_weight: float = constant(1.46, 0.3, 6.0)
+    """Weight of the gap's centre [radius]."""
+    margin: float = constant(0.166, 0.03, 0.5)
+    """How much the robot's radius is enlarged [radius]."""
+    reach: float = constant(6.2, 2.0, 20.0)
+    """Obstacles farther away than this are no obstacles yet [radius]."""
+    max_course: float = constant(0.6, 0.3, 1.5)
+    """It turns on the spot while its course is farther off than this [rad]."""
+    turn_gain: float = constant(2.5, 1.0, 6.0)
+    """Yaw rate for a course of 1 rad [1/s]."""
+    slow_share: float = constant(0.3, 0.05, 0.6)
+    """Share of the top speed beside an obstacle."""
+    slow_distance: float = constant(2.3, 0.5, 6.0)
+    """Clearance by which that share grows by 1 [stopping distance]."""
 
 
 class FollowGap(BaselinePolicy):
@@ -44,29 +57,39 @@ class FollowGap(BaselinePolicy):
     name = "follow_gap"
     needs = GOAL_NUMBERS
     lidar = True
+    constants_type = GapConstants
+    constants: GapConstants
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
         self._angles = ray_spec(setting.config).angles()
-        self._radius = footprint.outline_radius(setting.config.outline) + RADIUS_MARGIN
+        self._radius = self.units.radius * (1.0 + self.constants.margin)
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
         config, points = self.setting.config, np.zeros((0, 2))
+        units, k = self.units, self.constants
         if seen.ranges is not None:
             met = seen.ranges < config.lidar.max_range - 1e-3
             far, angles = seen.ranges[met], self._angles[met]
             x = config.lidar_x_offset + far * np.cos(angles)
             points = np.column_stack([x, config.lidar_y_offset + far * np.sin(angles)])
-        course, nearest = choose_course(points, self._radius, seen.bearing, seen.distance)
+        course, nearest = choose_course(
+            points,
+            self._radius,
+            seen.bearing,
+            min(k.reach * units.radius, seen.distance),
+            k.centre_weight * units.radius,
+        )
         free = max(nearest - self._radius, 0.0)
-        speed = config.max_linear * min(1.0, 0.3 + free / 0.3) * max(math.cos(course), 0.0)
-        return (0.0 if abs(course) > MAX_COURSE else speed), 2.5 * course
+        share = min(1.0, k.slow_share + free / (k.slow_distance * units.stopping))
+        speed = units.speed * share * max(math.cos(course), 0.0)
+        return (0.0 if abs(course) > k.max_course else speed), k.turn_gain * course
 
 
 def choose_course(
-    points: Floats, radius: float, bearing: float, distance: float
+    points: Floats, radius: float, bearing: float, reach: float, centre_weight: float
 ) -> tuple[float, float]:
     """Choose a gap and a course.
 
@@ -74,13 +97,13 @@ def choose_course(
         points: (n, 2), obstacles in the base frame [m].
         radius: of the robot, with a margin [m].
         bearing: of the goal [rad].
-        distance: of the goal [m].
+        reach: obstacles farther away are no obstacles yet [m].
+        centre_weight: of the gap's centre [m].
 
     Returns:
         The course [rad], and the distance of the nearest obstacle [m].
     """
     far = np.hypot(points[:, 0], points[:, 1])
-    reach = min(OBSTACLE_REACH, distance)
     near, to = far[far < reach], np.arctan2(points[:, 1], points[:, 0])[far < reach]
     if len(near) == 0:
         return bearing, math.inf
@@ -93,7 +116,7 @@ def choose_course(
     centre, _ = min(  # the gap that the bearing lies least outside of
         find_gaps(free, middles), key=lambda gap: abs(wrap_angle(bearing - gap[0])) - gap[1]
     )
-    weight = CENTRE_WEIGHT / float(near.min())
+    weight = centre_weight / float(near.min())
     course = centre + wrap_angle(bearing - centre) / (weight + 1.0)
     return wrap_angle(course), float(near.min())
 

@@ -6,8 +6,10 @@ Random actions, turn and drive, and Park & Kuipers' smooth curve.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation
 
 
@@ -25,11 +27,17 @@ class RandomActions(BaselinePolicy):
 
 SLOW_GAIN, FAST_GAIN = 1.0, 3.0
 """Gains of the slow and of the fast subsystem, as in the paper."""
-CURVE_WEIGHT, CURVE_EXPONENT = 0.4, 1.0
-"""How much a curve slows the robot down. The paper's lambda is 2, with which the yaw rate falls to
-0 in narrow curves; with 1 it tends to v_max / beta."""
-MIN_DISTANCE = 0.1
-"""Below this distance the curvature doesn't grow any more [m]."""
+
+
+@dataclass(frozen=True)
+class SmoothConstants(Constants):
+    """Constants of the smooth curve."""
+
+    curve_weight: float = constant(1.66, 0.3, 6.0)
+    """How much a curve slows the robot down, beta [radius]. The paper's lambda is 2, with which the
+    yaw rate falls to 0 in narrow curves; with 1, as here, it tends to v_max / beta."""
+    min_distance: float = constant(0.42, 0.1, 2.0)
+    """Below this distance the curvature doesn't grow any more [radius]."""
 
 
 class Smooth(BaselinePolicy):
@@ -50,13 +58,14 @@ class Smooth(BaselinePolicy):
 
     name = "smooth"
     needs = GOAL_NUMBERS
+    constants_type = SmoothConstants
+    constants: SmoothConstants
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        curvature = curvature_to(seen.distance, seen.bearing)
-        speed = self.setting.config.max_linear / (
-            1.0 + CURVE_WEIGHT * abs(curvature) ** CURVE_EXPONENT
-        )
+        k, radius = self.constants, self.units.radius
+        curvature = curvature_to(max(seen.distance, k.min_distance * radius), seen.bearing)
+        speed = self.units.speed / (1.0 + k.curve_weight * radius * abs(curvature))
         return speed, curvature * speed
 
 
@@ -67,15 +76,17 @@ def curvature_to(distance: float, bearing: float) -> float:
         distance: of the point [m].
         bearing: of the point, positive to the left [rad].
     """
-    return (FAST_GAIN * bearing + (1.0 + SLOW_GAIN) * math.sin(bearing)) / max(
-        distance, MIN_DISTANCE
-    )
+    return (FAST_GAIN * bearing + (1.0 + SLOW_GAIN) * math.sin(bearing)) / distance
 
 
-MAX_BEARING = 0.35
-"""It turns on the spot while the goal's bearing is larger than this [rad]."""
-BEARING_GAIN = 2.5
-"""Yaw rate for a bearing of 1 rad [1/s]."""
+@dataclass(frozen=True)
+class TurnDriveConstants(Constants):
+    """Constants of turn and drive."""
+
+    max_bearing: float = constant(0.35, 0.1, 1.2)
+    """It turns on the spot while the goal's bearing is larger than this [rad]."""
+    turn_gain: float = constant(2.5, 1.0, 8.0)
+    """Yaw rate for a bearing of 1 rad [1/s]."""
 
 
 class TurnDrive(BaselinePolicy):
@@ -83,8 +94,11 @@ class TurnDrive(BaselinePolicy):
 
     name = "turn_drive"
     needs = GOAL_NUMBERS
+    constants_type = TurnDriveConstants
+    constants: TurnDriveConstants
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        top = 0.0 if abs(seen.bearing) > MAX_BEARING else self.setting.config.max_linear
-        return top, BEARING_GAIN * seen.bearing
+        ahead = abs(seen.bearing) <= self.constants.max_bearing
+        speed = self.units.speed if ahead else 0.0
+        return speed, self.constants.turn_gain * seen.bearing

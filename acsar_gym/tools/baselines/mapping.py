@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
@@ -14,9 +16,10 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside
-from acsar_gym.worlds.search import Costs, clearance_costs, sweep_distances
+from acsar_gym.worlds.search import COST_FADE, Costs, clearance_costs, sweep_distances
 
 
 @loop
@@ -146,6 +149,7 @@ def mark_scan(
             places[i, j, 2] = count
 
 
+Integers = NDArray[np.int64]
 Pose = tuple[float, float, float]
 Point = tuple[float, float]
 SOLVER_ROUNDS = 3
@@ -232,8 +236,21 @@ def solve_motion(before: Point, after: Point, length: float, turn: float) -> tup
 
 FIELD_MARGIN = 1.5
 """How far the field reaches around start, robot, goal and all that is known [m]."""
-FIELD_COSTS = Costs(lethal=60.0, tight=8.0, heavy=4.0)
-"""Costs of cells near obstacles."""
+LETHAL_COST = 60.0
+"""Cost of a metre where the footprint would touch something."""
+
+
+@dataclass(frozen=True)
+class MapConstants(Constants):
+    """Constants of the plan on the map."""
+
+    tight: float = constant(8.0, 2.0, 20.0)
+    """Additional cost of a metre where only the footprint itself fits; it falls to 0 where the disc
+    around it does."""
+    heavy: float = constant(4.0, 0.5, 12.0)
+    """Additional cost of a metre up to there, which fades beyond it."""
+    fade: float = constant(0.5, 0.15, 1.5)
+    """Distance over which it falls to 1/e [radius]."""
 
 
 class Potential(NamedTuple):
@@ -261,6 +278,7 @@ def compute_potential(
     robot: tuple[float, float],
     goal: tuple[float, float],
     radii: tuple[float, float],
+    constants: MapConstants,
 ) -> Potential:
     """Compute the potential of a goal.
 
@@ -269,6 +287,7 @@ def compute_potential(
         robot: where the robot is [m].
         goal: the goal [m].
         radii: of the circle within the footprint, and of the one around it [m].
+        constants: of the costs near obstacles.
     """
     with require_extra("the baseline navfn", "scipy"):
         from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
@@ -290,7 +309,10 @@ def compute_potential(
         distances = distance_transform_edt(~occupied, sampling=CELL_SIZE)
     values = np.full(occupied.shape, 1e9)
     i, j = round((goal[0] - x) / CELL_SIZE), round((goal[1] - y) / CELL_SIZE)
-    sweep_distances(values, clearance_costs(distances, radii, FIELD_COSTS) * CELL_SIZE, i, j)
+    near = Costs(lethal=LETHAL_COST, tight=constants.tight, heavy=constants.heavy)
+    unit = constants.fade * radii[1] / COST_FADE  # so that they fade over that distance
+    costs = clearance_costs(distances / unit, (radii[0] / unit, radii[1] / unit), near)
+    sweep_distances(values, costs * CELL_SIZE, i, j)
     return Potential(values, x, y)
 
 
@@ -336,11 +358,51 @@ MotionState = tuple[float, float, float, float, float, float, float]
 """Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
 
 
+BUCKET_SIZE = 0.4
+"""Side of the squares into which obstacles are sorted [m]."""
+
+
+@loop
+def sort_points(points: Floats, x: float, y: float, count: int) -> tuple[Floats, Integers]:
+    """Sort points into a square of `count` by `count` buckets.
+
+    Args:
+        points: (n, 2) [m]; those outside count to the nearest bucket.
+        x: of the square's corner [m].
+        y: of the square's corner [m].
+        count: of buckets along a side.
+
+    Returns:
+        The points by bucket, (n, 2), and the place of each bucket's first one, (count^2 + 1,).
+    """
+    buckets = np.empty(len(points), np.int64)
+    firsts = np.zeros(count * count + 1, np.int64)
+    for n in range(len(points)):
+        i = min(max(int((points[n, 0] - x) / BUCKET_SIZE), 0), count - 1)
+        j = min(max(int((points[n, 1] - y) / BUCKET_SIZE), 0), count - 1)
+        buckets[n] = i * count + j
+        firsts[buckets[n] + 1] += 1
+    for k in range(count * count):
+        firsts[k + 1] += firsts[k]
+    found, filled = np.empty_like(points), firsts.copy()
+    for n in range(len(points)):
+        found[filled[buckets[n]]] = points[n]
+        filled[buckets[n]] += 1
+    return found, firsts
+
+
 class Surroundings(NamedTuple):
     """What surrounds the robot, in the frame of its pose."""
 
     near: Floats
-    """(n, 2): obstacles [m]."""
+    """(n, 2): obstacles, sorted into buckets [m]."""
+    firsts: Integers
+    """See `sort_points`."""
+    corner_x: float
+    """Of the buckets [m], with y the next one."""
+    corner_y: float
+    count: int
+    """Buckets along a side."""
     sides: Floats
     """(sides, 4): of the footprint, in the base frame [m]."""
     outer: float
@@ -360,7 +422,32 @@ class Surroundings(NamedTuple):
 @loop
 def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
     """Clearance of the footprint at a pose, at most `most` [m]."""
-    return points_clearance(x, y, theta, around.near, around.sides, around.outer, most)
+    reach, count, sides = around.outer + most, around.count, around.sides
+    left, low = x - reach - around.corner_x, y - reach - around.corner_y
+    i0 = min(max(int(left / BUCKET_SIZE), 0), count - 1)
+    j0 = min(max(int(low / BUCKET_SIZE), 0), count - 1)
+    i1 = min(max(int((left + 2.0 * reach) / BUCKET_SIZE), 0), count - 1)
+    j1 = min(max(int((low + 2.0 * reach) / BUCKET_SIZE), 0), count - 1)
+    nearest, square = -1, reach * reach
+    for i in range(i0, i1 + 1):
+        for n in range(around.firsts[i * count + j0], around.firsts[i * count + j1 + 1]):
+            dx, dy = around.near[n, 0] - x, around.near[n, 1] - y
+            if dx * dx + dy * dy < square:
+                nearest, square = n, dx * dx + dy * dy
+    if nearest < 0:
+        return most
+    cos, sin = math.cos(theta), math.sin(theta)
+    dx, dy = around.near[nearest, 0] - x, around.near[nearest, 1] - y
+    best = min(most, polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides))
+    for i in range(i0, i1 + 1):
+        for n in range(around.firsts[i * count + j0], around.firsts[i * count + j1 + 1]):
+            dx, dy = around.near[n, 0] - x, around.near[n, 1] - y
+            if dx * dx + dy * dy < (around.outer + best) * (around.outer + best):
+                gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
+                best = min(best, gap)
+                if best == 0.0:
+                    return 0.0
+    return best
 
 
 @jit
@@ -387,6 +474,7 @@ class MappedPolicy(BaselinePolicy):
     needs = GOAL_NUMBERS
     lidar = True
     compiled = True
+    constants_type = MapConstants
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
@@ -394,7 +482,7 @@ class MappedPolicy(BaselinePolicy):
         config = setting.config
         corners = np.array(config.outline)
         self.sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        self.outer = footprint.outline_radius(config.outline)
+        self.outer = self.units.radius
         self.radii = (footprint.border_distance(config.outline, 0.0, 0.0), self.outer)
         self._angles = ray_spec(config).angles()
         self.reset()
@@ -428,7 +516,9 @@ class MappedPolicy(BaselinePolicy):
             self.known.update(origin, ends, met.astype(np.float64))
             self._scan = ends[met]
         if self._steps % REPLAN_STEPS == 0:
-            self.plan: Potential = compute_potential(self.known, pose[:2], motion.goal, self.radii)
+            self.plan: Potential = compute_potential(
+                self.known, pose[:2], motion.goal, self.radii, self.constants
+            )
         self._steps += 1
         self.sent = self.decide(pose, motion.goal, seen)
         return self.sent
@@ -463,13 +553,26 @@ class MappedPolicy(BaselinePolicy):
 
         Args:
             pose: of the robot.
-            reach: how far it may drive meanwhile [m].
+            reach: how far from the robot obstacles count [m].
             goal: in the odometry frame [m].
             radius: of the goal [m].
         """
-        near, plan = self.obstacles(pose, reach + self.outer + 0.3), self.plan
+        plan, (x, y) = self.plan, (pose[0] - reach, pose[1] - reach)
+        count = math.ceil(2.0 * reach / BUCKET_SIZE)
+        near, firsts = sort_points(self.obstacles(pose, reach), x, y, count)
         return Surroundings(
-            near, self.sides, self.outer, plan.values, plan.x, plan.y, *goal, radius
+            near,
+            firsts,
+            x,
+            y,
+            count,
+            self.sides,
+            self.outer,
+            plan.values,
+            plan.x,
+            plan.y,
+            *goal,
+            radius,
         )
 
     def carrot(

@@ -9,69 +9,93 @@ spot where the path begins elsewhere, and stops before a predicted collision.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from acsar_gym.tasks.base import Floats
-from acsar_gym.tools.baselines.mapping import MappedPolicy, Pose, points_clearance
+from acsar_gym.tools.baselines.mapping import (
+    MapConstants,
+    MappedPolicy,
+    Pose,
+    points_clearance,
+)
+from acsar_gym.tools.baselines.tuning import constant
 from acsar_gym.tools.policies.base import DecodedObservation
 
-CARROT_TIME, MIN_CARROT, MAX_CARROT = 0.9, 0.2, 0.45
-"""The carrot is this much time ahead at the present speed, within these distances [s, m, m]."""
-SLOW_RADIUS = 0.5
-"""Curves narrower than this are driven slower, in proportion [m]."""
-SLOW_CLEARANCE = 0.15
-"""Nearer than this to an obstacle, the footprint is driven slower, in proportion [m]."""
-MIN_SPEED = 0.08
-"""Least regulated speed [m/s]."""
-TURN_BEARING = 0.7
-"""Turns on the spot while the carrot's bearing is larger than this [rad]."""
-ARC_TIME = 1.0
-"""Predicted arcs are checked for collisions so far ahead [s]."""
-ARC_CLEARANCE = 0.02
-"""Least clearance on a predicted arc [m]."""
+
+@dataclass(frozen=True)
+class NavfnConstants(MapConstants):
+    """Constants of regulated pure pursuit."""
+
+    carrot_time: float = constant(0.9, 0.2, 1.5)
+    """The carrot is this much time ahead at the present speed [s]."""
+    min_carrot: float = constant(0.83, 0.4, 3.0)
+    """Least distance of the carrot [radius]."""
+    turn_share: float = constant(0.67, 0.2, 1.0)
+    """Curves are driven so slowly that the yaw rate isn't larger [greatest yaw rate]."""
+    slow_clearance: float = constant(0.62, 0.1, 2.0)
+    """Nearer than this to an obstacle, the footprint is driven slower, in proportion [radius]."""
+    slow_share: float = constant(0.3, 0.1, 0.9)
+    """What is left of the speed without any clearance."""
+    min_speed: float = constant(0.16, 0.05, 0.4)
+    """Least regulated speed [top speed]."""
+    turn_bearing: float = constant(0.7, 0.4, 1.5)
+    """Turns on the spot while the carrot's bearing is larger than this [rad]."""
+    turn_gain: float = constant(2.5, 1.0, 6.0)
+    """Yaw rate of that turn for a bearing of 1 rad [1/s]."""
+    arc_time: float = constant(1.0, 0.3, 1.5)
+    """Predicted arcs are checked for collisions so far ahead [s]."""
+    arc_clearance: float = constant(0.083, 0.02, 0.3)
+    """Least clearance on a predicted arc [radius]."""
+
+
+SPEED_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
+"""Speeds that are tried where the regulated one leads to a collision, as shares of it."""
+CHECK_SPACING = 0.4
+"""Greatest distance between two checked poses of an arc [radius]."""
 
 
 class Navfn(MappedPolicy):
     """Plans on its map like NavFn, and follows the plan by regulated pure pursuit."""
 
     name = "navfn"
+    constants_type = NavfnConstants
+    constants: NavfnConstants
 
     def decide(
         self, pose: Pose, goal: tuple[float, float], seen: DecodedObservation
     ) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        config = self.setting.config
-        lookahead = min(max(CARROT_TIME * seen.linear, MIN_CARROT), MAX_CARROT)
+        units, k = self.units, self.constants
+        lookahead = max(k.carrot_time * seen.linear, k.min_carrot * units.radius)
         x, y = self.carrot(pose, goal, lookahead)
-        bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.05)
-        near = self.obstacles(pose, config.max_linear * ARC_TIME + self.outer + 0.3)
-        turn = math.copysign(min(2.5 * abs(bearing), config.max_angular), bearing)
-        if abs(bearing) > TURN_BEARING:
+        bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.2 * units.radius)
+        slow = k.slow_clearance * units.radius
+        near = self.obstacles(pose, units.speed * k.arc_time + 2.0 * units.radius + slow)
+        turn = math.copysign(min(k.turn_gain * abs(bearing), units.turning), bearing)
+        if abs(bearing) > k.turn_bearing:
             return 0.0, turn
         curvature = 2.0 * y / distance**2
-        free = points_clearance(*pose, near, self.sides, self.outer, SLOW_CLEARANCE)
-        speed = config.max_linear * min(
-            1.0, 1.0 / max(abs(curvature) * SLOW_RADIUS, 1e-6), 0.3 + 0.7 * free / SLOW_CLEARANCE
+        free = points_clearance(*pose, near, self.sides, self.outer, slow)
+        speed = min(
+            units.speed * (k.slow_share + (1.0 - k.slow_share) * free / slow),
+            k.turn_share * units.turning / max(abs(curvature), 1e-6),
         )
-        speed = max(speed, MIN_SPEED)
-        for share in (1.0, 0.5, 0.2):
-            if self._free(pose, share * speed, share * speed * curvature, near):
+        speed = max(speed, k.min_speed * units.speed)
+        for share in SPEED_SHARES:
+            if self._is_free(pose, share * speed, share * speed * curvature, near):
                 return share * speed, share * speed * curvature
         return 0.0, turn
 
-    def _free(self, pose: Pose, linear: float, angular: float, near: Floats) -> bool:
+    def _is_free(self, pose: Pose, linear: float, angular: float, near: Floats) -> bool:
         """Whether a predicted arc keeps its clearance, or comes no nearer than it is."""
-        x, y, theta = pose
-        least = (
-            min(
-                points_clearance(x, y, theta, near, self.sides, self.outer, ARC_CLEARANCE),
-                ARC_CLEARANCE,
-            )
-            - 2e-3
-        )
-        for _ in range(5):
-            theta += angular * ARC_TIME / 5.0
-            x += linear * math.cos(theta) * ARC_TIME / 5.0
-            y += linear * math.sin(theta) * ARC_TIME / 5.0
-            if points_clearance(x, y, theta, near, self.sides, self.outer, ARC_CLEARANCE) < least:
+        (x, y, theta), time = pose, self.constants.arc_time
+        wanted = self.constants.arc_clearance * self.outer
+        least = points_clearance(x, y, theta, near, self.sides, self.outer, wanted) - 2e-3
+        checks = math.ceil(self.units.speed * time / (CHECK_SPACING * self.outer))
+        for _ in range(checks):
+            theta += angular * time / checks
+            x += linear * math.cos(theta) * time / checks
+            y += linear * math.sin(theta) * time / checks
+            if points_clearance(x, y, theta, near, self.sides, self.outer, wanted) < least:
                 return False
         return True

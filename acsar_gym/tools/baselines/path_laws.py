@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.base import PATH_NUMBERS, DecodedObservation
 
-LOOKAHEAD_DISTANCE = 0.3
-"""Distance of the point that it heads for [m]."""
-SIDEWAYS_SHARE = 0.5
-"""Greatest speed times curvature, as a share of the greatest yaw rate."""
+
+@dataclass(frozen=True)
+class PursuitConstants(Constants):
+    """Constants of pure pursuit."""
+
+    lookahead: float = constant(0.6, 0.2, 1.5)
+    """How far ahead on the path the point is that it heads for [s at top speed], but no farther
+    than the path is observed."""
+    turn_share: float = constant(0.5, 0.2, 1.0)
+    """Curves are driven so slowly that the yaw rate isn't larger [greatest yaw rate]."""
 
 
 class PathPolicy(BaselinePolicy):
@@ -24,7 +32,7 @@ class PathPolicy(BaselinePolicy):
 
 
 class PurePursuit(PathPolicy):
-    """Drives to a point of the path a fixed distance ahead, slower in narrow curves.
+    """Drives to a point of the path some way ahead, slower in narrow curves.
 
     Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992. The robot drives
     the arc that leads through that point: its curvature is 2 y / L^2 for a point L away and y to
@@ -32,15 +40,17 @@ class PurePursuit(PathPolicy):
     """
 
     name = "pure_pursuit"
+    constants_type = PursuitConstants
+    constants: PursuitConstants
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        x, y = find_carrot(seen, LOOKAHEAD_DISTANCE)
+        x, y = find_carrot(seen, self.constants.lookahead * self.units.speed)
         config, square = self.setting.config, max(x * x + y * y, 1e-6)
         if x <= 0.0:  # the path lies behind: turn on the spot
             return 0.0, math.copysign(config.max_angular, y)
         curvature = 2.0 * y / square
-        most = SIDEWAYS_SHARE * config.max_angular / max(abs(curvature), 1e-6)
+        most = self.constants.turn_share * config.max_angular / max(abs(curvature), 1e-6)
         speed = min(config.max_linear, most)
         return speed, speed * curvature
 
@@ -79,12 +89,18 @@ def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, floa
     return x, y
 
 
-AXLE_DISTANCE = 0.2
-"""From the robot's base to the front axle of the bicycle [m]."""
-STEERING_GAIN, SOFT_SPEED = 1.5, 0.2
-"""k [1/s] and k_soft [m/s]."""
-MAX_STEERING = 1.2
-"""Greatest steering angle [rad]."""
+@dataclass(frozen=True)
+class StanleyConstants(Constants):
+    """Constants of the Stanley controller."""
+
+    axle: float = constant(0.83, 0.3, 3.0)
+    """From the robot's base to the front axle of the bicycle [radius]."""
+    gain: float = constant(1.5, 0.5, 6.0)
+    """k [1/s]."""
+    soft_speed: float = constant(0.4, 0.1, 1.0)
+    """k_soft [top speed]."""
+    max_steering: float = constant(1.2, 0.5, 1.5)
+    """Greatest steering angle [rad]."""
 
 
 class Stanley(PathPolicy):
@@ -96,27 +112,30 @@ class Stanley(PathPolicy):
     A bicycle steers its front wheel by delta = psi + atan(k e / (k_soft + v)), in which psi is the
     path's direction relative to the heading, and e the distance of the path from the front axle,
     positive to the left. This robot drives the twist of a bicycle whose front axle lies
-    AXLE_DISTANCE ahead of its base: angular = v tan(delta) / AXLE_DISTANCE.
+    `axle` ahead of its base: angular = v tan(delta) / axle.
     """
 
     name = "stanley"
+    constants_type = StanleyConstants
+    constants: StanleyConstants
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        config = self.setting.config
-        bearing, left = path_at_axle(seen)
+        config, k = self.setting.config, self.constants
+        axle = k.axle * self.units.radius
+        bearing, left = path_at_axle(seen, axle)
         speed = max(seen.linear, 0.0)
-        wanted = bearing + math.atan2(STEERING_GAIN * left, SOFT_SPEED + speed)
+        wanted = bearing + math.atan2(k.gain * left, k.soft_speed * self.units.speed + speed)
         if abs(wanted) > math.pi / 2.0:
             return 0.0, math.copysign(config.max_angular, wanted)
-        tangent = math.tan(min(max(wanted, -MAX_STEERING), MAX_STEERING)) / AXLE_DISTANCE
+        tangent = math.tan(min(max(wanted, -k.max_steering), k.max_steering)) / axle
         linear = min(config.max_linear, config.max_angular / max(abs(tangent), 1e-6))
         return linear, linear * tangent
 
 
-def path_at_axle(seen: DecodedObservation) -> tuple[float, float]:
+def path_at_axle(seen: DecodedObservation, axle: float) -> tuple[float, float]:
     """Direction of the path nearest to the front axle [rad], and how far left of it it is [m]."""
-    line = line_ahead(seen) - (AXLE_DISTANCE, 0.0)
+    line = line_ahead(seen) - (axle, 0.0)
     best = (math.inf, 0.0, 0.0)
     for (ax, ay), (bx, by) in zip(line[:-1].tolist(), line[1:].tolist(), strict=True):
         ex, ey = bx - ax, by - ay

@@ -83,7 +83,7 @@ def test_random_actions_fill_the_action_space() -> None:
     assert drawn.max(axis=0) == pytest.approx(top, rel=0.05)
 
 
-RADIUS = 0.28
+RADIUS, REACH, WEIGHT = 0.28, 1.5, 0.35
 
 
 def ring(*openings: tuple[float, float]) -> Floats:
@@ -99,16 +99,16 @@ def ring(*openings: tuple[float, float]) -> Floats:
 def test_the_gap_nearest_to_the_goal_is_taken(bearing: float, wanted: float) -> None:
     """Its centre is 1.0 or -1.5 rad; the course lies between it and the goal."""
     points = ring((1.0, 0.5), (-1.5, 1.2))
-    course, nearest = choose_course(points, RADIUS, bearing, 3.0)
+    course, nearest = choose_course(points, RADIUS, bearing, REACH, WEIGHT)
     assert nearest == pytest.approx(1.0)
     assert min(bearing, wanted) < course < max(bearing, wanted)
 
 
 def test_a_gap_that_is_too_narrow_is_none_and_an_open_floor_is_one() -> None:
     points = ring((0.0, 0.2), (2.0, 0.8))
-    course, _ = choose_course(points, RADIUS, 0.0, 3.0)
+    course, _ = choose_course(points, RADIUS, 0.0, REACH, WEIGHT)
     assert course > 0.3
-    assert choose_course(np.zeros((0, 2)), RADIUS, 0.7, 3.0) == (0.7, math.inf)
+    assert choose_course(np.zeros((0, 2)), RADIUS, 0.7, REACH, WEIGHT) == (0.7, math.inf)
 
 
 def test_it_turns_away_from_a_wall_ahead() -> None:

@@ -11,6 +11,7 @@ from baseline_tools import CONFIG, PERIOD, equipped, goal_seen
 from acsar_gym.tools.baselines.mapping import (
     Costmap,
     DeadReckoning,
+    MapConstants,
     compute_potential,
     interpolate_field,
     points_clearance,
@@ -73,7 +74,7 @@ def test_the_map_keeps_what_is_behind_and_clears_what_has_gone() -> None:
 
 def test_the_potential_of_an_open_floor_is_the_distance_in_every_direction() -> None:
     known = Costmap((3.0, 2.0))
-    plan = compute_potential(known, (0.0, 0.0), (3.0, 2.0), (0.17, 0.24))
+    plan = compute_potential(known, (0.0, 0.0), (3.0, 2.0), (0.17, 0.24), MapConstants())
     for angle in np.linspace(-math.pi, math.pi, 17):
         x, y = 3.0 + 1.4 * math.cos(angle), 2.0 + 1.4 * math.sin(angle)
         left = interpolate_field(plan.values, plan.x, plan.y, x, y)
@@ -87,7 +88,7 @@ def test_the_plan_leads_around_a_wall() -> None:
     known = Costmap((2.0, 0.0))
     wall = np.column_stack([np.full(73, 1.0), np.linspace(-3.0, 0.6, 73)])
     known.update((0.0, 0.0), wall, np.ones(len(wall)))
-    plan = compute_potential(known, (0.0, 0.0), (2.0, 0.0), (0.17, 0.24))
+    plan = compute_potential(known, (0.0, 0.0), (2.0, 0.0), (0.17, 0.24), MapConstants())
     way = plan.way(0.0, 0.0, 4.0)
     across = way[np.abs(way[:, 0] - 1.0).argmin()]
     assert 0.84 < across[1] < 1.3
