@@ -37,8 +37,8 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "top_turn_rate": (0.0, OBSERVATION_LIMIT),
 }
 TOP_SPEED_SCALE, TOP_TURN_RATE_SCALE = 1.0, 2.0
-"""The observed `max_linear` and `max_angular` are divided by these [m/s, rad/s]: how tight a curve a
-robot can drive, and how fast, depends on both."""
+"""The observed `max_linear` and `max_angular` are divided by these [m/s, rad/s]: how tight a curve
+the robot can drive, and how fast, depends on both."""
 POINT_STRIDE = 5
 """Samples of the path between two observed points: 0.25 m."""
 SEARCH_BACK, SEARCH_AHEAD = 10, 20

@@ -95,6 +95,8 @@ OUTLINE_NUMBERS: Mapping[str, Callable[[RobotConfig], float]] = {
     "footprint_radius": lambda config: outline_radius(config.outline),
 }
 """Numbers of a robot's footprint [m], for ranges of robots."""
+FLEET_NUMBERS = ("footprint_length", "footprint_width", "max_linear", "max_angular")
+"""Of a policy that was trained on several robots, the file has the ranges of these numbers."""
 RETRAIN_HINT = "train it again, or choose the robot of its training with --robot"
 ARGUMENTS_HINT = "give the env the arguments that the policy was trained with"
 MAX_QUOTED_CHARS = 100
@@ -163,8 +165,8 @@ def describe_policy(
         metrics: figures of the policy by occasion; NaN becomes null.
         state: the states of a recurrent policy.
         width: how many numbers of an observation the policy takes, the first ones; None for all.
-        robots: least and largest number of the robots of the training by name, see `robot_number`;
-            None where it was the env's robot alone.
+        robots: least and largest number of the robots that it is for by name, see `robot_number`;
+            None for those of a batch whose robots differ, or the env's robot alone.
 
     Raises:
         PolicyError: something of it can't be written in a bundle.
@@ -172,6 +174,8 @@ def describe_policy(
     config, spec, task = robot_config(env), env.spec, env.task
     options: Any = dataclasses.fields(task) if dataclasses.is_dataclass(task) else ()
     ranges, sensors = None, take_sensors(task, env.sensors, width)
+    if robots is None and isinstance(env, RobotVectorEnv) and len(env.fleet) > 1:
+        robots = {name: measure_range(env.fleet, name) for name in FLEET_NUMBERS}
     if randomization is not None:
         ranges = {name: tuple(getattr(randomization, name)) for name in randomization.names}
     try:
@@ -370,6 +374,12 @@ def robot_number(config: RobotConfig, name: str) -> Value:
     return plain
 
 
+def measure_range(fleet: Iterable[RobotConfig], name: str) -> Range:
+    """Return the least and the largest value of some robots' numbers, see `robot_number`."""
+    values = [one for config in fleet for one in as_numbers(robot_number(config, name))]
+    return min(values), max(values)
+
+
 def _extent(config: RobotConfig, axis: int) -> float:
     """Return the size of a footprint along x (0) or y (1) [m]."""
     ends = [corner[axis] for corner in config.outline]
@@ -421,7 +431,7 @@ def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotCo
             lines.append(f"{name} was {was} in the training and is {now} on this robot")
     for name, varied in RANDOMIZED_VALUES.items():
         values, trained = as_numbers(own.get(name)), as_numbers(bundle.robot.values.get(name))
-        if bundle.randomization is None or not (values and trained) or name in several:
+        if bundle.randomization is None or not (values and trained) or several:
             continue
         low, high = trained_range(varied, trained, bundle.randomization)
         margin = RANGE_MARGIN * max(abs(low), abs(high))
