@@ -21,9 +21,11 @@ import optuna
 import tyro
 
 from acsar_gym.envs.ids import find_id
+from acsar_gym.errors import ConfigError
 from acsar_gym.tools.baselines import BaselinePolicy, load_baseline
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, find_constants, short_id
 from acsar_gym.tools.benchmark.figures import Scoring, score_episode
+from acsar_gym.tools.benchmark.scenes import WORLD_KINDS
 from acsar_gym.tools.evaluation import metrics, runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
 from acsar_gym.worlds import registry
@@ -42,16 +44,17 @@ class Course:
     Args:
         policy: the baseline.
         robot: preset or file.
-        numbers: of the worlds, or a split; seeds count from 0.
+        numbers: of the worlds, such as "900-923", or a split; seeds count from 0.
         steps: after which an episode ends; by default those of the id.
     """
 
     def __init__(
         self, policy: BaselinePolicy, robot: str, numbers: str, steps: int | None = None
     ) -> None:
-        other: Any = runs.make_env(policy, "planar", robot, {})
-        self.policy, self.worlds = policy, f"{other.unwrapped.pool.kind}:{numbers}"
-        other.close()
+        kind = WORLD_KINDS[short_id(policy.env_id)]
+        if not kind:
+            raise ConfigError(f"{policy.env_id}: has no worlds to search in: take another --env")
+        self.policy, self.worlds = policy, f"{kind}:{numbers}"
         options = {"worlds": self.worlds, "max_episode_steps": steps}
         self.env = runs.make_env(policy, "planar", robot, options)
         self.inner: Any = self.env.unwrapped
@@ -126,9 +129,15 @@ def search(course: Course, minutes: float, first: list[Constants]) -> Any:
         sampler=optuna.samplers.TPESampler(seed=0, multivariate=True, n_startup_trials=8),
         pruner=optuna.pruners.SuccessiveHalvingPruner(FIRST_RUNG, 2),
     )
+
+    def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        last = trial.last_step or 0
+        value = trial.intermediate_values.get(last, 0.0)
+        print(f"trial {trial.number}: {value:.4f} in {last} worlds", flush=True)
+
     for constants in first:
         study.enqueue_trial({name: getattr(constants, name) for name in ranges}, True)
-    study.optimize(drive_all, timeout=60.0 * minutes)
+    study.optimize(drive_all, timeout=60.0 * minutes, callbacks=[tell])
     return study
 
 
