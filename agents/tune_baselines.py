@@ -4,10 +4,11 @@
     python agents/tune_baselines.py mppi --env barn --robot jackal --minutes 20
 
 It maximizes the mean score of the benchmark (of Barn the contest's, at the robot's own speed) in
-the 64 worlds of the validation split, on link planar: Optuna's TPE proposes, and successive halving
-drops what is worse than half of the others after 8, 16 and 32 worlds. Then both drive 100 worlds
-that belong to no split. The result goes into acsar_gym/tools/baselines/tuned.json, with its worlds,
-seeds and scores, and is used from then on; `--minutes 0` only compares.
+the 64 worlds of the validation split, on link planar: Optuna's TPE proposes, beginning with what
+`tuned.json` has and with the defaults, and successive halving drops what is worse than half of the
+others after 8, 16 and 32 worlds. Then both drive 100 worlds that belong to no split.
+The result goes into acsar_gym/tools/baselines/tuned.json, with its worlds, seeds and scores, and is
+used from then on; `--minutes 0` only compares.
 """
 
 from __future__ import annotations
@@ -104,8 +105,8 @@ def search(course: Course, minutes: float, first: list[Constants]) -> Any:
     Returns:
         The study.
     """
-    kind = course.policy.constants_type
-    ranges = kind.ranges()
+    kind: Any = course.policy.constants_type
+    ranges: dict[str, tuple[float, float]] = kind.ranges()
 
     def drive_all(trial: optuna.Trial) -> float:
         chosen = kind(
@@ -136,7 +137,7 @@ def search(course: Course, minutes: float, first: list[Constants]) -> Any:
         print(f"trial {trial.number}: {value:.4f} in {last} worlds", flush=True)
 
     for constants in first:
-        study.enqueue_trial({name: getattr(constants, name) for name in ranges}, True)
+        study.enqueue_trial({name: getattr(constants, name) for name in ranges})
     study.optimize(drive_all, timeout=60.0 * minutes, callbacks=[tell])
     return study
 
@@ -179,7 +180,8 @@ def main(
         file: that the result is written to.
     """
     policy = load_baseline(planner, find_id(env))
-    kind, course = policy.constants_type, Course(policy, robot, worlds, steps)
+    kind: Any = policy.constants_type
+    course = Course(policy, robot, worlds, steps)
     known = find_constants(kind, planner, policy.env_id, course.config)
     entry: dict[str, Any] = {"planner": planner, "id": short_id(policy.env_id), "robot": robot}
     for each in json.loads(file.read_text()):
@@ -196,6 +198,7 @@ def main(
         entry["search"] = {
             "worlds": course.worlds,
             "seeds": f"0-{len(course) - 1}",
+            "steps": steps,
             "trials": len(study.trials),
             "score": round(study.best_value, 4),
         }

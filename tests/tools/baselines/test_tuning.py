@@ -98,6 +98,7 @@ def test_a_search_writes_its_entry_and_keeps_the_others(
     assert entry["search"] == {
         "worlds": "clutter:900-901",
         "seeds": "0-1",
+        "steps": 20,
         "trials": 1,
         "score": entry["search"]["score"],
     }
