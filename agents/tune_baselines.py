@@ -4,10 +4,11 @@
     python agents/tune_baselines.py mppi --env barn --robot jackal --minutes 20
 
 It maximizes the mean score of the benchmark (of Barn the contest's, at the robot's own speed) in
-the 64 worlds of the validation split, on link planar: Optuna's TPE proposes, and successive halving
-drops what is worse than half of the others after 8, 16 and 32 worlds. Then both drive 100 worlds
-that belong to no split. The result goes into acsar_gym/tools/baselines/tuned.json, with its worlds,
-seeds and scores, and is used from then on; `--minutes 0` only compares.
+the 64 worlds of the validation split, on link planar: Optuna's TPE proposes, beginning with what
+`tuned.json` has and with the defaults, and successive halving drops what is worse than half of the
+others after 8, 16 and 32 worlds. Then both drive 100 worlds that belong to no split.
+The result goes into acsar_gym/tools/baselines/tuned.json, with its worlds, seeds and scores, and is
+used from then on; `--minutes 0` only compares.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ import optuna
 import tyro
 
 from acsar_gym.envs.ids import find_id
+from acsar_gym.errors import ConfigError
 from acsar_gym.tools.baselines import BaselinePolicy, load_baseline
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, find_constants, short_id
 from acsar_gym.tools.benchmark.figures import Scoring, score_episode
+from acsar_gym.tools.benchmark.scenes import WORLD_KINDS
 from acsar_gym.tools.evaluation import metrics, runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
 from acsar_gym.worlds import registry
@@ -42,16 +45,17 @@ class Course:
     Args:
         policy: the baseline.
         robot: preset or file.
-        numbers: of the worlds, or a split; seeds count from 0.
+        numbers: of the worlds, such as "900-923", or a split; seeds count from 0.
         steps: after which an episode ends; by default those of the id.
     """
 
     def __init__(
         self, policy: BaselinePolicy, robot: str, numbers: str, steps: int | None = None
     ) -> None:
-        other: Any = runs.make_env(policy, "planar", robot, {})
-        self.policy, self.worlds = policy, f"{other.unwrapped.pool.kind}:{numbers}"
-        other.close()
+        kind = WORLD_KINDS[short_id(policy.env_id)]
+        if not kind:
+            raise ConfigError(f"{policy.env_id}: has no worlds to search in: take another --env")
+        self.policy, self.worlds = policy, f"{kind}:{numbers}"
         options = {"worlds": self.worlds, "max_episode_steps": steps}
         self.env = runs.make_env(policy, "planar", robot, options)
         self.inner: Any = self.env.unwrapped
@@ -101,8 +105,8 @@ def search(course: Course, minutes: float, first: list[Constants]) -> Any:
     Returns:
         The study.
     """
-    kind = course.policy.constants_type
-    ranges = kind.ranges()
+    kind: Any = course.policy.constants_type
+    ranges: dict[str, tuple[float, float]] = kind.ranges()
 
     def drive_all(trial: optuna.Trial) -> float:
         chosen = kind(
@@ -126,9 +130,15 @@ def search(course: Course, minutes: float, first: list[Constants]) -> Any:
         sampler=optuna.samplers.TPESampler(seed=0, multivariate=True, n_startup_trials=8),
         pruner=optuna.pruners.SuccessiveHalvingPruner(FIRST_RUNG, 2),
     )
+
+    def tell(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        last = trial.last_step or 0
+        value = trial.intermediate_values.get(last, 0.0)
+        print(f"trial {trial.number}: {value:.4f} in {last} worlds", flush=True)
+
     for constants in first:
-        study.enqueue_trial({name: getattr(constants, name) for name in ranges}, True)
-    study.optimize(drive_all, timeout=60.0 * minutes)
+        study.enqueue_trial({name: getattr(constants, name) for name in ranges})
+    study.optimize(drive_all, timeout=60.0 * minutes, callbacks=[tell])
     return study
 
 
@@ -170,7 +180,8 @@ def main(
         file: that the result is written to.
     """
     policy = load_baseline(planner, find_id(env))
-    kind, course = policy.constants_type, Course(policy, robot, worlds, steps)
+    kind: Any = policy.constants_type
+    course = Course(policy, robot, worlds, steps)
     known = find_constants(kind, planner, policy.env_id, course.config)
     entry: dict[str, Any] = {"planner": planner, "id": short_id(policy.env_id), "robot": robot}
     for each in json.loads(file.read_text()):
@@ -187,6 +198,7 @@ def main(
         entry["search"] = {
             "worlds": course.worlds,
             "seeds": f"0-{len(course) - 1}",
+            "steps": steps,
             "trials": len(study.trials),
             "score": round(study.best_value, 4),
         }

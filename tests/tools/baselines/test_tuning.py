@@ -77,29 +77,33 @@ def test_units_are_those_of_the_robot() -> None:
     assert (slow.acceleration, slow.braking) == (2.0, 3.0)
 
 
+@pytest.mark.slow
 def test_a_search_writes_its_entry_and_keeps_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One trial in two worlds, compared in one."""
-    pytest.importorskip("numba")
+    pytest.importorskip("optuna")
     file = tmp_path / "tuned.json"
     other = {"planner": "dwa", "id": "Barn", "robot": "husky", "constants": {}}
     file.write_text(json.dumps([other]))
     tune = runpy.run_path(str(AGENTS / "tune_baselines.py"))["main"]
-    tune("follow_gap", "obstacle_goal", "acsar", 1e-3, 20, "900-901", "5000", file)
+    tune("turn_drive", "obstacle_goal", "acsar", 1e-3, 20, "900-901", "5000-5000", file)
     first, entry = json.loads(file.read_text())
     assert first == other
     assert (entry["planner"], entry["id"], entry["robot"]) == (
-        "follow_gap",
+        "turn_drive",
         "ObstacleGoal",
         "acsar",
     )
     assert entry["search"] == {
         "worlds": "clutter:900-901",
         "seeds": "0-1",
+        "steps": 20,
         "trials": 1,
         "score": entry["search"]["score"],
     }
-    assert entry["comparison"]["worlds"] == "clutter:5000"
+    assert entry["comparison"]["worlds"] == "clutter:5000-5000"
     assert entry["comparison"]["defaults"] == entry["comparison"]["tuned"]  # the first trial's
-    assert capsys.readouterr().out.startswith("follow_gap ObstacleGoal acsar: ")
+    said = capsys.readouterr().out
+    assert said.startswith("trial 0: ")
+    assert "\nturn_drive ObstacleGoal acsar: " in said
