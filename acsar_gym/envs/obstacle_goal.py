@@ -20,7 +20,9 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((10 + rays,), float32)`, with the 64 rays of the ACSAR robot (74,):
+    `Box((74 + rays,), float32)`, with the 64 rays of the ACSAR robot (138,). All but the rays are
+    in units of the robot: the first 74 numbers are as many, and mean the same, for every robot. "R"
+    is the radius of the footprint's circle, from the base's middle.
 
     | index | observation | range |
     |---|---|---|
@@ -29,10 +31,27 @@ class ObstacleGoalEnv(RobotEnv):
     | 3 | linear velocity / `max_linear` | -2 to 2 |
     | 4 | angular velocity / `max_angular` | -2 to 2 |
     | 5, 6 | the last action | -1 to 1 |
-    | 7 | time since the robot last came nearer to the goal / 10 s | 0 to 1 |
-    | 8 | how much further the goal is than it was at the nearest [m] | 0 to 2 |
-    | 9 | mean turn rate of the last seconds / `max_angular` (time constant 3 s) | -2 to 2 |
-    | 10 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
+    | 7 | what the way has become shorter in the last step / (`max_linear` * step) | -2 to 2 |
+    | 8 | length of the way to the goal, log(1 + 4 length / R) / log(1 + 4 * 64) | 0 to 1 |
+    | 9 to 14 | cosine, sine of the bearings of the way's points 2 R, 4 R, 8 R ahead | -1 to 1 |
+    | 15 to 17 | largest cost of a metre, less 1, in straight lines to these points / 16 | 0 to 1 |
+    | 18 | radius of the circle within the footprint / R | 0 to 1 |
+    | 19 | R / 1 m | 0 to 1 |
+    | 20 | `max_linear` / (10 R) | 0 to 1 |
+    | 21 | `max_angular` / 4 rad/s | 0 to 1 |
+    | 22 | stopping distance from `max_linear` / (4 R) | 0 to 1 |
+    | 23 | angle in which `max_angular` is stopped / pi | 0 to 1 |
+    | 24 | distance driven before what was sensed is acted on / R | 0 to 1 |
+    | 25 | `lidar.max_range` / (32 R) | 0 to 1 |
+    | 26 to 73 | clearances c in 48 directions, log(1 + 4 c / R) / log(1 + 4 * 16) | 0 to 1 |
+    | 74 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
+
+    Numbers 7 to 73 are those of the map, which remembers what the LiDAR has seen. The way is the
+    cheapest one over it, where a metre costs more near an obstacle and what hasn't been seen is
+    free. Directions go counter-clockwise from the back, 7.5 degrees each: 26 begins there, and 49
+    and 50 are ahead. A clearance is the length from the footprint's edge to the obstacle, along a
+    line from the base's middle; where the LiDAR doesn't look, what was seen before counts, up to
+    8 R away. Values beyond a range are clipped to it.
 
     Rays are those of `robot.lidar` (rays, field_of_view, min_range, max_range, rate, noise,
     dropouts) at the robot's `lidar_x_offset` and `lidar_y_offset`: ray k points at
@@ -40,10 +59,11 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Reward
 
-    Twice the metres gained on the goal; less 0.01 a step, 0.05 times observation 7, 0.05 times the
-    backward part of the action, and 0.15 (1 - c / 0.15 m) where the footprint's clearance c along
-    the rays is less than 0.15 m; +5 at the goal, -15 for a collision.
-    `reward_threshold` 12 (`acsar-gym evaluate --policy obstacle_goal --episodes 200`: 13.4).
+    0.1 times observation 7, so that the way counts and not the straight line; less 0.02 a step,
+    0.05 times the backward part of the action, and 0.15 (1 - a / b) where the least of observations
+    26 to 73, a, is below b, which stands for a clearance of 0.5 R; +5 at the goal, -15 for a
+    collision.
+    `reward_threshold` is 12.
 
     ## Start and end
 
@@ -78,8 +98,8 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Version history
 
-    - v1: the reward minds the footprint's clearance, and robots that stand still; observations 7
-      to 9 are new, the rays follow them.
+    - v1: a map that remembers comes before the rays; the reward is for the way over it and minds
+      the footprint's clearance; an episode is truncated after 600 steps instead of 400.
     - v0: first version.
     """
 

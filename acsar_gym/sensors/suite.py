@@ -49,12 +49,12 @@ class Sensors(Sequence[Sensor]):
         self._link = link
         first = {MAP: 0, LIDAR: 1}
         self._sensors = sorted(made, key=lambda sensor: first.get(sensor.name, 2))
-        for sensor in self._sensors:
-            if isinstance(sensor, MapSensor):
-                sensor.watch(find_lidar(self._sensors))
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
+        for sensor in self._sensors:
+            if isinstance(sensor, MapSensor):
+                sensor.watch(find_lidar(self._sensors))
 
     def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]

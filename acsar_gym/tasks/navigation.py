@@ -18,7 +18,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
+from acsar_gym.sensors import MAP
 from acsar_gym.sensors.map import FARTHEST_CLEARANCE, FIRST_SECTOR, GAINED, SECTORS, log_share
 from acsar_gym.tasks.base import Outcome, State
 from acsar_gym.tasks.factory import check_positive
@@ -66,6 +68,12 @@ class NavigationTask(GoalTask):
     compiled = True
     crash: float = 15.0
     """What a collision costs; more than the goal pays, so that haste isn't worth the risk."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Check that the robot has a map, whose numbers the reward reads. TaskError without."""
+        super().__init_subclass__(**options)
+        if MAP not in cls.sensors:
+            raise TaskError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MAP!r}")
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""

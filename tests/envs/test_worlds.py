@@ -13,6 +13,7 @@ from env_tools import IDS, LINKS, SEEING, inner, make
 
 from acsar_gym import World
 from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.world import to_world
@@ -117,7 +118,7 @@ def test_info_is_told_in_the_odometry_frame(link: str) -> None:
     assert truth is not None
     assert to_world(START, true)[:2] == pytest.approx(truth.pose[:2])
     lidar = robot.config.lidar_x_offset
-    ahead: Any = observation[10 + 32] * robot.config.lidar.max_range
+    ahead: Any = observation[7 + len(MAP_NAMES) + 32] * robot.config.lidar.max_range
     assert ahead == pytest.approx(1.4 - true[0] - lidar, abs=0.02)
     env.close()
 

@@ -28,6 +28,7 @@ from acsar_gym.recording.encoder import Clock, Exchange
 from acsar_gym.recording.reader import summarize
 from acsar_gym.recording.recorder import WriterThread, close_recorders
 from acsar_gym.recording.sinks import McapFile
+from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.worlds import Scene
 
 CONFIG = RobotConfig.of(None)
@@ -342,7 +343,7 @@ def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     about = recording.header["about"]
     assert about["env"]["id"] == "acsar_gym/ObstacleGoal-v1"
     assert about["env"]["kwargs"]["worlds"] == "clutter:5"
-    assert len(about["observation"]) + 64 == len(seen[0])
+    assert len(about["observation"]) + len(MAP_NAMES) + 64 == len(seen[0])
     assert len(recording.sha256) == 16
 
 

@@ -21,6 +21,7 @@ from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError, SensorError
 from acsar_gym.links.base import Link
 from acsar_gym.physics.body import GroundTruth
+from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal, PointGoal
 from acsar_gym.worlds import Region
 
@@ -59,13 +60,13 @@ def test_it_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
     env = make(link, Quiet, sees=True, robot={"lidar": {"noise": 0.0, "rays": 4}})
     side = 1.5 / math.cos(math.radians(30.0))
     observation, info = env.reset(seed=0)
-    assert observation.shape == (10 + 4 + 3,)
+    assert observation.shape == (7 + len(MAP_NAMES) + 4 + 3,)
     assert observation[-3:] == pytest.approx(np.array([side, 1.5, side]) / REACH, abs=0.01)
     assert info["three_rays_time"] == env.robot.link.now()
     for _ in range(10):
         observation, *_, info = env.step(FORWARD)
     assert observation[-2] * REACH == pytest.approx(1.5 - info["odom_x"], abs=0.02)
-    assert [sensor.name for sensor in env.robot.sensors] == ["lidar", "three_rays"]
+    assert [sensor.name for sensor in env.robot.sensors] == ["map", "lidar", "three_rays"]
     assert "scan_age" in info
 
 
