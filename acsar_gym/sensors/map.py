@@ -67,6 +67,9 @@ OLDEST_WAY, NEWEST_WAY = 20, 3
 DEARER = 1.1
 """It is planned anew where a piece of it has become dearer by this factor, or by DEARER_CELLS."""
 DEARER_CELLS = 4.0
+SWITCH = 1.05
+"""The robot keeps to its way unless it costs more than another one by this factor, so that it doesn't
+waver between two that are as good."""
 GAIN_LIMIT = 2.0
 BODY = (
     "width",
@@ -112,6 +115,7 @@ RECORD = np.dtype(
         ("costs", np.uint8, (CELLS, CELLS)),
         ("marks", np.uint8, (CELLS, CELLS)),
         ("points", np.float64, (MOST_POINTS, 4)),
+        ("draft", np.float64, (MOST_POINTS, 4)),  # of another way
         ("middle_i", np.float64),  # cell of the robot
         ("middle_j", np.float64),
         ("corners", np.float64),  # of the way
@@ -230,8 +234,11 @@ def update_map(
         if record.age >= NEWEST_WAY and not stale:
             stale = is_way_dearer(grid, side, middle, points, count, corner, (x, y))
     if stale:
-        count = plan_way(grid, side, middle, (x, y), goal, points, scratch)
-        corner = 1
+        draft = record.draft
+        found = plan_way(grid, side, middle, (x, y), goal, draft, scratch)
+        cost = update_costs(grid, side, middle, points, count, corner, (x, y))
+        if count == 0 or cost > SWITCH * sum_costs(draft, found):
+            points[:], count, corner = draft, found, 1
         record.corners, record.age = float(count), 0.0
     record.corner = float(corner)
     record.left = length_left(points, corner, x, y)
@@ -282,6 +289,34 @@ def is_way_dearer(
         if cost > DEARER * points[k, 3] + DEARER_CELLS:
             return True
     return False
+
+
+@subroutine
+def update_costs(
+    grid: Grid,
+    side: float,
+    middle: tuple[int, int],
+    points: Floats,
+    count: int,
+    corner: int,
+    place: tuple[float, float],
+) -> float:
+    """Write what the pieces of the way cost now, from the robot on; returns their sum [cells]."""
+    total = 0.0
+    for k in range(corner, count):
+        begin = place if k == corner else (points[k - 1, 0], points[k - 1, 1])
+        points[k, 3], _ = piece_cost(grid.costs, side, middle, begin, (points[k, 0], points[k, 1]))
+        total += points[k, 3]
+    return total
+
+
+@jit
+def sum_costs(points: Floats, count: int) -> float:
+    """What the pieces of a way cost together [cells]."""
+    total = 0.0
+    for k in range(1, count):
+        total += points[k, 3]
+    return total
 
 
 @subroutine

@@ -31,10 +31,11 @@ CELL_SIDE = 0.25
 CELL_SHIFT = 0.37
 """The odometry frame's origin lies so far inside of its cell, in cells, so that places with round
 numbers don't lie between two cells."""
-HIT, HITS_OCCUPIED, HITS_MOST = 3, 5, 12
-"""A measurement that ends in a cell adds this; a cell is occupied from so many on; and has at most
-so many. One that passes through subtracts 1, and a cell without any is free again."""
-SHARED_RAYS = 8
+HIT, MISS, COUNT_OCCUPIED, COUNT_MOST = 3, 2, 5, 9
+"""A measurement that ends in a cell adds HIT to its count, up to COUNT_MOST, and one that passes through
+subtracts MISS. From COUNT_OCCUPIED on a cell is occupied, and at 0 it is free again. Odometry drifts,
+so what isn't there any more has to go within a second or two."""
+SHARED_RAYS = 4
 """Every so many-th ray clears the cells that it passes, another one at each scan."""
 STAMP_REACH = 8
 """Cells around an occupied one that cost more."""
@@ -190,7 +191,7 @@ def add_scan(
                 i, j = int(a) + first_i, int(b) + first_j
                 p, q = i & LAST_CELL, j & LAST_CELL
                 if counts[p, q] > 0:
-                    counts[p, q] -= 1
+                    counts[p, q] = max(int(counts[p, q]) - MISS, 0)
                     if counts[p, q] == 0 and marks[p, q] > 0:
                         marks[p, q] = 0
                         lower_costs(grid, stamp, i, j, middle)
@@ -200,7 +201,7 @@ def add_scan(
                 continue
             i, j = int(a) + first_i, int(b) + first_j
             p, q = i & LAST_CELL, j & LAST_CELL
-            counts[p, q] = min(counts[p, q] + HIT, HITS_MOST)
-            if marks[p, q] == 0 and counts[p, q] >= HITS_OCCUPIED:
+            counts[p, q] = min(int(counts[p, q]) + HIT, COUNT_MOST)
+            if marks[p, q] == 0 and counts[p, q] >= COUNT_OCCUPIED:
                 marks[p, q] = 1
                 raise_costs(grid, stamp, i, j, middle)
