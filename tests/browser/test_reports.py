@@ -64,7 +64,11 @@ def benchmark() -> dict[str, Any]:
     parts = [
         part(cell(agent, link=link, condition=condition), scores)
         for agent in ("packaged", "floor")
-        for link, condition in (("planar", "nominal"), ("bullet", "nominal"), ("planar", "husky"))
+        for link, condition in (
+            ("planar", "nominal"),
+            ("bullet", "nominal"),
+            ("planar", "dropped-5"),
+        )
     ]
     told = result.make_result(plan(packaged="learned", floor="baseline"), parts)
     found: dict[str, Any] = json.loads(json.dumps(told))

@@ -222,6 +222,7 @@ class PolicyContext:
     """
 
     config: RobotConfig
+    """The robot."""
     task: str
     """Name of the task, for messages."""
     period: float
@@ -239,7 +240,14 @@ class PolicyContext:
 
     @classmethod
     def of(cls, env: RobotEnv) -> PolicyContext:
-        """Read what a policy may know from an env."""
+        """Read what a policy may know from an env.
+
+        Args:
+            env: of this package, made, and not closed.
+
+        Returns:
+            The setting of its policy.
+        """
         config, task = env.robot.config, env.task
         first, rays = len(task.observation), None
         for sensor in env.sensors:
@@ -262,6 +270,9 @@ class PolicyContext:
 
         Args:
             name: of the policy: another one draws other numbers in the same episode.
+
+        Returns:
+            A new generator, seeded by the name and the episode's seed.
         """
         seed = max(int(self.episode_seed() or 0), 0)
         return np.random.default_rng([zlib.crc32(name.encode()), seed])
@@ -288,7 +299,12 @@ class PolicyContext:
     def seen(self, observation: Observation) -> DecodedObservation:
         """Take an observation apart, and convert it to SI units.
 
-        What the task doesn't observe under the names of this package's tasks is NaN or None.
+        Args:
+            observation: of the env, float32 (n,).
+
+        Returns:
+            Its numbers; what the task doesn't observe under the names of this package's tasks is
+            NaN or None.
         """
         numbers, config = observation.astype(np.float64), self.config
         at, scale = self.places, self.scale or 1.0
