@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from acsar_gym.config import RobotSource
+from acsar_gym.config.fleet import FleetSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import Link
 from acsar_gym.tasks import ObstacleGoal
@@ -112,5 +113,5 @@ class ObstacleGoalEnv(RobotEnv):
 class ObstacleGoalVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/ObstacleGoal-v1`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
+    def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
         super().__init__(ObstacleGoal, num_envs, robot, **options)
