@@ -119,12 +119,16 @@ def counting(path: Path, shape: tuple[Any, ...] = (1, 2), dtype: int = 1, output
     return path
 
 
-def fitting(path: Path, env_id: str, **options: Any) -> Path:
-    """A policy with small weights for an environment, with what `described` says of it."""
+def fitting(path: Path, env_id: str, width: int | None = None, **options: Any) -> Path:
+    """A policy with small weights for an environment, with what `described` says of it.
+
+    It takes the first `width` numbers of an observation, or all.
+    """
     import gymnasium
 
     env: Any = gymnasium.make(full_id(env_id), link="planar", **options)
-    bundle = describe_policy(env.unwrapped, env_id, randomization=Randomization(**VARIED))
+    varied = Randomization(**VARIED)
+    bundle = describe_policy(env.unwrapped, env_id, randomization=varied, width=width)
     env.close()
     make = Maker(bundle.observation.width)
     make.dense("observation", bundle.observation.width)

@@ -16,6 +16,7 @@ from onnx_tools import ENV_ID, GOOD, bundle_of, changed, counting, fitting, rela
 from acsar_gym import RobotConfig
 from acsar_gym.config.robot import hash_calibration, hash_config
 from acsar_gym.errors import PolicyError, PolicyWarning
+from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.tools import cli
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
@@ -260,9 +261,42 @@ def test_a_policy_is_shown_and_its_text_cannot_steer_a_terminal(
 
 def test_an_observation_of_another_shape_is_one_line() -> None:
     policy = OnnxPolicy("point_goal")
-    for seen in (np.zeros(1, np.float32), np.zeros((1, 7), np.float32), np.zeros(8, np.float32)):
-        with pytest.raises(PolicyError, match=r"got an observation of shape .*: must be \(7,\)"):
+    for seen in (np.zeros(1, np.float32), np.zeros((1, 7), np.float32), np.zeros(6, np.float32)):
+        with pytest.raises(PolicyError, match=r"shape .*: must be \(7,\), or longer"):
             policy(seen)
+
+
+def test_a_policy_takes_the_first_numbers_of_an_observation() -> None:
+    policy, seen = OnnxPolicy("point_goal"), np.linspace(0.0, 1.0, 9, dtype=np.float32)
+    assert policy(seen).tolist() == policy(seen[:7]).tolist()
+
+
+OF_THE_MAP = 7 + len(MAP_NAMES)
+
+
+@pytest.mark.parametrize(
+    "lidar",
+    [{"field_of_view": 4.71}, {"rays": 32}, {"max_range": 8.0}],
+    ids=lambda lidar: next(iter(lidar)),
+)
+def test_a_policy_that_takes_no_rays_drives_with_any_lidar(
+    lidar: dict[str, Any], tmp_path: Path
+) -> None:
+    path = fitting(tmp_path / "p.onnx", "obstacle_goal", OF_THE_MAP, worlds="open:2")
+    policy = OnnxPolicy(path)
+    assert [sensor.name for sensor in policy.bundle.observation.sensors] == ["map"]
+    env = runs.make_env(policy, "planar", ACSAR.with_(lidar=lidar), {"worlds": "open:2"})
+    seen, _ = env.reset(seed=0)
+    assert len(seen) > policy.width == OF_THE_MAP
+    assert policy(seen).shape == (2,)
+    env.close()
+
+
+@pytest.mark.parametrize("width", [6, 8, OF_THE_MAP + 1, OF_THE_MAP + 65])
+def test_a_policy_takes_whole_sensors(width: int, tmp_path: Path) -> None:
+    said = f"takes {width} numbers, the observation has 7 or {OF_THE_MAP} or {OF_THE_MAP + 64}"
+    with pytest.raises(PolicyError, match=said):
+        fitting(tmp_path / "p.onnx", "obstacle_goal", width, worlds="open:2")
 
 
 def test_actions_of_several_decisions_are_arrays_of_their_own() -> None:
