@@ -26,7 +26,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.baselines import BaselinePolicy, load_baseline
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, find_constants, short_id
 from acsar_gym.tools.benchmark.figures import Scoring, score_episode
-from acsar_gym.tools.benchmark.scenes import WORLD_KINDS
 from acsar_gym.tools.evaluation import metrics, runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
 from acsar_gym.worlds import registry
@@ -52,10 +51,10 @@ class Course:
     def __init__(
         self, policy: BaselinePolicy, robot: str, numbers: str, steps: int | None = None
     ) -> None:
-        kind = WORLD_KINDS[short_id(policy.env_id)]
-        if not kind:
+        own: Any = runs.make_env(policy, "planar", robot, {}).unwrapped
+        if own.pool is None:
             raise ConfigError(f"{policy.env_id}: has no worlds to search in: take another --env")
-        self.policy, self.worlds = policy, f"{kind}:{numbers}"
+        self.policy, self.worlds = policy, f"{own.pool.kind}:{numbers}"
         options = {"worlds": self.worlds, "max_episode_steps": steps}
         self.env = runs.make_env(policy, "planar", robot, options)
         self.inner: Any = self.env.unwrapped

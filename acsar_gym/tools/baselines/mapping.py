@@ -401,8 +401,8 @@ class Surroundings(NamedTuple):
     corner_x: float
     """Of the buckets [m], with y the next one."""
     corner_y: float
-    count: int
-    """Buckets along a side."""
+    buckets: int
+    """How many along a side."""
     sides: Floats
     """(sides, 4): of the footprint, in the base frame [m]."""
     outer: float
@@ -422,7 +422,7 @@ class Surroundings(NamedTuple):
 @loop
 def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
     """Clearance of the footprint at a pose, at most `most` [m]."""
-    reach, count, sides = around.outer + most, around.count, around.sides
+    reach, count, sides = around.outer + most, around.buckets, around.sides
     left, low = x - reach - around.corner_x, y - reach - around.corner_y
     i0 = min(max(int(left / BUCKET_SIZE), 0), count - 1)
     j0 = min(max(int(low / BUCKET_SIZE), 0), count - 1)

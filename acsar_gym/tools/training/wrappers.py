@@ -104,7 +104,8 @@ class FirstNumbers(VecEnvWrapper):
     def reset(self) -> VecEnvObs:
         """Start a new episode of every robot; returns observations (robots, count)."""
         observations: Any = self.venv.reset()
-        return observations[:, : self._count]
+        first: VecEnvObs = observations[:, : self._count]
+        return first
 
     def step_wait(self) -> VecEnvStepReturn:
         """Return what the envs return, with shorter observations."""
