@@ -134,7 +134,8 @@ class Batch:
             return np.zeros(0, RECORD)
         step = self._setup.ticks * self._setup.period
         kinds = np.concatenate([make_record(one, step) for one in self._fleet])
-        return kinds[np.arange(self.robots) % len(kinds)]
+        made = kinds[np.arange(self.robots) % len(kinds)]
+        return made if COMPILED else made.view(np.recarray)
 
     def _make_tables(self, ranges: Sequence[DrawnRanges]) -> layout.Tables:
         """Make all arrays. Columns for Python sensors are added to the observations later."""
