@@ -75,7 +75,8 @@ def make_stamp(inner: float, outer: float) -> Bytes:
     costs += COST_TIGHT * np.clip((1.0 - distances) / (1.0 - share + 1e-3), 0.0, 1.0)
     costs[distances < share] = COST_LETHAL
     costs[distances > STAMP_REACH * CELL_SIDE] = 0.0
-    return np.round(costs / COST_UNIT).astype(np.uint8)
+    made: Bytes = np.round(costs / COST_UNIT).astype(np.uint8)
+    return made
 
 
 @jit

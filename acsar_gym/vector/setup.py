@@ -172,7 +172,7 @@ def compute_build(
     """
     per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
     accelerations = [config.motor.of_wheel(wheel).acceleration for wheel in range(4)]
-    built = {
+    built: dict[str, list[float]] = {
         "kind": [kind],
         "ramp": [acceleration * setup.dt for acceleration in accelerations],
         "counts_per_radian": [per_radian],
@@ -186,7 +186,7 @@ def compute_build(
         "worlds": [len(worlds)],
     }
     own = rules.make_rules(config)[1:]  # but for the period
-    guards = [[*value] if isinstance(value, tuple) else [value] for value in own]
+    guards: list[list[float]] = [[*value] if isinstance(value, tuple) else [value] for value in own]
     each = [*(built[name] for name in layout.BUILD), *guards]
     return [float(number) for numbers in each for number in numbers]
 
