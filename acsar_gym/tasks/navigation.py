@@ -67,7 +67,7 @@ Jackal's odometry is off by 0.03 to 0.12 rad, at 2 m/s^2 by 0.3 to 0.5, at 4 m/s
 class NavigationTask(GoalTask):
     """Base of the tasks with a goal behind obstacles, which the robot sees with a LiDAR."""
 
-    sensors = ("map", "lidar")
+    sensors: tuple[Any, ...] = ("map", "lidar")
     memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0}
     told: ClassVar[tuple[str, ...] | None] = ("goal_distance",)
     compiled = True

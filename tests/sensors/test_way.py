@@ -163,7 +163,7 @@ def test_the_way_goes_round_what_is_in_between(
     assert least < points[0, 2] < 1.4 * least
     for begin, end in itertools.pairwise(points):
         pieces = tuple(begin[:2].tolist()), tuple(end[:2].tolist())
-        cost, most = piece_cost(grid.costs, SIDE, ORIGIN, *pieces)  # type: ignore[arg-type]
+        cost, most = piece_cost(grid.costs, SIDE, ORIGIN, *pieces)
         assert most < LETHAL
         assert end[3] == pytest.approx(cost, abs=1.0)  # the goal lies anywhere in its cell
     lengths = np.hypot(*np.diff(points[:, :2], axis=0).T)
@@ -176,7 +176,7 @@ def test_beyond_the_window_nothing_is_known() -> None:
     far = window - 0.6
     assert piece_cost(grid.costs, SIDE, ORIGIN, (-0.8, 0.0), (-0.4, 0.0))[1] == LETHAL
     cost, most = piece_cost(grid.costs, SIDE, ORIGIN, (far - 0.2, 0.0), (far + 0.2, 0.0))
-    assert (cost, most) == (pytest.approx(0.4 / SIDE), 0.0)
+    assert (cost, most) == pytest.approx((0.4 / SIDE, 0.0))
 
 
 def test_a_robot_whose_goal_cannot_be_reached_still_gets_a_way() -> None:
