@@ -68,8 +68,8 @@ DEARER = 1.1
 """It is planned anew where a piece of it has become dearer by this factor, or by DEARER_CELLS."""
 DEARER_CELLS = 4.0
 SWITCH = 1.05
-"""The robot keeps to its way unless it costs more than another one by this factor, so that it doesn't
-waver between two that are as good."""
+"""The robot keeps to its way unless it costs more than another one by this factor, so that it
+doesn't waver between two that are as good."""
 GAIN_LIMIT = 2.0
 BODY = (
     "width",

@@ -32,9 +32,9 @@ CELL_SHIFT = 0.37
 """The odometry frame's origin lies so far inside of its cell, in cells, so that places with round
 numbers don't lie between two cells."""
 HIT, MISS, COUNT_OCCUPIED, COUNT_MOST = 3, 2, 5, 9
-"""A measurement that ends in a cell adds HIT to its count, up to COUNT_MOST, and one that passes through
-subtracts MISS. From COUNT_OCCUPIED on a cell is occupied, and at 0 it is free again. Odometry drifts,
-so what isn't there any more has to go within a second or two."""
+"""A measurement that ends in a cell adds HIT to its count, up to COUNT_MOST, and one that passes
+through subtracts MISS. From COUNT_OCCUPIED on a cell is occupied, and at 0 it is free again.
+Odometry drifts, so what isn't there any more has to go within a second or two."""
 SHARED_RAYS = 4
 """Every so many-th ray clears the cells that it passes, another one at each scan."""
 STAMP_REACH = 8

@@ -60,8 +60,8 @@ NEAR_SHARE = log_share(0.5, FARTHEST_CLEARANCE)
 
 
 SLIDE_ACCELERATION = 0.7
-"""More acceleration sideways costs reward [m/s^2]: after 2 s of a circle at 1 m/s^2 the heading of a
-Jackal's odometry is off by 0.03 to 0.12 rad, at 2 m/s^2 by 0.3 to 0.5, at 4 m/s^2 by more than 0.6."""
+"""More acceleration sideways costs reward [m/s^2]. After 2 s of a circle at 1 m/s^2 the heading of
+a simulated Jackal's odometry is off by up to 0.1 rad, at 2 m/s^2 by 0.5, at 4 m/s^2 by more."""
 
 
 class NavigationTask(GoalTask):
@@ -136,9 +136,9 @@ def navigation_reward(state: State, outcome: int, end: float, crash: float) -> f
 
     `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
     of what its top speed would give; `near` is 0 where the footprint's least clearance is half its
-    radius or more, and 1 where it touches something; `slide` is by how much the acceleration sideways is over
-    0.7 m/s^2, at most 2, because there tyres slide and odometry drifts. Driving backwards costs up to 0.05 a step,
-    because sensors look ahead.
+    radius or more, and 1 where it touches something; `slide` is by how much the acceleration
+    sideways is over 0.7 m/s^2, at most 2, because tyres slide there and odometry drifts. Driving
+    backwards costs up to 0.05 a step, because sensors look ahead.
 
     Args:
         state: after the step; `sensed` begins with the numbers of the map.
