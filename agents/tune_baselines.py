@@ -57,8 +57,8 @@ class Course:
         self.policy, self.worlds = policy, f"{own.pool.kind}:{numbers}"
         options = {"worlds": self.worlds, "max_episode_steps": steps}
         self.env = runs.make_env(policy, "planar", robot, options)
-        self.inner: Any = self.env.unwrapped
-        self.config = self.inner.robot.config
+        inner: Any = self.env.unwrapped
+        self.inner, self.config = inner, inner.robot.config
 
     def __len__(self) -> int:
         return len(self.inner.pool.numbers)

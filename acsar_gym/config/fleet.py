@@ -49,7 +49,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     each: Sequence[RobotSource]
     if isinstance(source, str):
         each = [name for part in source.split(",") for name in drawn.expand_name(part)]
-    elif isinstance(source, list | tuple):
+    elif isinstance(source, Sequence):
         each = source
     else:
         return Fleet((RobotConfig.of(source),), (_name(source, 0),))

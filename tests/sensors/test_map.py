@@ -278,7 +278,7 @@ def check_same(one: Any, other: Any) -> None:
 @pytest.mark.parametrize("robot", ["acsar", "jackal", "drawn:3"])
 @pytest.mark.parametrize("kind", ["obstacle_goal", "barn"])
 def test_the_map_of_a_batchs_robot_is_the_single_ones(robot: str, kind: str) -> None:
-    worlds = {"worlds": "clutter:6" if kind == "obstacle_goal" else "barn:4"}
+    worlds: Any = {"worlds": "clutter:6" if kind == "obstacle_goal" else "barn:4"}
     many: Any = ids.make_vec(ids.full_id(kind), 3, robot=robot, threads=1, **worlds)
     one: Any = gymnasium.make(ids.full_id(kind), link="planar", robot=robot, **worlds)
     many.reset(seed=41)

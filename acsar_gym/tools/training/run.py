@@ -102,7 +102,8 @@ def train(options: TrainingOptions) -> int:
                     said += f"; target of {plan.options.target:.1%} {how} at {at}"
                 print(f"{scores.name}: {said}")
                 own = "" if plan.env_id.startswith("acsar_gym/") else f" --env {plan.env_id}"
-                robot = f" --robot {plan.options.robot}" if plan.options.robot else ""
+                alone = plan.options.robot and len(env.fleet) == 1
+                robot = f" --robot {plan.options.robot}" if alone else ""
                 said = f"next: acsar-gym evaluate --policy {policy}{own}{robot}"
                 print(escape_unprintable(said))
             if scores.rows:
