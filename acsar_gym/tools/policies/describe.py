@@ -420,12 +420,10 @@ def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotCo
     own = robot_values(config, sensors) | {"rates.control": config.control_rate}
     file = bundle.robot.values | {"rates.control": bundle.rates.control}
     lines = []
-    several = {*bundle.robots}
-    if several & {*OUTLINE_NUMBERS}:
-        several.add("footprint.radius")
+    several = bool(bundle.robots)  # `robots_outside` tells about them
     for name, most in REPORTED_FIELDS.items():
-        if name in several:
-            continue  # `robots_outside` tells
+        if several and name != "rates.control":
+            continue
         if name in file and name in own and not equal_values(file[name], own[name], most):
             was, now = format_value(file[name]), format_value(own[name])
             lines.append(f"{name} was {was} in the training and is {now} on this robot")
