@@ -26,7 +26,7 @@ class BarnEnv(RobotEnv):
     ## Reward
 
     As in `acsar_gym/ObstacleGoal-v1`.
-    `reward_threshold` is 18.
+    `reward_threshold` 18.
 
     ## Start and end
 

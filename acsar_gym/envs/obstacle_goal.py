@@ -65,7 +65,7 @@ class ObstacleGoalEnv(RobotEnv):
     26 to 73, a, is below b, which stands for a clearance of 0.5 R; less 0.05 for each m/s^2 of
     acceleration sideways (linear times angular velocity) over 0.7, up to 0.1, because odometry
     drifts where tyres slide; +5 at the goal, -15 for a collision.
-    `reward_threshold` is 12.
+    `reward_threshold` 12.
 
     ## Start and end
 

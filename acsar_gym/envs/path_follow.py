@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from acsar_gym.config import RobotSource
-from acsar_gym.config.fleet import FleetSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import Link
 from acsar_gym.tasks import PathFollow
@@ -21,7 +20,7 @@ class PathFollowEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((18,), float32)`, from odometry alone:
+    `Box((16,), float32)`, from odometry alone:
 
     | index | observation | range |
     |---|---|---|
@@ -32,14 +31,11 @@ class PathFollowEnv(RobotEnv):
     | 12 | linear velocity / `max_linear` | -2 to 2 |
     | 13 | angular velocity / `max_angular` | -2 to 2 |
     | 14, 15 | the last action | -1 to 1 |
-    | 16 | the robot's `max_linear` / 1 m/s | 0 to 2 |
-    | 17 | its `max_angular` / 2 rad/s | 0 to 2 |
 
     ## Reward
 
-    0.1 times the length gained along the path, in parts of what the top speed would give, less
-    0.02 a step, 0.5 a metre beside the path, and 0.05 times the backward part of the action; +2 at
-    the end, -2 out of bounds.
+    Twice the metres gained along the path, less 0.02 a step, 0.5 a metre beside the path, and 0.05
+    times the backward part of the action; +2 at the end, -2 out of bounds.
     `reward_threshold` 10 (`acsar-gym evaluate --policy path_follow --episodes 200`: 11.1).
 
     ## Start and end
@@ -80,5 +76,5 @@ class PathFollowEnv(RobotEnv):
 class PathFollowVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/PathFollow-v0`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
+    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
         super().__init__(PathFollow, num_envs, robot, **options)

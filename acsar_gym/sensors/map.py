@@ -70,10 +70,11 @@ DEARER_CELLS = 4.0
 SWITCH = 1.05
 """The robot keeps to its way unless it costs more than another one by this factor, so that it
 doesn't waver between two that are as good."""
+STALL_STEPS, STALL_GAIN = 50, 0.25
+"""A robot whose way hasn't become shorter by STALL_GAIN radii for so many steps is stalled."""
 GAIN_LIMIT = 2.0
 BODY = (
     "width",
-    "reach",
     "top_speed",
     "top_turn_rate",
     "stopping",
@@ -90,10 +91,13 @@ MAP_NAMES = (
     "way_left",
     *(f"way_{part}_{n}" for n in range(len(LOOKAHEADS)) for part in ("cos", "sin")),
     *(f"way_cost_{n}" for n in range(len(LOOKAHEADS))),
+    "stalled",
     *BODY,
     *(f"clearance_{n}" for n in range(SECTORS)),
 )
 """The numbers that the map adds to the observation."""
+STALLED = MAP_NAMES.index("stalled")
+"""Place of the number that says for how long the way hasn't become shorter."""
 FIRST_SECTOR = len(MAP_NAMES) - SECTORS
 MAP_LOW = np.array(
     [
@@ -123,6 +127,8 @@ RECORD = np.dtype(
         ("left", np.float64),  # length of the way [m]
         ("age", np.float64),  # of the way [steps]
         ("turn", np.float64),  # scans so far
+        ("least", np.float64),  # least length of this way so far [m]
+        ("waited", np.float64),  # steps since it was reached
     ]
 )
 """Map of a robot: its own numbers, cells, and the way."""
@@ -170,7 +176,6 @@ def describe_body(config: RobotConfig) -> Floats:
     return np.clip(
         [
             inner / radius,
-            radius,
             speed / radius / 10.0,
             turn / scale,
             speed * speed / (2.0 * slow) / radius / scale,
@@ -191,6 +196,7 @@ def clear_map(record: Any) -> None:
     record.marks[:] = 0
     record.middle_i = record.middle_j = 0.0
     record.corners = record.corner = record.left = record.turn = 0.0
+    record.least = record.waited = 0.0
     record.age = OLDEST_WAY
 
 
@@ -239,9 +245,13 @@ def update_map(
         cost = update_costs(grid, side, middle, points, count, corner, (x, y))
         if count == 0 or cost > SWITCH * sum_costs(draft, found):
             points[:], count, corner = draft, found, 1
+            record.least = length_left(points, corner, x, y)
         record.corners, record.age = float(count), 0.0
     record.corner = float(corner)
     record.left = length_left(points, corner, x, y)
+    record.waited += 1.0
+    if record.left < record.least - STALL_GAIN * radius:
+        record.least, record.waited = record.left, 0.0
 
     out[GAINED] = min(max(gained / record.pace, -GAIN_LIMIT), GAIN_LIMIT)
     out[1] = log_share(record.left / radius, FARTHEST_WAY)
@@ -257,7 +267,8 @@ def update_map(
         out[2 + 2 * len(LOOKAHEADS) + n] = min(dearest / 64.0, 1.0)
         from_x, from_y = to_x, to_y
         place += 2
-    place += len(LOOKAHEADS)
+    out[STALLED] = min(record.waited / STALL_STEPS, 1.0)
+    place = STALLED + 1
     for n in range(len(BODY)):
         out[place + n] = record.body[n]
     fill_sectors(record, pose, ranges, rays, out[FIRST_SECTOR:])

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MAP
-from acsar_gym.sensors.map import FARTHEST_CLEARANCE, FIRST_SECTOR, GAINED, SECTORS, log_share
+from acsar_gym.sensors.map import FARTHEST_CLEARANCE, FIRST_SECTOR, GAINED, SECTORS, STALLED, log_share
 from acsar_gym.tasks.base import Outcome, State
 from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import GoalTask, goal_distance
@@ -132,7 +132,7 @@ class Barn(NavigationTask):
 def navigation_reward(state: State, outcome: int, end: float, crash: float) -> float:
     """Reward of a step towards a goal behind obstacles.
 
-        0.1 gained - 0.02 - 0.15 near - 0.05 slide + 0.05 min(linear, 0) + (end, -crash or 0)
+        0.1 gained - 0.02 - 0.05 stalled - 0.15 near - 0.05 slide + 0.05 min(linear, 0) + (end, -crash or 0)
 
     `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
     of what its top speed would give; `near` is 0 where the footprint's least clearance is half its
@@ -152,8 +152,8 @@ def navigation_reward(state: State, outcome: int, end: float, crash: float) -> f
     last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
     slide = max(abs(state.twist[0] * state.twist[1]) - SLIDE_ACCELERATION, 0.0)
     costs = 0.02 + 0.15 * (1.0 - least / NEAR_SHARE) - 0.05 * min(state.action[0], 0.0)
-    costs += 0.05 * min(slide, 2.0)
-    return float(0.1 * state.sensed[GAINED] - costs + last)
+    costs += 0.05 * min(slide, 2.0) + 0.05 * float(state.sensed[STALLED])
+    return 0.1 * float(state.sensed[GAINED]) - costs + last
 
 
 @compilable

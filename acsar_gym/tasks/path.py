@@ -33,12 +33,7 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "angular_velocity": _SCALED,
     "last_linear": (-1.0, 1.0),
     "last_angular": (-1.0, 1.0),
-    "top_speed": (0.0, OBSERVATION_LIMIT),
-    "top_turn_rate": (0.0, OBSERVATION_LIMIT),
 }
-TOP_SPEED_SCALE, TOP_TURN_RATE_SCALE = 1.0, 2.0
-"""The observed `max_linear` and `max_angular` are divided by these [m/s, rad/s]: how tight a curve
-the robot can drive, and how fast, depends on both."""
 POINT_STRIDE = 5
 """Samples of the path between two observed points: 0.25 m."""
 SEARCH_BACK, SEARCH_AHEAD = 10, 20
@@ -110,7 +105,7 @@ class PathFollow(Task):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `path_reward`."""
-        gain, cross = memory.gain / (state.max_twist[0] * state.period), memory.cross_track_error
+        gain, cross = memory.gain, memory.cross_track_error
         return path_reward(gain, cross, state.action[0], outcome)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
@@ -127,8 +122,6 @@ class PathFollow(Task):
             clip_to(state.twist[0] / state.max_twist[0], limit),
             clip_to(state.twist[1] / state.max_twist[1], limit),
             *state.action,
-            min(state.max_twist[0] / TOP_SPEED_SCALE, limit),
-            min(state.max_twist[1] / TOP_TURN_RATE_SCALE, limit),
         )
 
 
@@ -211,13 +204,13 @@ def heading_error(theta: float, bearing: float) -> float:
 def path_reward(gain: float, cross: float, linear: float, outcome: int) -> float:
     """Reward of a step along a path.
 
-        0.1 gain - 0.02 - 0.5 |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
+        2 gain - 0.02 - 0.5 |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
 
     Args:
-        gain: length of the path covered in the step, in parts of what the top speed would give.
+        gain: length of the path covered in the step [m].
         cross: distance from the path [m].
         linear: the action's linear part, in [-1, 1].
         outcome: number of the step's Outcome.
     """
     end = 2.0 if outcome == 1 else (-2.0 if outcome > 1 else 0.0)
-    return 0.1 * gain - 0.02 - 0.5 * abs(cross) + 0.05 * min(linear, 0.0) + end
+    return 2.0 * gain - 0.02 - 0.5 * abs(cross) + 0.05 * min(linear, 0.0) + end

@@ -21,7 +21,7 @@ ACSAR = RobotConfig.preset("acsar")
         (["acsar", ACSAR, {"name": "mine"}], ["acsar", "number 1", "number 2"]),
         (("husky", "drawn:3"), ["husky", "drawn:3"]),
         ("drawn:7-9", ["drawn:7", "drawn:8", "drawn:9"]),
-        ("drawn:4-4", ["drawn:4-4"]),
+        ("drawn:4-4,husky", ["drawn:4", "husky"]),
     ],
 )
 def test_a_fleet_is_a_robot_a_list_or_a_range(source: Any, names: list[str]) -> None:
