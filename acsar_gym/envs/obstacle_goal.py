@@ -36,8 +36,8 @@ class ObstacleGoalEnv(RobotEnv):
     | 8 | length of the way to the goal, log(1 + 4 length / R) / log(1 + 4 * 64) | 0 to 1 |
     | 9 to 14 | cosine, sine of the bearings of the way's points 2 R, 4 R, 8 R ahead | -1 to 1 |
     | 15 to 17 | largest cost of a metre, less 1, in straight lines to these points / 16 | 0 to 1 |
-    | 18 | radius of the circle within the footprint / R | 0 to 1 |
-    | 19 | R / 1 m | 0 to 1 |
+    | 18 | steps since the way was last shorter by R / 4 than ever before / 50 | 0 to 1 |
+    | 19 | radius of the circle within the footprint / R | 0 to 1 |
     | 20 | `max_linear` / (10 R) | 0 to 1 |
     | 21 | `max_angular` / 4 rad/s | 0 to 1 |
     | 22 | stopping distance from `max_linear` / (4 R) | 0 to 1 |
@@ -61,8 +61,8 @@ class ObstacleGoalEnv(RobotEnv):
     ## Reward
 
     0.1 times observation 7, so that the way counts and not the straight line; less 0.02 a step,
-    0.05 times the backward part of the action, and 0.15 (1 - a / b) where the least of observations
-    26 to 73, a, is below b, which stands for a clearance of 0.5 R; less 0.05 for each m/s^2 of
+    0.05 times observation 18, 0.05 times the backward part of the action, and 0.15 (1 - a / b)
+    where the least of observations 26 to 73, a, is below b, which stands for 0.5 R; less 0.05 for each m/s^2 of
     acceleration sideways (linear times angular velocity) over 0.7, up to 0.1, because odometry
     drifts where tyres slide; +5 at the goal, -15 for a collision.
     `reward_threshold` 12.

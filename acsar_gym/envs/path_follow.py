@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from acsar_gym.config import RobotSource
+from acsar_gym.config.fleet import FleetSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.links import Link
 from acsar_gym.tasks import PathFollow
@@ -76,5 +77,5 @@ class PathFollowEnv(RobotEnv):
 class PathFollowVectorEnv(RobotVectorEnv):
     """Many robots of `acsar_gym/PathFollow-v0`; see `RobotVectorEnv` for the other arguments."""
 
-    def __init__(self, num_envs: int = 1, robot: RobotSource = None, **options: Any) -> None:
+    def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
         super().__init__(PathFollow, num_envs, robot, **options)

@@ -21,7 +21,14 @@ from typing import Any, ClassVar
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MAP
-from acsar_gym.sensors.map import FARTHEST_CLEARANCE, FIRST_SECTOR, GAINED, SECTORS, STALLED, log_share
+from acsar_gym.sensors.map import (
+    FARTHEST_CLEARANCE,
+    FIRST_SECTOR,
+    GAINED,
+    SECTORS,
+    STALLED,
+    log_share,
+)
 from acsar_gym.tasks.base import Outcome, State
 from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import GoalTask, goal_distance
@@ -132,13 +139,15 @@ class Barn(NavigationTask):
 def navigation_reward(state: State, outcome: int, end: float, crash: float) -> float:
     """Reward of a step towards a goal behind obstacles.
 
-        0.1 gained - 0.02 - 0.05 stalled - 0.15 near - 0.05 slide + 0.05 min(linear, 0) + (end, -crash or 0)
+        0.1 gained - 0.02 - 0.05 stalled - 0.15 near - 0.05 slide + 0.05 min(linear, 0)
+            + (end, -crash or 0)
 
     `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
-    of what its top speed would give; `near` is 0 where the footprint's least clearance is half its
-    radius or more, and 1 where it touches something; `slide` is by how much the acceleration
-    sideways is over 0.7 m/s^2, at most 2, because tyres slide there and odometry drifts. Driving
-    backwards costs up to 0.05 a step, because sensors look ahead.
+    of what its top speed would give. `stalled` grows to 1 in 50 steps in which the way doesn't
+    become shorter. `near` is 0 where the footprint's least clearance is half its radius or more,
+    and 1 where it touches something. `slide` is by how much the acceleration sideways is over
+    0.7 m/s^2, at most 2, because tyres slide there and odometry drifts. Driving backwards costs up
+    to 0.05 a step, because sensors look ahead.
 
     Args:
         state: after the step; `sensed` begins with the numbers of the map.

@@ -28,6 +28,8 @@ from acsar_gym.sensors.map import (
     NEAR_SHARE,
     OLDEST_WAY,
     SECTORS,
+    STALL_GAIN,
+    STALL_STEPS,
     clear_map,
     describe_body,
     log_share,
@@ -228,7 +230,17 @@ def test_a_larger_robot_in_a_larger_world_sees_the_same() -> None:
         assert {k: v for k, v in other.items() if k not in own} == pytest.approx(
             {k: v for k, v in one.items() if k not in own}, abs=1e-9
         )
-    assert one["reach"] != other["reach"]
+    assert one["stopping"] != other["stopping"]
+
+
+def test_a_robot_that_stands_still_sees_for_how_long() -> None:
+    mapped = Mapped(ACSAR, (3.0, 0.0))
+    shares = [mapped.see((0.0, 0.0, 0.0), far(ACSAR))["stalled"] for _ in range(60)]
+    assert shares[24] == pytest.approx(25 / STALL_STEPS)
+    assert shares[-1] == 1.0
+    near = 0.9 * STALL_GAIN * mapped.record.radius
+    assert mapped.see((near, 0.0, 0.0), far(ACSAR))["stalled"] == 1.0
+    assert mapped.see((2.0 * near, 0.0, 0.0), far(ACSAR))["stalled"] == 0.0
 
 
 @pytest.mark.parametrize(
