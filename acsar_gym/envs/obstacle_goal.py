@@ -62,9 +62,9 @@ class ObstacleGoalEnv(RobotEnv):
 
     0.1 times observation 7, so that the way counts and not the straight line; less 0.02 a step,
     0.05 times observation 18, 0.05 times the backward part of the action, and 0.15 (1 - a / b)
-    where the least of observations 26 to 73, a, is below b, which stands for 0.5 R; less 0.05 for each m/s^2 of
-    acceleration sideways (linear times angular velocity) over 0.7, up to 0.1, because odometry
-    drifts where tyres slide; +5 at the goal, -15 for a collision.
+    where the least of observations 26 to 73, a, is below b, which stands for 0.5 R; less 0.05 for
+    each m/s^2 of acceleration sideways (linear times angular velocity) over 0.7, up to 0.1, because
+    odometry drifts where tyres slide; +5 at the goal, -15 for a collision.
     `reward_threshold` 12.
 
     ## Start and end

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from task_tools import ACSAR, Played
 
-from acsar_gym.sensors.map import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, log_share
+from acsar_gym.sensors.map import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, STALLED, log_share
 from acsar_gym.tasks import Barn, ObstacleGoal
 from acsar_gym.tasks.navigation import BARN_SCORES, CHALLENGE_SPEED, barn_score
 from acsar_gym.worlds import Region, World
@@ -17,10 +17,10 @@ from acsar_gym.worlds import Region, World
 WORLD = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0))
 
 
-def told(gained: float = 0.0, *clearances: float) -> Any:
+def told(gained: float = 0.0, *clearances: float, stalled: float = 0.0) -> Any:
     """What the map adds to the observation: clearances in radii of the footprint, and far ones."""
     sensed = np.ones(len(MAP_NAMES) + 64)
-    sensed[GAINED] = gained
+    sensed[GAINED], sensed[STALLED] = gained, stalled
     for sector, clearance in enumerate(clearances):
         place = MAP_NAMES.index(f"clearance_{47 - 10 * sector}")
         sensed[place] = log_share(clearance, FARTHEST_CLEARANCE)
@@ -44,6 +44,10 @@ def paid(sensed: Any = None, **known: Any) -> float:
         ({"action": (1.0, -1.0)}, -0.02),
         ({"action": (-1.0, 0.0)}, -0.07),
         ({"contact": True}, -15.02),
+        ({"sensed": told(stalled=0.4)}, -0.04),
+        ({"twist": (0.5, 1.4)}, -0.02),
+        ({"twist": (1.0, -1.5)}, -0.06),  # it slides
+        ({"twist": (2.0, 4.0)}, -0.12),
         ({"pose": (3.8, 0.0, 0.0)}, 4.98),
         ({"pose": (3.8, 0.0, 0.0), "sensed": told(0.5)}, 5.03),
         ({"sensed": told(0.0, 0.5, 16.0)}, -0.02),
