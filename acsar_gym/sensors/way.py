@@ -27,6 +27,11 @@ SCRATCH = 3 * CELLS * CELLS + BUCKETS + 3 * MOST_ENTRIES
 UNREACHED = 2**30
 STRAIGHT, DIAGONAL = 10, 14
 """Lengths of steps on the grid; a cell's costs multiply them."""
+LENGTH_SLACK = 1e-6
+"""Pieces are often a whole number of cells long; so much more is rounding [cells]."""
+SAMPLE_SHIFT = 0.37
+"""Places on a straight piece are looked up so far before its steps' ends, in steps: a diagonal from one
+cell's centre to another's has some that are exactly on a corner, where rounding decides."""
 LONGEST_PIECE = 40
 """Of a way [cells]."""
 
@@ -124,10 +129,10 @@ def piece_cost(
     """
     (ax, ay), (bx, by), half = begin, end, CELLS // 2
     length = math.sqrt((bx - ax) * (bx - ax) + (by - ay) * (by - ay)) / side
-    count = int(min(max(math.ceil(length), 1.0), CELLS))
+    count = int(min(max(math.ceil(length - LENGTH_SLACK), 1.0), CELLS))
     total, most = 0.0, 0.0
     for step in range(1, count + 1):
-        share = step / count
+        share = (step - SAMPLE_SHIFT) / count
         i, j = cell_at(ax + share * (bx - ax), side), cell_at(ay + share * (by - ay), side)
         p, q = i - middle[0] + half, j - middle[1] + half
         if 0 <= p < CELLS and 0 <= q < CELLS:
