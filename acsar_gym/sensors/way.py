@@ -30,8 +30,8 @@ STRAIGHT, DIAGONAL = 10, 14
 LENGTH_SLACK = 1e-6
 """Pieces are often a whole number of cells long; so much more is rounding [cells]."""
 SAMPLE_SHIFT = 0.37
-"""Places on a straight piece are looked up so far before its steps' ends, in steps: a diagonal from one
-cell's centre to another's has some that are exactly on a corner, where rounding decides."""
+"""Places on a straight piece are looked up so far before its steps' ends, in steps: a diagonal from
+one cell's centre to another's has some that are exactly on a corner, where rounding decides."""
 LONGEST_PIECE = 40
 """Of a way [cells]."""
 
