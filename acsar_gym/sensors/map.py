@@ -425,7 +425,14 @@ class MapSensor(Sensor):
         self._goal = (0.0, 0.0)
 
     def watch(self, lidar: LidarSensor | None) -> None:
-        """Take over the LiDAR whose scans are remembered; ConfigError for None."""
+        """Take over the LiDAR whose scans are remembered.
+
+        Args:
+            lidar: of the robot; None where it has none.
+
+        Raises:
+            ConfigError: for None.
+        """
         if lidar is None:
             raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
         self._lidar = lidar
@@ -435,7 +442,15 @@ class MapSensor(Sensor):
         self._odometry = odometry
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Forget everything. ConfigError where the scene has no goal."""
+        """Forget everything.
+
+        Args:
+            scene: has the goal.
+            rng: isn't used.
+
+        Raises:
+            ConfigError: the scene has no goal.
+        """
         if scene.goal is None:
             raise ConfigError("sensor 'map': the scene has no goal, to which it shows the way")
         self._goal = to_odometry(scene.start, (*scene.goal, 0.0))[:2]

@@ -72,15 +72,15 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     assert header["policy"] == policy | {"differences": []}
     assert header["env"]["id"] == OBSTACLES
     assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
-    assert header["env"]["max_episode_steps"] == 400
+    assert header["env"]["max_episode_steps"] == 600
     assert (header["link"], header["seeds"]) == ("planar", {"first": 3, "last": 4})
     told = {"kind": "open", "split": "test", "first": 0, "last": 199}
     assert told.items() <= header["worlds"].items()
     for part in (header["robot"], header["worlds"]):
         assert re.fullmatch("[0-9a-f]{64}", part["sha256"])
-    standing = -sum(0.01 + 0.05 * min(step / 100, 1.0) for step in range(1, 401))
+    standing = -sum(0.02 + 0.05 * min((step + 1) / 50, 1.0) for step in range(1, 601))
     for number, episode in enumerate(data["per_episode"]):
-        assert (episode["seed"], episode["length"]) == (3 + number, 400)
+        assert (episode["seed"], episode["length"]) == (3 + number, 600)
         assert 0 <= episode["world"] < 200
         assert episode["episode_return"] == pytest.approx(standing)
     assert data["episode_return"] == pytest.approx(standing)

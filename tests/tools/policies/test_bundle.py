@@ -156,10 +156,10 @@ def test_another_lidar_is_named(lidar: dict[str, Any], said: str, tmp_path: Path
     assert said in refused(path, robot=ACSAR.with_(lidar=lidar), worlds="open:2")
 
 
-def differences(file: str | Path = "point_goal", /, **changes: Any) -> tuple[str, ...]:
+def differences(file: str | Path = "path_follow", /, **changes: Any) -> tuple[str, ...]:
     """What is told of a robot that drives with a policy."""
     policy = OnnxPolicy(file)
-    worlds = None if file == "point_goal" else "open:2"
+    worlds = "smooth_path:2" if file == "path_follow" else "open:2"
     runs.make_env(policy, "planar", ACSAR.with_(**changes), {"worlds": worlds}).close()
     return policy.differences
 
@@ -225,7 +225,7 @@ def test_ranges_of_a_training_follow_from_the_randomization() -> None:
 
 def test_driving_warns_once_a_field_and_the_header_says_it() -> None:
     robot: Any = ACSAR.with_(body={"mass": 9.0}, max_angular=1.0)
-    policy = OnnxPolicy("point_goal")
+    policy = OnnxPolicy("path_follow")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         done = runs.evaluate_policy(policy, "planar", robot, range(1))
