@@ -52,6 +52,8 @@ from acsar_gym.worlds.world import to_odometry
 
 SECTORS = 48
 """Directions around the robot, in each of which the nearest obstacle counts."""
+BEARING_SHIFT = 1e-5
+"""Added to a ray's bearing, because rays often point to where two sectors meet [rad]."""
 REACH_STEPS = 720
 """Directions in which the footprint's reach is tabulated."""
 NEAR_SHARE = 0.25
@@ -352,7 +354,7 @@ def fill_sectors(
     for ray in range(len(ranges)):
         c, s = cos_sin(rays.start + ray * rays.step)
         x, y = rays.mount_x + ranges[ray] * c, rays.mount_y + ranges[ray] * s
-        share = (angle_of(x, y) + math.pi) / FULL_TURN
+        share = (angle_of(x, y) + math.pi + BEARING_SHIFT) / FULL_TURN
         sector = int(share * SECTORS) % SECTORS
         edge = reach[int(share * REACH_STEPS) % REACH_STEPS]
         clearance = (math.sqrt(x * x + y * y) - edge) / radius
