@@ -318,8 +318,8 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
     """
     if radius > BARN_LARGEST_RADIUS:
         raise GeneratorError(
-            f"no BARN world lets a footprint of radius {radius:g} m through; use one of "
-            f"{BARN_LARGEST_RADIUS:g} m at most, or another kind of world"
+            f"no BARN world lets a footprint of radius {radius:g} m through; use another kind of "
+            f"world: it is too large for BARN's fields: at most {BARN_LARGEST_RADIUS:g} m"
         )
     fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
     passes, is_larger = int(rng.integers(2, 5)), radius > BARN_ROBOT_RADIUS
