@@ -240,11 +240,11 @@ def update_map(
         corner = next_corner(points, count, corner, x, y)
         gained = before - length_left(points, corner, x, y)
         if record.age >= NEWEST_WAY and not stale:
-            stale = is_way_dearer(grid, side, middle, points, count, corner, (x, y))
+            _, stale = weigh_way(grid, side, middle, points, count, corner, (x, y), False)
     if stale:
         draft = record.draft
         found = plan_way(grid, side, middle, (x, y), goal, draft, scratch)
-        cost = update_costs(grid, side, middle, points, count, corner, (x, y))
+        cost, _ = weigh_way(grid, side, middle, points, count, corner, (x, y), True)
         if count == 0 or cost > SWITCH * sum_costs(draft, found):
             points[:], count, corner = draft, found, 1
             record.least = length_left(points, corner, x, y)
@@ -286,7 +286,7 @@ def log_share(value: float, most: float) -> float:
 
 
 @subroutine
-def is_way_dearer(
+def weigh_way(
     grid: Grid,
     side: float,
     middle: tuple[int, int],
@@ -294,33 +294,23 @@ def is_way_dearer(
     count: int,
     corner: int,
     place: tuple[float, float],
-) -> bool:
-    """Whether a piece of the way costs more than when it was planned, or the robot has left it."""
+    write: bool,
+) -> tuple[float, bool]:
+    """Measure what the pieces of the way cost now, from the robot on.
+
+    Returns:
+        Their sum [cells], and whether one has become dearer than it was when it was written, as
+        where the robot has left the way. `write` writes what they cost now.
+    """
+    total, dearer = 0.0, False
     for k in range(corner, count):
         begin = place if k == corner else (points[k - 1, 0], points[k - 1, 1])
         cost, _ = piece_cost(grid.costs, side, middle, begin, (points[k, 0], points[k, 1]))
-        if cost > DEARER * points[k, 3] + DEARER_CELLS:
-            return True
-    return False
-
-
-@subroutine
-def update_costs(
-    grid: Grid,
-    side: float,
-    middle: tuple[int, int],
-    points: Floats,
-    count: int,
-    corner: int,
-    place: tuple[float, float],
-) -> float:
-    """Write what the pieces of the way cost now, from the robot on; returns their sum [cells]."""
-    total = 0.0
-    for k in range(corner, count):
-        begin = place if k == corner else (points[k - 1, 0], points[k - 1, 1])
-        points[k, 3], _ = piece_cost(grid.costs, side, middle, begin, (points[k, 0], points[k, 1]))
-        total += points[k, 3]
-    return total
+        total += cost
+        dearer = dearer or cost > DEARER * points[k, 3] + DEARER_CELLS
+        if write:
+            points[k, 3] = cost
+    return total, dearer
 
 
 @jit

@@ -13,7 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.sensors.seen import CELLS, LAST_CELL, Bytes, Floats, Grid, cell_at, cell_centre
+from acsar_gym.sensors.seen import (
+    CELLS,
+    COST_UNIT,
+    LAST_CELL,
+    Bytes,
+    Floats,
+    Grid,
+    cell_at,
+    cell_centre,
+)
 
 Ints = NDArray[np.int32]
 MOST_POINTS = 64
@@ -97,7 +106,7 @@ def search_way(costs: Bytes, middle: tuple[int, int], goal: tuple[int, int], scr
                 p, q = i + di, j + dj
                 cost = int(costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
                 step = DIAGONAL if di != 0 and dj != 0 else STRAIGHT
-                total = so_far + ((step * (4 + cost)) >> 2)
+                total = so_far + ((step * (4 + cost)) >> 2)  # 1 + COST_UNIT * cost a metre
                 other = p * CELLS + q
                 if total < best[other] and entries < MOST_ENTRIES:
                     best[other], came[other] = total, node
@@ -139,7 +148,7 @@ def piece_cost(
             cost = float(costs[i & LAST_CELL, j & LAST_CELL])
             total += cost
             most = max(most, cost)
-    return length * (1.0 + 0.25 * total / count), most
+    return length * (1.0 + COST_UNIT * total / count), most
 
 
 @subroutine
@@ -183,7 +192,7 @@ def plan_way(
             p, q = way[k] // CELLS, way[k] % CELLS
             cost = float(grid.costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
             diagonal = p != i and q != j
-            stepwise += (1.4142135623730951 if diagonal else 1.0) * (1.0 + 0.25 * cost)
+            stepwise += (1.4142135623730951 if diagonal else 1.0) * (1.0 + COST_UNIT * cost)
             i, j = p, q
             centre = cell_centre(p + first_i, side), cell_centre(q + first_j, side)
             straight, _ = piece_cost(grid.costs, side, middle, corner, centre)
