@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["IDS", "SCENE_CHOICES", "SceneChoice", "register"]
 IDS: dict[str, dict[str, Any]] = {
     "PointGoal-v0": {"max_episode_steps": 200, "reward_threshold": 4.0},
-    "ObstacleGoal-v1": {"max_episode_steps": 600, "reward_threshold": 12.0},
-    "Barn-v1": {"max_episode_steps": 1000, "reward_threshold": 18.0},
+    "ObstacleGoal-v1": {"max_episode_steps": 600, "reward_threshold": 10.0},
+    "Barn-v1": {"max_episode_steps": 1000, "reward_threshold": 13.0},
     "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
 """What `gymnasium.register` gets for each id; the one place that knows their versions."""

@@ -25,7 +25,7 @@ from acsar_gym.envs.ids import find_id
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.baselines import BaselinePolicy, load_baseline
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, find_constants, short_id
-from acsar_gym.tools.benchmark.figures import Scoring, score_episode
+from acsar_gym.tools.benchmark.figures import COMPLETION_TIME, Scoring, score_episode
 from acsar_gym.tools.evaluation import metrics, runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult, run_episodes
 from acsar_gym.worlds import registry
@@ -74,9 +74,8 @@ class Course:
         """The contest's score at the robot's own speed where there is one, else the benchmark's."""
         if result.scores:
             return result.scores[2]
-        env_id = self.policy.env_id.rpartition("/")[2]
         speed, tolerance = self.config.max_linear, self.inner.task.goal_tolerance
-        return score_episode(result, Scoring(env_id, speed, tolerance))
+        return score_episode(result, Scoring(COMPLETION_TIME, speed, tolerance))
 
     def compare(self, constants: Constants) -> dict[str, Any]:
         """Drive in all worlds; returns success and mean score with their 95 % intervals."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from acsar_gym.errors import ConfigError
 
 FleetSource = RobotSource | Sequence[RobotSource]
 """Type of a batch's `robot` argument; see `make_fleet`."""
+_COUNTED = re.compile(r"(?:([0-9]{1,5})x)?(.*)", re.DOTALL)
 MAX_KINDS = 10_000
 """Robots of a fleet, at most."""
 SHARED_FIELDS = (
@@ -39,7 +41,8 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
 
     Args:
         source: one robot, as for `RobotConfig.of`; a range of drawn ones, such as "drawn:train" or
-            "drawn:0-63"; several of these with commas between; or a list of robots.
+            "drawn:0-63"; several of these with commas between, "24xjackal" for 24 of them; or a
+            list of robots.
         most: how many of them are used; the first ones.
 
     Raises:
@@ -48,7 +51,9 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     """
     each: Sequence[RobotSource]
     if isinstance(source, str):
-        each = [name for part in source.split(",") for name in drawn.expand_name(part)]
+        counted = [_COUNTED.fullmatch(part) for part in source.split(",")]
+        parts = [found.groups() for found in counted if found]
+        each = [name for count, part in parts for name in drawn.expand_name(part) * int(count or 1)]
     elif isinstance(source, Sequence):
         each = source
     else:

@@ -398,6 +398,9 @@ class RobotConfig(Section):
     only at its comma."""
     control_rate: Rate = 100.0
     """Ticks per second [Hz]; one command line per tick."""
+    late_after: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    """A tick is late that ends more than this share of a control period after its deadline. Drives
+    and their odometry don't tell less (`pytest -s -m slow tests/links/test_lateness.py`)."""
     connect_timeout: Wait = 5.0
     """Longest wait for the first valid line after opening [s]; AVR boards reset on open."""
     reconnect_timeout: Annotated[float, Field(ge=0.0, le=3600.0)] = 10.0
@@ -534,6 +537,11 @@ class RobotConfig(Section):
     def period(self) -> float:
         """Duration of a tick [s]."""
         return 1.0 / self.control_rate
+
+    @property
+    def late_tick(self) -> float:
+        """How long after its deadline a tick has ended that is just not late [s]."""
+        return self.late_after * self.period
 
     @property
     def outline(self) -> Outline:

@@ -21,12 +21,12 @@ class BarnEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((74 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
+    `Box((96 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Reward
 
     As in `acsar_gym/ObstacleGoal-v1`.
-    `reward_threshold` 18.
+    `reward_threshold` 13.
 
     ## Start and end
 

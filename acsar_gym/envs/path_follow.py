@@ -21,22 +21,27 @@ class PathFollowEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((16,), float32)`, from odometry alone:
+    `Box((18,), float32)`, from odometry alone:
 
     | index | observation | range |
     |---|---|---|
     | 0 | cross-track error (left of the path is positive) / `max_cross_track` | -2 to 2 |
     | 1, 2 | cosine and sine of the heading error | -1 to 1 |
     | 3 | length of the path that remains / 10 m | 0 to 2 |
-    | 4 to 11 | the path 0.25, 0.5, 0.75 and 1 m on: x and y in the robot's frame [m] | -2 to 2 |
+    | 4 to 11 | the path 0.5, 1, 1.5 and 2 s on: x and y in the robot's frame / (2 s) | -2 to 2 |
     | 12 | linear velocity / `max_linear` | -2 to 2 |
     | 13 | angular velocity / `max_angular` | -2 to 2 |
     | 14, 15 | the last action | -1 to 1 |
+    | 16 | `max_linear` / (1 m/s) | 0 to 2 |
+    | 17 | `max_angular` / (4 rad/s) | 0 to 2 |
+
+    Seconds are those at `max_linear`: 0.5 s are 0.25 m for the ACSAR robot.
 
     ## Reward
 
-    Twice the metres gained along the path, less 0.02 a step, 0.5 a metre beside the path, and 0.05
-    times the backward part of the action; +2 at the end, -2 out of bounds.
+    0.1 times what was gained along the path / (`max_linear` * step), less 0.02 a step, 1 a metre
+    beside the path, and 0.05 times the backward part of the action; +2 at the end, -2 out of
+    bounds.
     `reward_threshold` 10 (`acsar-gym evaluate --policy path_follow --episodes 200`: 11.1).
 
     ## Start and end

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import math
 import os
 import re
@@ -109,3 +111,14 @@ def has_display() -> bool:
     name = os.environ.get("DISPLAY", "")
     local = re.fullmatch(r"(?:unix)?:(\d+)(?:\.\d+)?", name)
     return Path(f"/tmp/.X11-unix/X{local[1]}").exists() if local else bool(name)  # noqa: S108
+
+
+def prepare_opengl() -> None:
+    """Import triton, where there is one, before anything draws with OpenGL.
+
+    Mesa's drivers show their LLVM to all libraries that are loaded after them. Triton 3.7, which
+    torch's CUDA builds bring and import with the first optimizer, would take it for its own and end
+    the process with a segmentation fault (github.com/tensorflow/tensorflow/issues/124205).
+    """
+    with contextlib.suppress(ImportError):
+        importlib.import_module("triton")

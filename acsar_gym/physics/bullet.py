@@ -39,6 +39,7 @@ from acsar_gym.physics.body import (
     GroundTruth,
     Image,
     has_display,
+    prepare_opengl,
 )
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
@@ -101,6 +102,8 @@ class BulletBody:
         self._configured = model.compute_physics(config)
         if window and not has_display():
             raise RenderError("PyBullet's window needs a display; drive without a window here")
+        if window:
+            prepare_opengl()
         self._client = int(pybullet.connect(pybullet.GUI if window else pybullet.DIRECT))
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         if window:

@@ -31,6 +31,7 @@ from acsar_gym.physics.body import (
     GroundTruth,
     Image,
     has_display,
+    prepare_opengl,
     wrap_angle,
 )
 from acsar_gym.physics.model import Physics
@@ -169,6 +170,7 @@ class MujocoBody:
         try:
             if self._pictured != (width, height):
                 self._free_renderer()
+                prepare_opengl()
                 self._model.vis.global_.offwidth = width
                 self._model.vis.global_.offheight = height
                 self._renderer = mujoco.Renderer(self._model, height, width)

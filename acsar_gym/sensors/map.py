@@ -21,6 +21,7 @@ from acsar_gym.jit import COMPILED, jit, loop, subroutine
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.physics.body import GroundTruth
+from acsar_gym.sensors.arcs import ARCS, BANDS, LONGEST_ARC, measure_arcs, tabulate_arcs
 from acsar_gym.sensors.base import MAP, Sensor
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.scan import FULL_TURN, Rays, make_rays
@@ -60,6 +61,9 @@ NEAR_SHARE = 0.25
 """Clearances are observed on a logarithmic scale, above this one, in radii of the footprint."""
 FARTHEST_CLEARANCE = 16.0
 """Clearances beyond count as this one, in radii."""
+UNSEEN_CELLS, UNSEEN_CLEARANCE = 6, 0.5
+"""Where the LiDAR doesn't look, the nearest cells count: if most of them have never been seen, the
+clearance is this one, in radii."""
 FARTHEST_WAY = 64.0
 """So does a longer way to the goal, in radii."""
 LOOKAHEADS = (2.0, 4.0, 8.0)
@@ -96,11 +100,14 @@ MAP_NAMES = (
     "stalled",
     *BODY,
     *(f"clearance_{n}" for n in range(SECTORS)),
+    *(f"arc_{n}" for n in range(ARCS)),
+    *(f"wide_arc_{n}" for n in range(ARCS)),
 )
 """The numbers that the map adds to the observation."""
 STALLED = MAP_NAMES.index("stalled")
 """Place of the number that says for how long the way hasn't become shorter."""
-FIRST_SECTOR = len(MAP_NAMES) - SECTORS
+FIRST_SECTOR = MAP_NAMES.index("clearance_0")
+FIRST_ARC = MAP_NAMES.index("arc_0")
 MAP_LOW = np.array(
     [
         -GAIN_LIMIT if n == "gained" else -1.0 if n.startswith(("way_cos", "way_sin")) else 0.0
@@ -116,6 +123,8 @@ RECORD = np.dtype(
         ("pace", np.float64),  # what the top speed drives in a step [m]
         ("body", np.float64, (len(BODY),)),
         ("reach", np.float64, (REACH_STEPS,)),  # of the footprint, from the base's middle [m]
+        ("spans", np.float64, (ARCS, 2)),  # of the footprint beside arcs [m]
+        ("fronts", np.float64, (ARCS, BANDS, 3)),  # of the footprint along arcs [m]
         ("stamp", np.uint8, (2 * STAMP_REACH + 1, 2 * STAMP_REACH + 1)),
         ("counts", np.uint8, (CELLS, CELLS)),
         ("costs", np.uint8, (CELLS, CELLS)),
@@ -149,6 +158,7 @@ def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
     made["side"], made["radius"] = CELL_SIDE * radius, radius
     made["pace"] = config.max_linear * period
     made["body"], made["reach"] = describe_body(config), _reach(outline)
+    made["spans"], made["fronts"] = tabulate_arcs(outline)
     made["stamp"] = make_stamp(inner, radius)
     return made
 
@@ -249,8 +259,7 @@ def update_map(
             points[:], count, corner = draft, found, 1
             record.least = length_left(points, corner, x, y)
         record.corners, record.age = float(count), 0.0
-    record.corner = float(corner)
-    record.left = length_left(points, corner, x, y)
+    record.corner, record.left = float(corner), length_left(points, corner, x, y)
     record.waited += 1.0
     if record.left < record.least - STALL_GAIN * radius:
         record.least, record.waited = record.left, 0.0
@@ -273,7 +282,11 @@ def update_map(
     place = STALLED + 1
     for n in range(len(BODY)):
         out[place + n] = record.body[n]
-    fill_sectors(record, pose, ranges, rays, out[FIRST_SECTOR:])
+    spots = np.empty((len(ranges) + SECTORS, 2))
+    seen = fill_sectors(record, pose, ranges, rays, out[FIRST_SECTOR:FIRST_ARC], spots)
+    measure_arcs(record.spans, record.fronts, radius, spots[:seen], out[FIRST_ARC:])
+    for n in range(FIRST_ARC, len(MAP_NAMES)):
+        out[n] = log_share(out[n], LONGEST_ARC)
 
 
 @jit
@@ -324,8 +337,13 @@ def sum_costs(points: Floats, count: int) -> float:
 
 @subroutine
 def fill_sectors(
-    record: Any, pose: tuple[float, float, float], ranges: Floats, rays: Rays, out: Floats
-) -> None:
+    record: Any,
+    pose: tuple[float, float, float],
+    ranges: Floats,
+    rays: Rays,
+    out: Floats,
+    spots: Floats,
+) -> int:
     """Fill in the clearance of the footprint in each direction, see `log_share`.
 
     Where the LiDAR doesn't look, what was seen before counts.
@@ -336,9 +354,13 @@ def fill_sectors(
         ranges: (rays,): the scan [m].
         rays: of the LiDAR.
         out: (SECTORS,).
+        spots: (rays + SECTORS, 2): gets the places of what is around, in the base frame [m].
+
+    Returns:
+        How many spots there are.
     """
-    reach, radius, side = record.reach, record.radius, record.side
-    nothing = 2.0 * FARTHEST_CLEARANCE
+    reach, radius = record.reach, record.radius
+    nothing, seen = 2.0 * FARTHEST_CLEARANCE, 0
     for sector in range(SECTORS):
         out[sector] = nothing
     for ray in range(len(ranges)):
@@ -350,6 +372,9 @@ def fill_sectors(
         clearance = (math.sqrt(x * x + y * y) - edge) / radius
         if ranges[ray] >= rays.farthest - 1e-3:
             clearance = FARTHEST_CLEARANCE
+        elif clearance < LONGEST_ARC + 1.0:
+            spots[seen, 0], spots[seen, 1] = x, y
+            seen += 1
         out[sector] = min(out[sector], clearance, FARTHEST_CLEARANCE)
     for sector in range(SECTORS):
         if out[sector] < nothing:
@@ -360,19 +385,48 @@ def fill_sectors(
             out[sector] = min(left, right) + nothing
             continue
         bearing = (sector + 0.5) * FULL_TURN / SECTORS - math.pi
-        c, s = cos_sin(pose[2] + bearing)
         edge = reach[int((sector + 0.5) / SECTORS * REACH_STEPS)]
-        clearance = FARTHEST_CLEARANCE
-        for step in range(int(8.0 / CELL_SIDE)):
-            far = edge + step * side
-            i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
-            if record.marks[i & LAST_CELL, j & LAST_CELL] > 0:
-                clearance = step * CELL_SIDE
-                break
-        out[sector] = clearance + nothing
+        clearance = remembered_clearance(record, pose, bearing, edge) / radius
+        out[sector] = nothing + (clearance if clearance >= 0.0 else UNSEEN_CLEARANCE)
+        if 0.0 <= clearance < FARTHEST_CLEARANCE:
+            far, (c, s) = edge + clearance * radius, cos_sin(bearing)
+            spots[seen, 0], spots[seen, 1] = far * c, far * s
+            seen += 1
     for sector in range(SECTORS):
         clearance = out[sector] - nothing if out[sector] >= nothing else out[sector]
         out[sector] = log_share(clearance, FARTHEST_CLEARANCE)
+    return seen
+
+
+@subroutine
+def remembered_clearance(
+    record: Any, pose: tuple[float, float, float], bearing: float, edge: float
+) -> float:
+    """Look for the nearest occupied cell in a direction in which the LiDAR doesn't look.
+
+    Args:
+        record: `RECORD` of the robot.
+        pose: by odometry.
+        bearing: of the direction in the base frame [rad].
+        edge: distance of the footprint's edge in this direction, from which on it is looked [m].
+
+    Returns:
+        Distance from the edge [m]; FARTHEST_CLEARANCE radii where there is none within 8, and -1
+        where most of UNSEEN_CELLS have never been seen.
+    """
+    (c, s), unseen = cos_sin(pose[2] + bearing), 0
+    side: float = record.side
+    for step in range(int(8.0 / CELL_SIDE)):
+        far = edge + step * side
+        i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
+        if record.marks[i & LAST_CELL, j & LAST_CELL] > 0:
+            return step * side
+        if 0 < step <= UNSEEN_CELLS and record.counts[i & LAST_CELL, j & LAST_CELL] == 0:
+            unseen += 1
+        if 2 * unseen > UNSEEN_CELLS:
+            return -1.0
+    farthest: float = FARTHEST_CLEARANCE * record.radius
+    return farthest
 
 
 @loop

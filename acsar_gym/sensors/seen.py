@@ -31,10 +31,13 @@ CELL_SIDE = 0.25
 CELL_SHIFT = 0.37
 """The odometry frame's origin lies so far inside of its cell, in cells, so that places with round
 numbers don't lie between two cells."""
-HIT, MISS, COUNT_OCCUPIED, COUNT_MOST = 3, 2, 5, 9
-"""A measurement that ends in a cell adds HIT to its count, up to COUNT_MOST, and one that passes
-through subtracts MISS. From COUNT_OCCUPIED on a cell is occupied, and at 0 it is free again.
-Odometry drifts, so what isn't there any more has to go within a second or two."""
+COUNT_FREE, COUNT_OCCUPIED, COUNT_MOST = 1, 6, 10
+"""The count of a cell that is free, that from which on it is occupied, and the largest one; 0 is
+that of a cell which hasn't been seen."""
+HIT, MISS = 3, 2
+"""A measurement that ends in a cell adds HIT to its count, and one that passes through subtracts
+MISS; an occupied cell stays so until it is free. Odometry drifts, so what isn't there any more has
+to go within a second or two."""
 SHARED_RAYS = 4
 """Every so many-th ray clears the cells that it passes, another one at each scan."""
 STAMP_REACH = 8
@@ -53,7 +56,7 @@ class Grid(NamedTuple):
     """The cells of one robot."""
 
     counts: Bytes
-    """(CELLS, CELLS): how often each was hit."""
+    """(CELLS, CELLS): how often each was hit, see `COUNT_FREE`."""
     costs: Bytes
     """(CELLS, CELLS): of a metre, see `COST_UNIT`."""
     marks: Bytes
@@ -190,9 +193,9 @@ def add_scan(
                     break
                 i, j = int(a) + first_i, int(b) + first_j
                 p, q = i & LAST_CELL, j & LAST_CELL
-                if counts[p, q] > 0:
-                    counts[p, q] = max(int(counts[p, q]) - MISS, 0)
-                    if counts[p, q] == 0 and marks[p, q] > 0:
+                if counts[p, q] != COUNT_FREE:
+                    counts[p, q] = max(int(counts[p, q]) - MISS, COUNT_FREE)
+                    if counts[p, q] == COUNT_FREE and marks[p, q] > 0:
                         marks[p, q] = 0
                         lower_costs(grid, stamp, i, j, middle)
         if distance < rays.farthest - 1e-3:
@@ -201,7 +204,7 @@ def add_scan(
                 continue
             i, j = int(a) + first_i, int(b) + first_j
             p, q = i & LAST_CELL, j & LAST_CELL
-            counts[p, q] = min(int(counts[p, q]) + HIT, COUNT_MOST)
+            counts[p, q] = min(max(int(counts[p, q]), COUNT_FREE) + HIT, COUNT_MOST)
             if marks[p, q] == 0 and counts[p, q] >= COUNT_OCCUPIED:
                 marks[p, q] = 1
                 raise_costs(grid, stamp, i, j, middle)

@@ -282,8 +282,8 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
             return ReplayedLidar(tape, link)
         if link.truth is None:
             raise ConfigError(
-                "this env needs a LiDAR and this link simulates none: "
-                "pass lidar='rplidar:///dev/ttyUSB1'"
+                "this env needs a LiDAR and this link simulates none: name its model and device as "
+                "lidar (--lidar), like rplidar:///dev/ttyUSB1"
             )
         return SimulatedLidar(link, config)
     if isinstance(url, str) and "://" in url:

@@ -139,7 +139,7 @@ class Barn(NavigationTask):
 def navigation_reward(state: State, outcome: int, end: float, crash: float) -> float:
     """Reward of a step towards a goal behind obstacles.
 
-        0.1 gained - 0.02 - 0.05 stalled - 0.15 near - 0.05 slide + 0.05 min(linear, 0)
+        0.1 gained - 0.04 - 0.1 stalled - 0.15 near - 0.1 slide + 0.05 min(linear, 0)
             + (end, -crash or 0)
 
     `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
@@ -160,8 +160,8 @@ def navigation_reward(state: State, outcome: int, end: float, crash: float) -> f
         least = min(least, float(state.sensed[n]))
     last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
     slide = max(abs(state.twist[0] * state.twist[1]) - SLIDE_ACCELERATION, 0.0)
-    costs = 0.02 + 0.15 * (1.0 - least / NEAR_SHARE) - 0.05 * min(state.action[0], 0.0)
-    costs += 0.05 * min(slide, 2.0) + 0.05 * float(state.sensed[STALLED])
+    costs = 0.04 + 0.15 * (1.0 - least / NEAR_SHARE) - 0.05 * min(state.action[0], 0.0)
+    costs += 0.1 * min(slide, 2.0) + 0.1 * float(state.sensed[STALLED])
     return 0.1 * float(state.sensed[GAINED]) - costs + last
 
 

@@ -19,6 +19,7 @@ from acsar_gym.tasks.base import (
 )
 from acsar_gym.tasks.factory import check_positive
 from acsar_gym.trigonometry import cos_sin
+from acsar_gym.worlds.search import PATH_SPACING
 
 _SCALED = (-OBSERVATION_LIMIT, OBSERVATION_LIMIT)
 LOOKAHEAD = 4
@@ -33,9 +34,13 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "angular_velocity": _SCALED,
     "last_linear": (-1.0, 1.0),
     "last_angular": (-1.0, 1.0),
+    "max_linear": (0.0, OBSERVATION_LIMIT),
+    "max_angular": (0.0, OBSERVATION_LIMIT),
 }
-POINT_STRIDE = 5
-"""Samples of the path between two observed points: 0.25 m."""
+POINT_TIME = 0.5
+"""Between two observed points of the path, at the robot's top speed [s]."""
+TURN_SCALE = 4.0
+"""The observed greatest yaw rate is divided by this [rad/s]."""
 SEARCH_BACK, SEARCH_AHEAD = 10, 20
 """How many samples of the path behind and ahead of the last position on it are searched."""
 TIE_DISTANCE = 1e-12
@@ -105,12 +110,13 @@ class PathFollow(Task):
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `path_reward`."""
-        gain, cross = memory.gain, memory.cross_track_error
-        return path_reward(gain, cross, state.action[0], outcome)
+        gained = memory.gain / (state.max_twist[0] * state.period)
+        return path_reward(gained, memory.cross_track_error, state.action[0], outcome)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         """The numbers that PATH_OBSERVATION names; lengths and speeds are scaled."""
         limit, (cos, sin) = OBSERVATION_LIMIT, cos_sin(state.pose[2])
+        fastest, turning = state.max_twist
         return (
             clip_to(memory.cross_track_error / self.max_cross_track, limit),
             *cos_sin(memory.heading_error),
@@ -119,9 +125,11 @@ class PathFollow(Task):
             *point_ahead(state, memory, cos, sin, 2),
             *point_ahead(state, memory, cos, sin, 3),
             *point_ahead(state, memory, cos, sin, 4),
-            clip_to(state.twist[0] / state.max_twist[0], limit),
-            clip_to(state.twist[1] / state.max_twist[1], limit),
+            clip_to(state.twist[0] / fastest, limit),
+            clip_to(state.twist[1] / turning, limit),
             *state.action,
+            min(fastest, limit),
+            min(turning / TURN_SCALE, limit),
         )
 
 
@@ -150,14 +158,18 @@ def remaining_length(state: State, memory: Any) -> float:
 def point_ahead(
     state: State, memory: Any, cos: float, sin: float, number: int
 ) -> tuple[float, float]:
-    """How far an observed point of the path, from 1, lies ahead and to the left [m], clipped.
+    """How far an observed point of the path, from 1, lies ahead and to the left, clipped.
 
-    `cos` and `sin` are those of the robot's heading.
+    In units of what the top speed drives until the last of these points. `cos` and `sin` are those
+    of the robot's heading.
     """
-    k = min(int(memory.progress) + number * POINT_STRIDE, len(state.path) - 1)
+    stride = POINT_TIME * state.max_twist[0]
+    samples = max(math.floor(number * stride / PATH_SPACING + 0.5), number)
+    k = min(int(memory.progress) + samples, len(state.path) - 1)
     x, y = state.path[k, 0], state.path[k, 1]
     ahead, left = relative_point(state.pose[0], state.pose[1], cos, sin, x, y)
-    return clip_to(ahead, OBSERVATION_LIMIT), clip_to(left, OBSERVATION_LIMIT)
+    unit = LOOKAHEAD * stride
+    return clip_to(ahead / unit, OBSERVATION_LIMIT), clip_to(left / unit, OBSERVATION_LIMIT)
 
 
 @compilable
@@ -201,16 +213,16 @@ def heading_error(theta: float, bearing: float) -> float:
 
 
 @compilable
-def path_reward(gain: float, cross: float, linear: float, outcome: int) -> float:
+def path_reward(gained: float, cross: float, linear: float, outcome: int) -> float:
     """Reward of a step along a path.
 
-        2 gain - 0.02 - 0.5 |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
+        0.1 gained - 0.02 - |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
 
     Args:
-        gain: length of the path covered in the step [m].
+        gained: length of the path covered in the step, in parts of what the top speed would drive.
         cross: distance from the path [m].
         linear: the action's linear part, in [-1, 1].
         outcome: number of the step's Outcome.
     """
     end = 2.0 if outcome == 1 else (-2.0 if outcome > 1 else 0.0)
-    return 2.0 * gain - 0.02 - 0.5 * abs(cross) + 0.05 * min(linear, 0.0) + end
+    return 0.1 * gained - 0.02 - abs(cross) + 0.05 * min(linear, 0.0) + end

@@ -180,7 +180,8 @@ def _read_sizes(shape: Element, what: str, count: int, model: str) -> list[float
 
 def _read_body(body: Element, frame: SdfFrame, model: str) -> Shape:
     """A collision body seen from above; empty where the robot can't touch it."""
-    shape = next(iter(body.find("geometry") or ()), None)
+    geometry = body.find("geometry")
+    shape = None if geometry is None else next(iter(geometry), None)
     circles: list[list[float]] = []
     segments: list[list[float]] = []
     height = 0.0

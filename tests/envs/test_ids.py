@@ -129,7 +129,7 @@ BLOCKED = World(np.array([[3.0, 0.0, 0.1]]), goal=Region(3.0, 0.0))
         ("PointGoal-v0", {"randomization": {"feedback_rate": (1.0, 20.0)}}, "feedback_timeout"),
         ("PointGoal-v0", {"randomization": VARIED, "link": PORT}, "simulated"),
         ("PointGoal-v0", {"randomization": VARIED, "link": "replay:tape.mcap"}, "simulated"),
-        ("ObstacleGoal-v1", {"link": PORT}, "lidar='rplidar:///dev/ttyUSB1'"),
+        ("ObstacleGoal-v1", {"link": PORT}, "like rplidar:///dev/ttyUSB1"),
         ("ObstacleGoal-v1", {"worlds": "clutte"}, "'clutter'"),
         ("ObstacleGoal-v1", {"worlds": BLOCKED}, "goal"),
         ("ObstacleGoal-v1", {"difficulty": 2.0}, "difficulty"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -228,6 +229,24 @@ def test_without_opengl_one_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(mujoco, "Renderer", fail)
     with pytest.raises(RenderError, match="MUJOCO_GL"):
         MujocoBody(ACSAR).image(8, 6)
+
+
+def test_triton_is_imported_before_anything_is_drawn(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def draw(*arguments: Any) -> None:
+        imported.append(sys.modules["triton"].__file__)
+        raise mujoco.FatalError("no context")
+
+    imported: list[str | None] = []
+    (tmp_path / "triton.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "triton", None)  # is put back at the end
+    del sys.modules["triton"]
+    monkeypatch.setattr(mujoco, "Renderer", draw)
+    with pytest.raises(RenderError):
+        MujocoBody(ACSAR).image(8, 6)
+    assert imported == [str(tmp_path / "triton.py")]
 
 
 def test_without_mujoco_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,9 +17,11 @@ from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, TaskError
 from acsar_gym.jit import COMPILED
 from acsar_gym.sensors import LIDAR, MAP
+from acsar_gym.sensors.arcs import ARCS
 from acsar_gym.sensors.map import (
     BODY,
     FARTHEST_CLEARANCE,
+    FIRST_ARC,
     FIRST_SECTOR,
     GAINED,
     MAP_HIGH,
@@ -30,6 +32,7 @@ from acsar_gym.sensors.map import (
     SECTORS,
     STALL_GAIN,
     STALL_STEPS,
+    UNSEEN_CLEARANCE,
     clear_map,
     describe_body,
     log_share,
@@ -109,10 +112,11 @@ def clearance(share: Any) -> Any:
     return NEAR_SHARE * (np.exp(share * math.log1p(FARTHEST_CLEARANCE / NEAR_SHARE)) - 1.0)
 
 
-def test_the_first_number_is_what_was_gained_and_the_last_ones_are_the_sectors() -> None:
+def test_the_first_number_is_what_was_gained_and_the_last_ones_are_sectors_and_arcs() -> None:
     assert MAP_NAMES[GAINED] == "gained"
-    assert MAP_NAMES[FIRST_SECTOR:] == tuple(f"clearance_{n}" for n in range(SECTORS))
-    assert len(MAP_NAMES) == len(set(MAP_NAMES)) == 67
+    assert MAP_NAMES[FIRST_SECTOR:FIRST_ARC] == tuple(f"clearance_{n}" for n in range(SECTORS))
+    assert MAP_NAMES[FIRST_ARC] == "arc_0"
+    assert len(MAP_NAMES) == len(set(MAP_NAMES)) == FIRST_ARC + 2 * ARCS == 89
     assert clearance(log_share(3.7, FARTHEST_CLEARANCE)) == pytest.approx(3.7)
 
 
@@ -168,13 +172,17 @@ def test_a_lidar_that_sees_ahead_alone_remembers_what_is_behind() -> None:
     ahead = clearance(seen[SECTORS // 2])
     reach = HALF_TURN.body.length / 2.0
     assert ahead == pytest.approx((WALL_AHEAD - reach) / radius, abs=0.1)
-    assert seen[0] == 1.0
+    never_seen = pytest.approx(UNSEEN_CLEARANCE)
+    assert clearance(seen[[0, -1]]) == never_seen
     turned = (0.0, 0.0, math.pi)
     seen = sectors(mapped.see(turned, far(HALF_TURN)))
     assert clearance(seen[[0, -1]]) == pytest.approx(ahead, abs=2.0 * CELL_SIDE)
     assert seen[SECTORS // 2] == 1.0
+    for turn in range(64):  # the wall is gone, and what is around is seen by and by
+        seen = sectors(mapped.see((0.0, 0.0, 0.2 * turn), far(HALF_TURN)))
+    assert seen[0] == 1.0
     clear_map(mapped.record)
-    assert sectors(mapped.see(turned, far(HALF_TURN)))[0] == 1.0
+    assert clearance(sectors(mapped.see(turned, far(HALF_TURN)))[0]) == never_seen
 
 
 def test_what_is_gained_adds_up_along_the_way() -> None:

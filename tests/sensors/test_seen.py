@@ -16,6 +16,7 @@ from acsar_gym.sensors.seen import (
     CELLS,
     COST_LETHAL,
     COST_UNIT,
+    COUNT_FREE,
     COUNT_MOST,
     COUNT_OCCUPIED,
     LAST_CELL,
@@ -96,7 +97,7 @@ def ahead(distance: float, turn: int, grid: Grid, *, x: float = 0.0) -> tuple[in
 
 @pytest.mark.parametrize("x", [0.0, -7.3, 12.01])
 @pytest.mark.parametrize(
-    ("scans", "count", "occupied"), [(1, 3, False), (2, 6, True), (3, 9, True), (9, 9, True)]
+    ("scans", "count", "occupied"), [(1, 4, False), (2, 7, True), (3, 10, True), (9, 10, True)]
 )
 def test_a_cell_is_occupied_where_measurements_end(
     x: float, scans: int, count: int, occupied: bool
@@ -117,22 +118,27 @@ def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits:
     for _ in range(hits):
         cell = ahead(1.0, 1, grid)
     count = int(grid.counts[place(cell)])
-    for left in (*range(count - MISS, 0, -MISS), 0):
+    for left in (*range(count - MISS, COUNT_FREE, -MISS), COUNT_FREE):
         for other in range(1, SHARED_RAYS):  # another ray's turn
             ahead(FARTHEST, other, grid)
         ahead(FARTHEST, 0, grid)
-        assert (grid.counts[place(cell)], grid.marks[place(cell)] > 0) == (left, left > 0)
+        found = grid.counts[place(cell)], grid.marks[place(cell)] > 0
+        assert found == (left, left > COUNT_FREE)
     assert not grid.costs.any()
     ahead(FARTHEST, 0, grid)
-    assert not grid.counts.any()
+    assert grid.counts.max() == COUNT_FREE
 
 
-def test_what_ends_beyond_the_window_or_nowhere_counts_nothing() -> None:
+@pytest.mark.parametrize("distance", [HALF * SIDE + 0.1, FARTHEST])
+def test_what_ends_beyond_the_window_or_nowhere_is_no_obstacle(distance: float) -> None:
     grid = empty()
-    for distance in (HALF * SIDE + 0.1, FARTHEST):
-        for turn in range(SHARED_RAYS):
-            ahead(distance, turn, grid)
-    assert not any(cells.any() for cells in grid)
+    for turn in range(SHARED_RAYS):
+        ahead(distance, turn, grid)
+    assert not grid.costs.any()
+    assert not grid.marks.any()
+    passed = [place((i, 0)) for i in range(2, HALF - 3)]  # seen, and free
+    assert [int(grid.counts[cell]) for cell in passed] == [COUNT_FREE] * len(passed)
+    assert not grid.counts[:, 1:].any()
 
 
 def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:

@@ -37,23 +37,23 @@ def paid(sensed: Any = None, **known: Any) -> float:
 @pytest.mark.parametrize(
     ("known", "expected"),
     [
-        ({}, -0.02),
-        ({"sensed": told(1.0)}, 0.08),
-        ({"sensed": told(-1.0)}, -0.12),
-        ({"pose": (1.0, 0.0, 0.0)}, -0.02),  # nearer in a straight line, but not along the way
-        ({"action": (1.0, -1.0)}, -0.02),
-        ({"action": (-1.0, 0.0)}, -0.07),
-        ({"contact": True}, -15.02),
-        ({"sensed": told(stalled=0.4)}, -0.04),
-        ({"twist": (0.5, 1.4)}, -0.02),
-        ({"twist": (1.0, -1.5)}, -0.06),  # it slides
-        ({"twist": (2.0, 4.0)}, -0.12),
-        ({"pose": (3.8, 0.0, 0.0)}, 4.98),
-        ({"pose": (3.8, 0.0, 0.0), "sensed": told(0.5)}, 5.03),
-        ({"sensed": told(0.0, 0.5, 16.0)}, -0.02),
-        ({"sensed": told(0.0, 0.0)}, -0.17),
-        ({"sensed": told(0.0, 3.0, 0.0, 9.0)}, -0.17),
-        ({"sensed": told(0.0, 3.0, 0.2)}, -0.02 - 0.15 * (1.0 - math.log(1.8) / math.log(3.0))),
+        ({}, -0.04),
+        ({"sensed": told(1.0)}, 0.06),
+        ({"sensed": told(-1.0)}, -0.14),
+        ({"pose": (1.0, 0.0, 0.0)}, -0.04),  # nearer in a straight line, but not along the way
+        ({"action": (1.0, -1.0)}, -0.04),
+        ({"action": (-1.0, 0.0)}, -0.09),
+        ({"contact": True}, -15.04),
+        ({"sensed": told(stalled=0.4)}, -0.08),
+        ({"twist": (0.5, 1.4)}, -0.04),
+        ({"twist": (1.0, -1.5)}, -0.12),  # it slides
+        ({"twist": (2.0, 4.0)}, -0.24),
+        ({"pose": (3.8, 0.0, 0.0)}, 4.96),
+        ({"pose": (3.8, 0.0, 0.0), "sensed": told(0.5)}, 5.01),
+        ({"sensed": told(0.0, 0.5, 16.0)}, -0.04),
+        ({"sensed": told(0.0, 0.0)}, -0.19),
+        ({"sensed": told(0.0, 3.0, 0.0, 9.0)}, -0.19),
+        ({"sensed": told(0.0, 3.0, 0.2)}, -0.04 - 0.15 * (1.0 - math.log(1.8) / math.log(3.0))),
     ],
 )
 def test_reward_pays_for_the_way_and_for_arrival_and_costs_little_clearance(

@@ -86,8 +86,8 @@ def test_reward_pays_for_progress_along_the_path() -> None:
     (reward, _), (back, _) = walk(played(), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))
     assert reward == pytest.approx(0.08)
     assert back == pytest.approx(-0.12)
-    assert path_reward(0.05, 0.1, 1.0, 0) == pytest.approx(0.03)
-    assert path_reward(0.05, 0.0, -1.0, 0) == pytest.approx(0.03)
+    assert path_reward(1.0, 0.01, 1.0, 0) == pytest.approx(0.07)
+    assert path_reward(1.0, 0.0, -1.0, 0) == pytest.approx(0.03)
     assert path_reward(0.0, 0.0, 1.0, 1) == pytest.approx(1.98)
     assert path_reward(0.0, 0.0, 1.0, 2) == pytest.approx(-2.02)
 

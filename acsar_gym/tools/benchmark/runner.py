@@ -35,7 +35,7 @@ from acsar_gym.tools.benchmark.figures import Scoring, record_episode
 from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
 from acsar_gym.tools.benchmark.scenes import SceneSet
 from acsar_gym.tools.benchmark.store import Part, Store
-from acsar_gym.tools.emulation.board import run_emulator
+from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import episodes, report, runs
 from acsar_gym.tools.evaluation.episodes import EpisodeResult
 from acsar_gym.tools.jobs import completed
@@ -183,7 +183,7 @@ def _drive_over_port(
         with run_emulator(*given, *around) as devices:
             if devices.lidar:
                 options["lidar"] = f"rplidar://{devices.lidar}"
-            env = runs.make_env(policy, devices.robot, config, options)
+            env = runs.make_env(policy, devices.robot, config.with_(**PATIENCE), options)
             inner: Any = env.unwrapped
             with contextlib.closing(env):
                 (result,) = episodes.run_episodes(env, policy, 1, seed, **reset)

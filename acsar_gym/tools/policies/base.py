@@ -28,7 +28,7 @@ from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.base import Floats
 from acsar_gym.tasks.factory import task_name
-from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD
+from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD, POINT_TIME
 from acsar_gym.tools.policies import describe
 from acsar_gym.tools.policies.bundle import Bundle
 from acsar_gym.tools.policies.describe import observation_scale
@@ -322,7 +322,8 @@ class PolicyContext:
             )
             told["remaining"] = numbers[at["remaining"]] * LENGTH_SCALE
             first = at["ahead_1"]
-            told["points"] = numbers[first : first + 2 * LOOKAHEAD].reshape(LOOKAHEAD, 2)
+            points = numbers[first : first + 2 * LOOKAHEAD].reshape(LOOKAHEAD, 2)
+            told["points"] = points * (LOOKAHEAD * POINT_TIME * config.max_linear)
         if self.rays is not None:
             told["ranges"] = numbers[self.rays] * config.lidar.max_range
         return DecodedObservation(**told)  # type: ignore[arg-type]  # its own fields

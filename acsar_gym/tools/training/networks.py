@@ -37,8 +37,8 @@ class MirrorPolicy(ActorCriticPolicy):
     Args:
         *args: as of ActorCriticPolicy.
         odd: indices of the features that change their sign in the mirror.
-        reversed_at: first and count of the features whose order it reverses, such as directions
-            around the robot.
+        reversed_at: first and count of groups of features whose order it reverses, such as
+            directions around the robot.
         **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer. Classes
             may be given by the names in `classes`, as RL Zoo does with a recipe's.
 
@@ -50,11 +50,11 @@ class MirrorPolicy(ActorCriticPolicy):
         self,
         *args: Any,
         odd: Sequence[int] = (),
-        reversed_at: tuple[int, int] = (0, 0),
+        reversed_at: Sequence[tuple[int, int]] = (),
         **kwargs: Any,
     ) -> None:
-        first, count = reversed_at
-        self._odd, self._reversed_at = tuple(odd), (first, count)
+        self._odd = tuple(odd)
+        self._reversed_at = tuple((first, count) for first, count in reversed_at)
         super().__init__(*args, **find_classes(kwargs))
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
@@ -110,23 +110,25 @@ class _Split(torch.nn.Module):
     Args:
         width: of the features.
         odd: indices of the numbers that change their sign in the mirror.
-        reversed_at: (first, count) of numbers whose order the mirror reverses.
+        reversed_at: (first, count) of groups of numbers whose order the mirror reverses.
 
     Raises:
         ConfigError: they aren't indices of the features.
     """
 
-    def __init__(self, width: int, odd: Sequence[int], reversed_at: tuple[int, int]) -> None:
+    def __init__(
+        self, width: int, odd: Sequence[int], reversed_at: Sequence[tuple[int, int]]
+    ) -> None:
         super().__init__()
-        first, count = reversed_at
-        single = [k for k in range(width) if not first <= k < first + count]
-        if not (set(odd) <= set(single) and 0 <= first <= first + count <= width):
+        named = [*odd, *(k for first, count in reversed_at for k in range(first, first + count))]
+        if len(set(named)) < len(named) or not set(named) <= set(range(width)):
             raise ConfigError(
                 f"MirrorPolicy: odd = {tuple(odd)}, reversed_at = {tuple(reversed_at)}: must be "
                 f"different ones of {width} numbers"
             )
         image = torch.diag(torch.tensor([-1.0 if k in odd else 1.0 for k in range(width)]))
-        image[first : first + count, first : first + count] = torch.eye(count).flip(0)
+        for first, count in reversed_at:
+            image[first : first + count, first : first + count] = torch.eye(count).flip(0)
         kept: dict[float, list[torch.Tensor]] = {1.0: [], -1.0: []}
         for parity, rows in kept.items():
             for row in torch.eye(len(image)) + parity * image:

@@ -196,7 +196,7 @@ class TrainingPlan:
     def held_out_robot(self) -> str | None:
         """The robots that are evaluated: others than those of the training where they are drawn."""
         asked = self.options.robot
-        return "drawn:validation" if asked and drawn.is_drawn(asked) else asked
+        return "drawn:validation" if drawn.PREFIX in (asked or "") else asked
 
     @property
     def evaluations(self) -> int:

@@ -155,7 +155,7 @@ def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model:
 def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    for name, said in (("gone", "no such device"), ("file", "can't be opened as a serial port")):
+    for name, said in (("gone", "no such device"), ("file", "isn't a serial port")):
         lidar = make(str(tmp_path / name))
         assert said in error_of(functools.partial(reset, lidar))
     with pytest.raises(ConfigError, match="must be like"):

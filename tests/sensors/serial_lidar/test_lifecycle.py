@@ -110,6 +110,8 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
 
 def test_a_forked_child_leaves_its_parents_device_alone(sensor: Emulated) -> None:
     forking = """
+import warnings
+warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
 if os.fork() == 0:
     try:
         lidar.scan()

@@ -172,9 +172,14 @@ def told_by(module: str) -> list[str]:
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The name of a new module in the current folder."""
+    """The name of a new, still empty module in the current folder.
+
+    Imports keep lists of folders, as old as the folders' times, which are coarse.
+    """
     monkeypatch.chdir(tmp_path)
     name = f"mine_{uuid.uuid4().hex}"
+    Path(f"{name}.py").touch()
+    importlib.invalidate_caches()
     yield name
     sys.modules.pop(name, None)
 

@@ -156,19 +156,25 @@ def test_another_lidar_is_named(lidar: dict[str, Any], said: str, tmp_path: Path
     assert said in refused(path, robot=ACSAR.with_(lidar=lidar), worlds="open:2")
 
 
-def differences(file: str | Path = "path_follow", /, **changes: Any) -> tuple[str, ...]:
+def differences(file: Path, /, **changes: Any) -> tuple[str, ...]:
     """What is told of a robot that drives with a policy."""
     policy = OnnxPolicy(file)
-    worlds = "smooth_path:2" if file == "path_follow" else "open:2"
-    runs.make_env(policy, "planar", ACSAR.with_(**changes), {"worlds": worlds}).close()
+    runs.make_env(policy, "planar", ACSAR.with_(**changes), {"worlds": "open:2"}).close()
     return policy.differences
 
 
-def test_a_robot_like_those_of_the_training_is_not_told() -> None:
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy file of a training with a single robot."""
+    return relabelled(tmp_path_factory.mktemp("alone") / "alone.onnx", robots={})
+
+
+def test_a_robot_like_those_of_the_training_is_not_told(alone: Path) -> None:
     within = {"motor": {"time_constant": (0.05, 0.08, 0.1, 0.119)}, "body": {"friction": 0.8}}
     silent = {"wheel_radius": 0.06, "name": "other", "serial_port": "/dev/ttyUSB7"}
-    assert differences() == differences(**within) == differences(**silent) == ()
-    assert differences(firmware={"command_delay": 0.015}) == ()
+    assert differences(alone) == differences(alone, **within) == ()
+    assert differences(alone, **silent) == ()
+    assert differences(alone, firmware={"command_delay": 0.015}) == ()
 
 
 @pytest.mark.parametrize(
@@ -191,15 +197,17 @@ def test_a_robot_like_those_of_the_training_is_not_told() -> None:
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_a_robot_outside_of_the_training_is_one_line_a_field(
-    changes: dict[str, Any], said: str
+    alone: Path, changes: dict[str, Any], said: str
 ) -> None:
-    (line,) = differences(**changes)
+    (line,) = differences(alone, **changes)
     assert said in line
     assert line.endswith("it may drive worse than it was measured to")
 
 
-def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one(tmp_path: Path) -> None:
-    assert differences(lidar_x_offset=0.1) == ()
+def test_where_a_lidar_looks_from_is_told_of_policies_that_use_one(
+    alone: Path, tmp_path: Path
+) -> None:
+    assert differences(alone, lidar_x_offset=0.1) == ()
     path = fitting(tmp_path / "p.onnx", "obstacle_goal", worlds="open:2")
     line, footprint = differences(path, lidar_x_offset=0.1, body={"length": 0.6})
     assert "lidar_x_offset was -0.15 in the training and is 0.1" in line
@@ -223,9 +231,9 @@ def test_ranges_of_a_training_follow_from_the_randomization() -> None:
     assert isinstance(unknown, Bundle)
 
 
-def test_driving_warns_once_a_field_and_the_header_says_it() -> None:
+def test_driving_warns_once_a_field_and_the_header_says_it(alone: Path) -> None:
     robot: Any = ACSAR.with_(body={"mass": 9.0}, max_angular=1.0)
-    policy = OnnxPolicy("path_follow")
+    policy = OnnxPolicy(alone)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         done = runs.evaluate_policy(policy, "planar", robot, range(1))

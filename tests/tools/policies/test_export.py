@@ -69,7 +69,7 @@ def test_a_network_that_is_called_in_its_own_way_decides_the_same(tmp_path: Path
     ("options", "said"),
     [
         ({"outputs": 3}, "(1, 3)"),
-        ({"env_id": "path_follow"}, "(batch, 16)"),
+        ({"env_id": "path_follow"}, "(batch, 18)"),
         ({"normalizer": (0.0, 0.0, None)}, "std"),
         ({"normalizer": (np.nan, 1.0, None)}, "normalizer: mean"),
         ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),

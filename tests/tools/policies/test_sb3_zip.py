@@ -92,7 +92,7 @@ def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> N
         runs.make_env(ZipPolicy(path, trust=True), "planar", None, {})
     runs.export_policy(path, out, "point_goal", None, trust=True)
     assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
-    with pytest.raises(PolicyError, match=r"Box.*\(7,\).*\(16,\)"):
+    with pytest.raises(PolicyError, match=r"Box.*\(7,\).*\(18,\)"):
         runs.export_policy(path, out, "path_follow", None, trust=True)
     with pytest.raises(ConfigError, match="Maze"):
         runs.export_policy(path, out, "maze", None, trust=True)
