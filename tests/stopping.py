@@ -17,10 +17,12 @@ import contextlib
 import ctypes
 import errno
 import hashlib
+import itertools
 import math
 import os
 import pty
 import random
+import select
 import signal
 import statistics
 import subprocess
@@ -33,6 +35,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+import gamepad_tools
 from rich.console import Console
 from rich.table import Table
 from serial_tools import Emulated, start
@@ -44,6 +47,8 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.robot import Robot
 from acsar_gym.safety.estop import stop_all
+from acsar_gym.tools import teleop
+from acsar_gym.tools.gamepad import ABS_RZ, BTN_TL, EV_ABS, EV_KEY
 from acsar_gym.worlds import Scene
 
 KINDS = {
@@ -77,6 +82,9 @@ KINDS = {
     "main-raises": "the main thread raises; another one drives",
     "pool": "the main thread raises; an executor's drives",
     "atexit": "sys.exit, slow atexit handler; a thread drives",
+    "keys": "hands off the keyboard",
+    "deadman": "the gamepad's deadman is let go",
+    "pad-cable": "the gamepad's cable is pulled",
 }
 OWN_FAULTS = ("hang", "busy", "exception", "exit", "watchdog", "waitpid")
 """Kinds that a policy causes in its own program."""
@@ -91,6 +99,8 @@ CALLING = ("call-term", "call-hup", "call-quit", "call-int", "call-asyncio")
 MAIN_ENDS = ("thread-end", "main-raises", "pool", "atexit")
 """Kinds in which the main thread ends."""
 THREADED = ("thread-term", "thread-hup", "to-thread", *CALLING, *MAIN_ENDS)
+BY_HAND = ("keys", "deadman", "pad-cable")
+"""Kinds in which a person drives; the fault is that the hands let go."""
 PAUSED = ("pause", "ctrl-z")
 """Kinds in which the program is suspended and continued; the fault is that it goes on."""
 SIGNALS = {
@@ -111,6 +121,12 @@ SIGNALS = {
 """Signals sent to the program, by kind."""
 LIMIT = 0.25
 """Required time from fault to zero command [s]."""
+LIMITS = {"keys": 0.6, "deadman": 0.1, "pad-cable": 0.1}
+"""The same where it isn't LIMIT. A key counts for 0.5 s, as terminals repeat one that is held."""
+KEY_REPEAT = 1.0 / 30.0
+"""Time between two repetitions of a key that is held [s]."""
+HOLD_TIMEOUT = 30.0
+"""Longest wait for a program that is driven by hand [s]."""
 MAX_STARTS = 3
 """Attempts per trial, as a program may end before its fault."""
 ZERO_TIMEOUT = 3.0
@@ -144,12 +160,17 @@ class Stops:
 
     @property
     def in_time(self) -> int:
-        """Number of trials within LIMIT."""
-        return sum(took <= LIMIT for took in self.times)
+        """Number of trials within the limit."""
+        return sum(took <= self.limit for took in self.times)
+
+    @property
+    def limit(self) -> float:
+        """Required time [s]."""
+        return LIMITS.get(self.kind, LIMIT)
 
     @property
     def sound(self) -> bool:
-        """Whether all trials were within LIMIT."""
+        """Whether all trials were within the limit."""
         return self.in_time == len(self.times)
 
 
@@ -278,9 +299,18 @@ def serve(device: str, config: str) -> None:
     for line in sys.stdin:
         kind = line.strip()
         reader, writer = os.pipe()
+        hands = (
+            gamepad_tools.EmulatedPad(Path(tempfile.mkdtemp(), "hands"))
+            if kind in BY_HAND
+            else None
+        )
         program, terminal = pty.fork() if kind == "terminal" else (os.fork(), -1)
         if program == 0:
             os.close(reader)
+            if hands is not None:
+                hands.let_go()
+                _drive_by_hand(device, robot, kind, writer, hands.path)
+                return
             if kind in CONTAINED:
                 become_pid_1(writer)
             _drive(device, robot, kind, writer)
@@ -288,12 +318,17 @@ def serve(device: str, config: str) -> None:
         os.close(writer)
         try:
             with open(reader, encoding="ascii") as report:
-                print(_harm(kind, program, terminal, report), flush=True)
+                if hands is None:
+                    print(_harm(kind, program, terminal, report), flush=True)
+                else:
+                    print(_hold_and_let_go(kind, hands, report), flush=True)
                 sys.stdin.readline()
         finally:  # the program's children are in its session
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(program, signal.SIGKILL)
             os.waitpid(program, 0)
+            if hands is not None:
+                hands.pull()
         print("ended", flush=True)
 
 
@@ -349,6 +384,51 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
     elif kind in SIGNALS:
         os.kill(program, SIGNALS[kind])
     return repr(now)
+
+
+def _hold_and_let_go(kind: str, hands: gamepad_tools.EmulatedPad, report: IO[str]) -> str:
+    """Drive by hand until the robot does, let go, and return the time."""
+    if kind != "keys":
+        pressed, pulled = (EV_KEY, BTN_TL, 1), (EV_ABS, ABS_RZ, 255)
+        hands.send(gamepad_tools.event(*pressed) + gamepad_tools.event(*pulled))
+    patience = time.monotonic() + HOLD_TIMEOUT
+    while not select.select([report], [], [], KEY_REPEAT)[0]:
+        if kind == "keys":
+            hands.send(b"w")
+        if time.monotonic() > patience:
+            return "it doesn't drive"
+    if (first := report.readline().strip()) != "drives":
+        return first or "it ended"
+    time.sleep(random.uniform(0.0, FAULT_JITTER))
+    now = time.monotonic()
+    if kind == "keys":
+        hands.send(b"w")  # for the last time
+    elif kind == "deadman":
+        hands.send(gamepad_tools.event(EV_KEY, BTN_TL, 0))
+    else:
+        hands.pull()
+    return repr(now)
+
+
+def _drive_by_hand(device: str, config: RobotConfig, kind: str, writer: int, hands: Path) -> None:
+    """Run `acsar-gym drive`, with `hands` as keyboard or gamepad; report when it has driven."""
+    os.setsid()
+    for number in (0, 1, 2):  # blessed reads keys only where it shows them
+        os.dup2(os.open(hands if kind == "keys" else os.devnull, os.O_RDWR | os.O_NOCTTY), number)
+    driven = itertools.count(1)
+
+    class Reporting(Robot):
+        def drive(self, linear: float, angular: float) -> None:
+            super().drive(linear, angular)
+            if linear and next(driven) == TICKS:
+                os.write(writer, b"drives\n")
+
+    robot = Reporting(open_link(device, config), config)
+    with contextlib.suppress(AcsarError):
+        if kind == "keys":
+            teleop.drive_keyboard(robot)
+        else:
+            teleop.drive_gamepad(robot, str(hands))
 
 
 def _pause(kind: str, program: int, watchdog: int) -> float:
@@ -517,7 +597,7 @@ def main() -> int:
     parser.add_argument("--board", help="command that emulates the board; see `measure`")
     options = parser.parse_args()
     title = "from fault to zero command [ms]"
-    drawn = Table("fault", "min", "median", "max", f"within {LIMIT * 1000.0:.0f}", title=title)
+    drawn = Table("fault", "min", "median", "max", "in time", title=title)
     for column in drawn.columns[1:]:
         column.justify = "right"
     sound = True
@@ -527,7 +607,7 @@ def main() -> int:
         if times := stops.times:
             figures = (min(times), statistics.median(times), max(times))
             cells = [f"{figure * 1000.0:.1f}" for figure in figures]
-            cells.append(f"{stops.in_time} of {len(times)}")
+            cells.append(f"{stops.in_time} of {len(times)} within {stops.limit * 1000.0:.0f}")
         drawn.add_row(KINDS[stops.kind], *cells)
         print(KINDS[stops.kind], *cells, sep="  ", file=sys.stderr)
     Console().print(drawn)

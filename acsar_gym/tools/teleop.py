@@ -1,4 +1,4 @@
-"""Driving by keyboard or with a fixed twist, on any link."""
+"""Driving by keyboard, by gamepad or with a fixed twist, on any link."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import sys
 
 from blessed import Terminal
 
-from acsar_gym.errors import CommandError
+from acsar_gym.errors import CommandError, escape_unprintable
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
+from acsar_gym.tools.gamepad import Gamepad, PadEvent
 from acsar_gym.worlds import Scene
 
 KEY_TIMEOUT = 0.5
@@ -26,6 +27,13 @@ KEY_HELP = (
     f"{SPEED_SHARE:.0%}), space stops, q quits,\n"
     "e or Esc emergency stop; after one, here or by acsar-gym estop, r releases it "
     "and sets the odometry to zero"
+)
+GAMEPAD_HELP = (
+    "hold LB (L1) to drive, letting go stops: right trigger forward, left trigger back, "
+    "left stick turns,\n"
+    "B (circle) emergency stop; after one, here or by acsar-gym estop, Start releases it "
+    "and sets the odometry to zero;\n"
+    "Back (Select) quits"
 )
 AHEAD_KEYS = {"w": 1.0, "KEY_UP": 1.0, "s": -1.0, "KEY_DOWN": -1.0}
 """Keys that drive, and the direction."""
@@ -67,7 +75,9 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
 def drive_keyboard(robot: Robot) -> None:
     """Drive from the keyboard, until q or Ctrl-C."""
     if not sys.stdin.isatty():
-        raise CommandError("no keyboard here: give a fixed twist with --linear and --angular")
+        raise CommandError(
+            "no keyboard here: give a fixed twist with --linear and --angular, or --gamepad"
+        )
     terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
     config, keys = robot.config, DriveKeys()
     print(KEY_HELP)
@@ -88,6 +98,43 @@ def drive_keyboard(robot: Robot) -> None:
             robot.drive(linear * config.max_linear, angular * config.max_angular)
             if tick % SHOW_EVERY == 0 and sys.stdout.isatty():
                 _print_status(robot)
+
+
+def drive_gamepad(robot: Robot, device: str = "") -> None:
+    """Drive with a gamepad, until its Back button or Ctrl-C.
+
+    Where the pad is lost, the robot is held at zero until it is back and LB is pressed anew.
+
+    Args:
+        robot: the robot.
+        device: the pad's event device; "" for the first one found.
+
+    Raises:
+        CommandError: there is no gamepad, or it can't be read.
+        LinkError: the robot's link failed.
+    """
+    config = robot.config
+    with Gamepad(device) as pad, robot:
+        print(f"{escape_unprintable(pad.name)}: {GAMEPAD_HELP}")
+        for tick in itertools.count():
+            for event in pad.poll():
+                if event is PadEvent.QUIT:
+                    sys.stdout.write("\n")
+                    return
+                if event is PadEvent.STOP:
+                    robot.estop()
+                elif event is PadEvent.RELEASE and robot.safety.stopped:
+                    pad.disarm()
+                    robot.release_estop()
+                    robot.reset(Scene())
+                elif event is PadEvent.LOST:
+                    _warn(f"{pad.name}: lost; the robot stands until it is plugged in again")
+                elif event is PadEvent.BACK:
+                    _warn(f"{pad.name}: back; press LB to drive on")
+            linear, angular = pad.twist()
+            robot.drive(linear * config.max_linear, angular * config.max_angular)
+            if tick % SHOW_EVERY == 0 and sys.stdout.isatty():
+                _print_status(robot, release="Start")
 
 
 class DriveKeys:
@@ -114,14 +161,23 @@ class DriveKeys:
         return linear * self._share, angular * self._share
 
 
-def _print_status(robot: Robot) -> None:
-    """Write pose, twist, age of the feedback and the safety state to stdout."""
+def _warn(text: str) -> None:
+    """Write a line to stderr, below the status line."""
+    below = "\n" if sys.stdout.isatty() else ""
+    print(f"{below}acsar-gym: {escape_unprintable(text)}", file=sys.stderr)
+
+
+def _print_status(robot: Robot, release: str = "r") -> None:
+    """Write pose, twist, age of the feedback and the safety state to stdout.
+
+    `release` is the key that releases an emergency stop.
+    """
     x, y, theta = robot.odometry.pose
     linear, angular = robot.odometry.twist
     age = robot.feedback_age * 1000.0
     reason = robot.safety.reason.name if robot.safety.reason else ""
     if robot.safety.reason is Reason.EMERGENCY_STOP:
-        reason += ": r releases it"
+        reason += f": {release} releases it"
     sys.stdout.write(
         f"\rx {x:7.3f} m  y {y:7.3f} m  theta {math.degrees(theta):7.1f} deg  "
         f"v {linear:6.3f} m/s  w {angular:6.3f} rad/s  feedback {age:4.0f} ms old  {reason:29} "

@@ -23,6 +23,7 @@ ACSAR = RobotConfig.preset("acsar")
         pytest.param(("waitpid", *stopping.PAUSED), id="suspended"),
         pytest.param((*stopping.CALLING, "to-thread"), id="signals in C calls"),
         pytest.param(("main-raises", "pool", "atexit"), id="ends of the main thread"),
+        pytest.param(stopping.BY_HAND, id="hands that let go"),
         pytest.param(tuple(stopping.KINDS), id="all", marks=pytest.mark.slow),
     ],
 )

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import os
 import pty
 import select
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import pytest
+from gamepad_tools import EmulatedPad, event
 from serial_tools import (
     CLI,
     HEEDING_CTRL_C,
@@ -28,8 +33,21 @@ from serial_tools import (
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import CommandError
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.recording import Recorder
+from acsar_gym.recording.reader import read
 from acsar_gym.safety.estop import stop_all
-from acsar_gym.tools import teleop
+from acsar_gym.tools import gamepad, teleop
+from acsar_gym.tools.gamepad import (
+    ABS_RZ,
+    ABS_X,
+    BTN_EAST,
+    BTN_SELECT,
+    BTN_START,
+    BTN_TL,
+    EV_ABS,
+    EV_KEY,
+    Gamepad,
+)
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -174,20 +192,30 @@ class Screen:
         return self.process.wait(0.0)
 
 
-@pytest.fixture
-def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
+@contextlib.contextmanager
+def open_screen(*arguments: str) -> Iterator[Screen]:
     master, slave = pty.openpty()
-    command = [*CLI, "drive", "--link", emulator.device, "--robot", str(robot_file())]
     # Blessed asks the terminal what it can do; nobody is here to answer.
     env = {**os.environ, "TERM": "xterm", "BLESSED_QUERY_TIMEOUT_SECONDS": "0"}
     process = subprocess.Popen(
-        command, stdin=slave, stdout=slave, stderr=slave, start_new_session=True, env=env
+        [*CLI, "drive", *arguments],
+        stdin=slave,
+        stdout=slave,
+        stderr=slave,
+        start_new_session=True,
+        env=env,
     )
     yield Screen(process, master)
     process.kill()
     process.wait(TIMEOUT)
     os.close(master)
     os.close(slave)
+
+
+@pytest.fixture
+def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
+    with open_screen("--link", emulator.device, "--robot", str(robot_file())) as shown:
+        yield shown
 
 
 def hold(screen: Screen, key: str, emulator: Emulated, command: Command) -> None:
@@ -254,3 +282,122 @@ def test_after_an_emergency_stop_the_person_at_the_keyboard_releases_it(
     hold(screen, "w", emulator, forward)
     screen.press("q")
     assert screen.wait() == 0
+
+
+LB, LET_GO = event(EV_KEY, BTN_TL, 1), event(EV_KEY, BTN_TL, 0)
+FULL, REST = event(EV_ABS, ABS_RZ, 255), event(EV_ABS, ABS_RZ, 0)
+LEFT = event(EV_ABS, ABS_X, -32768)
+STOP, START, QUIT = (event(EV_KEY, code, 1) for code in (BTN_EAST, BTN_START, BTN_SELECT))
+
+
+@pytest.fixture
+def pad(tmp_path: Path) -> Iterator[EmulatedPad]:
+    emulated = EmulatedPad(tmp_path / "pad")
+    yield emulated
+    emulated.pull()
+
+
+def test_a_recorded_drive_stops_in_the_tick_in_which_the_deadman_is_let_go_or_the_cable_pulled(
+    pad: EmulatedPad, config: RobotConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    happens: dict[int, Callable[[], None]] = {
+        50: lambda: pad.deliver(FULL),  # a trigger alone
+        60: lambda: pad.deliver(REST + LB + FULL),
+        160: lambda: pad.deliver(LET_GO),
+        200: lambda: pad.deliver(REST + LB + LEFT),
+        260: pad.pull,
+        270: pad.plug,
+        350: lambda: pad.deliver(FULL),
+        400: lambda: pad.deliver(QUIT),
+    }
+    poll, ticks = Gamepad.poll, itertools.count()
+
+    def scripted(opened: Gamepad) -> list[gamepad.PadEvent]:
+        if happening := happens.get(next(ticks)):
+            happening()
+        return poll(opened)
+
+    monkeypatch.setattr(Gamepad, "poll", scripted)
+    path = tmp_path / "drive.mcap"
+    robot = Robot(open_link("planar", config), config, recorder=Recorder(path, {"command": "test"}))
+    teleop.drive_gamepad(robot, str(pad.path))
+    (episode,) = read(path).episodes
+    full, left = (config.max_linear, 0.0), (0.0, config.max_angular)
+    spans = ((0, 60, (0.0, 0.0)), (60, 160, full), (160, 200, (0.0, 0.0)), (200, 260, left))
+    for begin, end, twist in (*spans, (260, 400, (0.0, 0.0))):
+        assert set(map(tuple, episode.asked[begin:end].tolist())) == {twist}, begin
+        assert (episode.sent[begin:end] == 0.0).all() == (twist == (0.0, 0.0))
+        assert episode.sent[end - 1].tolist() == pytest.approx(twist)
+    assert len(episode.asked) == 400
+
+
+def test_driving_with_a_gamepad_whose_cable_is_pulled(
+    pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile, config: RobotConfig, tmp_path: Path
+) -> None:
+    path = tmp_path / "drive.mcap"
+    options = ("--link", emulator.device, "--robot", str(robot_file()), "--record", str(path))
+    fastest = on_the_wire(config, config.max_linear, 0.0)
+    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
+        wait_until(lambda: "feedback" in screen.look(), "the status line")
+        assert "hold LB" in screen.look()
+        ways: tuple[Callable[[], None], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
+        for stop in ways:
+            pad.send(LB + FULL)
+            wait_until(lambda: fastest in emulator.commands()[-10:], "full speed")
+            stop()
+            wait_until(emulator.is_stopped, "zero as the newest command")
+            stood = len(emulator.commands())
+            wait_for_commands(emulator, stood + 20)
+            assert set(emulator.commands()[stood:]) == {ZERO}
+        wait_until(lambda: "lost" in screen.look(), "the message")
+        pad.plug()
+        wait_until(lambda: "press LB to drive on" in screen.look(), "a pad that is back")
+        pad.send(LB + FULL)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        pad.send(QUIT)
+        assert screen.wait() == 0
+        assert screen.look().count("lost") == 1
+        assert "Traceback" not in screen.look()
+    wait_until(emulator.is_stopped, "zero as the last command")
+    asked = np.concatenate([episode.asked for episode in read(path).episodes])
+    assert np.unique(asked, axis=0).tolist() == [[0.0, 0.0], [config.max_linear, 0.0]]
+
+
+def test_after_an_emergency_stop_start_releases_it_and_the_deadman_is_pressed_anew(
+    pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile
+) -> None:
+    options = ("--link", emulator.device, "--robot", str(robot_file()))
+    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
+        wait_until(lambda: "feedback" in screen.look(), "the status line")
+        for stop in (lambda: pad.send(STOP), lambda: stop_all(process=screen.process.pid)):
+            screen.shown = ""
+            pad.send(LB + FULL)
+            wait_until(emulator.is_driven, "a command that turns the wheels")
+            stop()
+            wait_until(lambda: "Start releases it" in screen.look(), "why it stands")
+            stood = len(emulator.commands())
+            pad.send(LET_GO + REST + LB + FULL)
+            wait_for_commands(emulator, stood + 20)
+            pad.send(START)
+            screen.shown = ""
+            wait_until(lambda: "EMERGENCY" not in last_line(screen), "the release")
+            wait_for_commands(emulator, len(emulator.commands()) + 20)
+            assert set(emulator.commands()[stood:]) == {ZERO}
+            pad.send(LET_GO + REST)
+        pad.send(LB + FULL)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        pad.send(QUIT)
+        assert screen.wait() == 0
+
+
+def last_line(screen: Screen) -> str:
+    """The newest status line that is whole; "EMERGENCY" as long as there is none."""
+    lines = screen.look().split("\r")
+    return lines[-2] if len(lines) > 2 else "EMERGENCY"
+
+
+def test_a_gamepad_and_a_fixed_twist_are_two_drivers() -> None:
+    for beside in (("--linear", "0.1"), ("--duration", "1"), ("one", "two")):
+        done = cli("drive", "--link", "planar", "--gamepad", *beside)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert "--gamepad takes one device" in done.stderr

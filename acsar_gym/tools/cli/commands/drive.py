@@ -2,55 +2,85 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import CommandError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     HostOptions,
+    LidarArg,
     RecordOptions,
     RobotArg,
     Seconds,
 )
 
 
+@dataclass(frozen=True)
+class DriverOptions:
+    """Who drives; default: the keyboard."""
+
+    linear: float | None = None
+    """Fixed linear speed, at most the robot's max_linear [m/s]."""
+    angular: float | None = None
+    """Fixed angular speed, at most the robot's max_angular [rad/s]."""
+    duration: Seconds = None
+    """Seconds to drive with the fixed twist; default: until Ctrl-C."""
+    gamepad: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[DEVICE]")] = None
+    """A gamepad (Linux), while LB is held: the first one found, or that event device, such as a
+    name of /dev/input/by-id."""
+
+    def check(self) -> None:
+        """Raise CommandError where there are two drivers."""
+        if self.gamepad is None:
+            return
+        if len(self.gamepad) > 1 or (self.linear, self.angular, self.duration) != (None,) * 3:
+            raise CommandError(
+                "--gamepad takes one device, and no --linear, --angular or --duration beside it"
+            )
+
+
 @command("drive", "robots", drives=True)
 def drive_robot(
+    driver: DriverOptions,
     host: HostOptions,
     recording: RecordOptions,
     link: str = "bullet",
     robot: RobotArg = None,
-    linear: float | None = None,
-    angular: float | None = None,
-    duration: Seconds = None,
+    lidar: LidarArg = None,
     window: bool = False,
 ) -> int:
-    """Drive with the keyboard, or with a fixed twist, on any link.
+    """Drive with the keyboard, a gamepad, or a fixed twist, on any link.
 
     Args:
+        driver: who drives.
         host: process priority and cores.
         recording: recording of what the robot does.
         link: bullet, planar, mujoco, or a serial device.
         robot: preset or config file.
-        linear: fixed linear speed, at most the robot's max_linear [m/s].
-        angular: fixed angular speed, at most the robot's max_angular [rad/s].
-        duration: seconds to drive with the fixed twist; default: until Ctrl-C.
+        lidar: a LiDAR to record, such as rplidar:///dev/ttyUSB1; simulated, where the link is.
         window: open PyBullet's window.
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.robot import Robot  # noqa: PLC0415
+    from acsar_gym.sensors.suite import sensor_factories  # noqa: PLC0415
     from acsar_gym.tools import teleop  # noqa: PLC0415
 
+    driver.check()
     config = RobotConfig.of(robot)
     opened = open_link(link, config, window=window, realtime=True)
-    driver = Robot(opened, config, recorder=recording.recorder("drive", link=link))
+    sensors = sensor_factories(["lidar"], lidar) if lidar else ()
+    driven = Robot(opened, config, sensors, recorder=recording.recorder("drive", link=link))
     host.prepare()
-    if linear is None and angular is None:
-        teleop.drive_keyboard(driver)
+    if driver.gamepad is not None:
+        teleop.drive_gamepad(driven, *driver.gamepad)
+    elif driver.linear is None and driver.angular is None:
+        teleop.drive_keyboard(driven)
     else:
-        teleop.drive_twist(driver, linear or 0.0, angular or 0.0, duration)
+        teleop.drive_twist(driven, driver.linear or 0.0, driver.angular or 0.0, driver.duration)
     return 0
 
 
