@@ -95,6 +95,15 @@ def test_stable_baselines3_on_a_board_is_slow_and_stops(
     assert said.endswith("limited by LIMITS; no fault\n")
 
 
+@pytest.mark.xdist_group(__name__)
+def test_drives_are_cloned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main_of("clone_behaviour")(out=tmp_path, drives=10)
+    said = capsys.readouterr().out
+    assert "/data: 10 drives, " in said
+    assert "success 100%" in said
+    assert OnnxPolicy(tmp_path / "policy.onnx").env_id == "acsar_gym/PointGoal-v0"
+
+
 def full_speed(path: Path, action: float) -> Path:
     """A zip of a network that always drives straight, ahead or back."""
     import torch

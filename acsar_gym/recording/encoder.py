@@ -41,8 +41,6 @@ EPISODE_GAP = 1_000_000
 """Time between two episodes whose clocks both begin at zero [ns]."""
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages of /diagnostics [s]."""
-LATE_TICK = 0.001
-"""A tick that ends more than this after its deadline is late [s]."""
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
 NORMAL_REASONS = ("NONE", "LIMITS")
 """Reasons of the safety layer that are part of normal driving."""
@@ -267,6 +265,7 @@ class Diagnostics:
     def __init__(self, config: RobotConfig) -> None:
         self.dropped = 0
         self._hardware = config.base_frame
+        self._late_tick = config.late_tick
         self.reset(0.0)
 
     def reset(self, stamp: float) -> None:
@@ -284,7 +283,7 @@ class Diagnostics:
             return None
         late = np.array(self._late)
         timed = late[~np.isnan(late)]
-        over = int((timed > LATE_TICK).sum())
+        over = int((timed > self._late_tick).sum())
         loop: dict[str, float] = {"ticks": len(late), "late": over}
         if len(timed):
             p50, p99 = np.percentile(timed, (50, 99)) * 1e3

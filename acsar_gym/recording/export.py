@@ -1,9 +1,8 @@
-"""Converts recordings to tables (Parquet, CSV) and to data sets for offline learning (Minari)."""
+"""Converts recordings to tables: Parquet, CSV."""
 
 from __future__ import annotations
 
 import csv
-import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,41 +15,36 @@ from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import Episode, Recording
 
-EXPORT_FORMATS = ("parquet", "csv", "minari")
-MINARI_FOLDER = "MINARI_DATASETS_PATH"
-"""Environment variable with the folder in which Minari keeps its data sets."""
+TABLE_FORMATS = ("parquet", "csv")
 TableColumns = dict[str, Any]
 """Arrays of one length by name."""
 
 
 def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
-    """Convert a recording.
+    """Convert a recording to tables.
 
     Args:
         path: the recording.
-        to: one of EXPORT_FORMATS.
+        to: one of TABLE_FORMATS.
         folder: to write to; made if it isn't there.
 
     Returns:
         The files or folders that were written.
 
     Raises:
-        ConfigError: the recording can't be read, the folder can't be written, or there are no steps
-            of an env for Minari.
-        MissingExtraError: pyarrow or minari isn't installed.
+        ConfigError: the recording can't be read, or the folder can't be written.
+        MissingExtraError: pyarrow isn't installed.
     """
-    if to not in EXPORT_FORMATS:
-        raise ConfigError(f"--to {show_value(to)}: must be one of {', '.join(EXPORT_FORMATS)}")
+    if to not in TABLE_FORMATS:
+        raise ConfigError(f"--to {show_value(to)}: must be one of {', '.join(TABLE_FORMATS)}")
     recording = read(path)
     if recording.cut:
-        how = "is left out" if to == "minari" else "is incomplete"
-        last = f"the last episode {how}" if is_incomplete(recording) else "what followed is missing"
+        last = "the last episode is incomplete"
+        last = last if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if to == "minari":
-            return [_write_minari(recording, path, folder)]
         for name, columns in make_tables(recording).items():
             if len(columns["episode"]):
                 written.append(folder / f"{name}.{to}")
@@ -145,61 +139,3 @@ def _write_parquet(path: Path, columns: TableColumns) -> None:
         from pyarrow import parquet  # noqa: PLC0415 - optional
     with replace_file(path) as new:
         parquet.write_table(pa.table(columns), new)
-
-
-def _write_minari(recording: Recording, path: Path, folder: Path) -> Path:
-    """Write a data set of the episodes with steps; returns its folder."""
-    with require_extra("export to Minari", "export"):
-        import minari  # noqa: PLC0415 - optional
-        from gymnasium.spaces import Box  # noqa: PLC0415 - only here
-        from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
-    buffers = []
-    whole = len(recording.episodes) - is_incomplete(recording)
-    for number, one in enumerate(recording.episodes[:whole]):
-        count = len(one.actions)
-        if not count or len(one.observations) != count + 1 or len(one.rewards) != count:
-            continue
-        ended = np.zeros(count, bool)
-        ended[-1] = True
-        terminated = ended & one.terminated
-        buffer = EpisodeBuffer(
-            id=number,
-            seed=seed if isinstance(seed := one.info.get("seed"), int) else None,
-            observations=np.array(one.observations),
-            actions=np.array(one.actions),
-            rewards=one.rewards.tolist(),
-            terminations=terminated.tolist(),
-            truncations=(ended & ~terminated).tolist(),
-        )
-        buffers.append(buffer)
-    if not buffers:
-        what = "whole episode" if is_incomplete(recording) else "steps"
-        raise ConfigError(f"{path}: holds no {what} of an env: record an env, run or evaluate")
-    name = "".join(c if c.isalnum() else "-" for c in path.stem).strip("-") or "recording"
-    policy = recording.header["about"].get("policy")
-    before = os.environ.get(MINARI_FOLDER)
-    os.environ[MINARI_FOLDER] = str(folder.absolute())
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about authors
-            minari.create_dataset_from_buffers(
-                f"acsar/{name}-v0",
-                buffers,
-                observation_space=Box(
-                    -np.inf, np.inf, recording.episodes[0].observations.shape[1:], np.float32
-                ),
-                action_space=Box(-1.0, 1.0, (2,), np.float32),
-                data_format="arrow",
-                algorithm_name=str(policy.get("file", "unknown"))
-                if isinstance(policy, dict)
-                else "unknown",
-                description="Recorded by acsar_gym "
-                f"{recording.header['versions'].get('acsar_gym', 'unknown')}.",
-            )
-    except ValueError as error:  # it is there already
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
-    finally:
-        os.environ.pop(MINARI_FOLDER)
-        if before is not None:
-            os.environ[MINARI_FOLDER] = before
-    return folder / "acsar" / f"{name}-v0"

@@ -470,6 +470,7 @@ def make_episode(parts: EpisodeParts) -> Episode:
         actions=actions.astype(np.float32) if len(actions) else np.zeros((0, 2), np.float32),
         rewards=steps[1:, 2],
         terminated=bool(number and steps[-1, 3] == 1.0),
+        truncated=bool(number and steps[-1, 4] == 1.0),
         success=bool(steps[-1, 5] == 1.0) if number > 1 else None,
         step_stamps=steps[:, 1],
         scans=Scans(_check_stamps(scans[:, 1]), scans[:, 2:], _to_integers(scans[:, 0])),

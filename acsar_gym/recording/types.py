@@ -174,6 +174,8 @@ class Episode:
     wall clock at the first reset."""
     terminated: bool = False
     """Whether the episode ended by success or failure; it was cut short otherwise."""
+    truncated: bool = False
+    """Whether a fault ended it: the last step repeats the observation before."""
     step_stamps: Floats = field(default_factory=lambda: np.zeros(0))
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
     exchanges: Exchanges = field(default_factory=Exchanges.none)

@@ -1,13 +1,11 @@
-"""Recordings as tables and as data sets."""
+"""Recordings as tables."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import gymnasium
-import minari
 import numpy as np
 import pytest
 from pyarrow import parquet
@@ -67,27 +65,10 @@ def test_csv_has_the_same(tape: Path, tmp_path: Path) -> None:
     assert text.encode("latin-1") == sent
 
 
-def test_minari_reads_the_episodes_back(tape: Path, tmp_path: Path) -> None:
-    (folder,) = export_recording(tape, "minari", tmp_path)
-    data: Any = minari.MinariDataset(folder / "data")
-    episodes = list(data.iterate_episodes())
-    recorded = read(tape).episodes
-    assert len(episodes) == 2
-    for found, one in zip(episodes, recorded, strict=True):
-        np.testing.assert_array_equal(found.observations, one.observations)
-        np.testing.assert_array_equal(found.actions, one.actions)
-        np.testing.assert_array_equal(found.rewards, one.rewards)
-        assert found.truncations.tolist() == [False, False, False, True]
-    with pytest.raises(ConfigError, match="can't be written"):
-        export_recording(tape, "minari", tmp_path)
-
-
 def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:
     drove = drive(tmp_path / "drove.mcap", RobotConfig.of(None), 5)
     assert "observation_0" not in make_tables(read(drove))["steps"]
-    with pytest.raises(ConfigError, match="holds no steps of an env"):
-        export_recording(drove, "minari", tmp_path)
-    with pytest.raises(ConfigError, match="--to 'xls': must be one of parquet, csv, minari"):
+    with pytest.raises(ConfigError, match="--to 'xls': must be one of parquet, csv"):
         export_recording(tape, "xls", tmp_path)
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="can't be written"):
@@ -111,12 +92,8 @@ def test_a_summary_tells_what_a_recording_holds(tape: Path, tmp_path: Path) -> N
     assert "drops unknown" in said
 
 
-def test_a_cut_episode_is_no_truncated_one(tape: Path, tmp_path: Path) -> None:
+def test_a_cut_recording_is_exported_as_far_as_it_goes(tape: Path, tmp_path: Path) -> None:
     whole = tape.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 9 // 10])
-    assert len(read(tmp_path / "cut.mcap").episodes) == 2
-    with pytest.warns(RecordingWarning, match=r"cut\.mcap: the file is cut: the last .* left out"):
-        (folder,) = export_recording(tmp_path / "cut.mcap", "minari", tmp_path / "sets")
-    assert minari.MinariDataset(folder / "data").total_episodes == 1
     with pytest.warns(RecordingWarning, match="the last episode is incomplete"):
         export_recording(tmp_path / "cut.mcap", "csv", tmp_path / "tables")

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
@@ -38,19 +39,41 @@ def describe_recording(file: Recorded, json: File = None) -> int:
 
 @command("record export", "recordings")
 def export_recording(
-    file: Recorded,
-    to: Literal["parquet", "csv", "minari"],
+    files: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")
+    ],
+    to: Literal["parquet", "csv", "minari", "lerobot"],
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
+    env: str = "",
+    goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
 ) -> int:
-    """Convert a recording to tables, or to a data set for offline learning.
+    """Convert a recording to tables, or recordings to a data set for offline learning.
 
     Args:
-        file: the recording.
-        to: parquet or csv, one table for each kind of data; or minari, a data set.
-        out: folder to write; default: beside the recording, with its name.
+        files: the recording; a data set may be made of several.
+        to: parquet or csv, one table for each kind of data; or minari or lerobot, a data set of
+            what an agent would have seen and done.
+        out: folder to write; default: beside the first recording, with its name.
+        env: data sets: the env whose observations are wanted; default: the one that recorded, or
+            point_goal where a person drove.
+        goal: data sets: x and y in the odometry frame [m]; default: the recorded goal, or the place
+            where the drive ended.
     """
+    if not files:
+        raise ConfigError("record export needs a recording")
+    folder = out or files[0].with_suffix("")
+    if to in ("minari", "lerobot"):
+        from acsar_gym.tools import datasets  # noqa: PLC0415
+
+        written, data = datasets.write_dataset(files, to, folder, env, goal)
+        count = len(data.episodes)
+        say(f"written: {written}: {count} episode{'s' * (count != 1)}, {data.steps} steps")
+        return 0
+    if len(files) > 1 or env or goal is not None:
+        what = "several recordings" if len(files) > 1 else "--env" if env else "--goal"
+        raise ConfigError(f"{what}: for --to minari and lerobot only, not {to}")
     from acsar_gym.recording import export as exports  # noqa: PLC0415
 
-    for written in exports.export_recording(file, to, out or file.with_suffix("")):
-        say(f"written: {written}")
+    for table in exports.export_recording(files[0], to, folder):
+        say(f"written: {table}")
     return 0

@@ -1,0 +1,60 @@
+"""Data sets for offline and imitation learning, made of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from acsar_gym.errors import ConfigError
+from acsar_gym.reading import explain_error
+from acsar_gym.tools.datasets.demonstrations import (
+    DemonstrationEpisode,
+    Demonstrations,
+    read_demonstrations,
+)
+from acsar_gym.tools.datasets.lerobot import write_lerobot
+from acsar_gym.tools.datasets.minari import write_minari
+
+__all__ = [
+    "DATASET_FORMATS",
+    "DemonstrationEpisode",
+    "Demonstrations",
+    "read_demonstrations",
+    "write_dataset",
+]
+DATASET_FORMATS: Mapping[str, Callable[[Demonstrations, Path, str], Path]] = {
+    "minari": write_minari,
+    "lerobot": write_lerobot,
+}
+"""What writes each format, by name."""
+
+
+def write_dataset(
+    paths: Sequence[Path],
+    to: str,
+    folder: Path,
+    env: str = "",
+    goal: tuple[float, float] | None = None,
+) -> tuple[Path, Demonstrations]:
+    """Make one data set of recordings.
+
+    Args:
+        paths: of the recordings.
+        to: one of DATASET_FORMATS.
+        folder: to write to; made if it isn't there.
+        env: see `read_demonstrations`.
+        goal: see `read_demonstrations`.
+
+    Returns:
+        The folder of the data set, and what it holds.
+
+    Raises:
+        ConfigError: as `read_demonstrations`, or the folder can't be written.
+        MissingExtraError: pyarrow or minari isn't installed.
+    """
+    data = read_demonstrations(paths, env, goal)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return DATASET_FORMATS[to](data, folder, paths[0].stem), data
+    except OSError as error:
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None

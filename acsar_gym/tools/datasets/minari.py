@@ -1,0 +1,74 @@
+"""Writes Minari data sets (https://minari.farama.org)."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from acsar_gym.errors import ConfigError, require_extra
+from acsar_gym.reading import explain_error
+from acsar_gym.recording.messages import package_version
+from acsar_gym.tools.datasets.demonstrations import Demonstrations
+
+MINARI_FOLDER = "MINARI_DATASETS_PATH"
+"""Environment variable with the folder in which Minari keeps its data sets."""
+
+
+def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
+    """Write a data set.
+
+    Args:
+        data: the episodes.
+        folder: Minari's, in which it keeps data sets.
+        name: of the data set; signs that Minari doesn't take are replaced.
+
+    Returns:
+        The data set's own folder.
+
+    Raises:
+        ConfigError: a data set of this name is there already.
+        MissingExtraError: minari isn't installed.
+    """
+    with require_extra("export to Minari", "export"):
+        import minari  # noqa: PLC0415 - optional
+        from gymnasium.spaces import Box  # noqa: PLC0415 - only here
+        from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
+    buffers = []
+    for number, one in enumerate(data.episodes):
+        ended = np.zeros(len(one.actions), bool)
+        ended[-1] = True
+        buffer = EpisodeBuffer(
+            id=number,
+            seed=one.seed,
+            observations=one.observations,
+            actions=one.actions,
+            rewards=one.rewards.tolist(),
+            terminations=(ended & one.terminated).tolist(),
+            truncations=(ended & (not one.terminated)).tolist(),
+        )
+        buffers.append(buffer)
+    name = "".join(c if c.isalnum() else "-" for c in name).strip("-") or "recording"
+    before = os.environ.get(MINARI_FOLDER)
+    os.environ[MINARI_FOLDER] = str(folder.absolute())
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about authors
+            minari.create_dataset_from_buffers(
+                f"acsar/{name}-v0",
+                buffers,
+                observation_space=Box(-np.inf, np.inf, (len(data.names),), np.float32),
+                action_space=Box(-1.0, 1.0, (2,), np.float32),
+                data_format="arrow",
+                algorithm_name=data.policy,
+                description=f"Recorded by acsar_gym {package_version()}: {data.env_id}.",
+            )
+    except ValueError as error:  # it is there already
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
+    finally:
+        os.environ.pop(MINARI_FOLDER)
+        if before is not None:
+            os.environ[MINARI_FOLDER] = before
+    return folder / "acsar" / f"{name}-v0"
