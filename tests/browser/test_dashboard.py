@@ -16,7 +16,8 @@ from browser_tools import CHROMIUM, Tab, browser
 from recording_tools import drive
 from serial_tools import Emulated, RobotFile, program, wait_until
 
-from acsar_gym import RobotConfig
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.recording import Recorder
 from acsar_gym.tools.view.server import find_recording, serve_page
 
 pytestmark = [
@@ -46,9 +47,9 @@ def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def serving(path: Path, port: int) -> Iterator[int]:
+def serving(path: Path, port: int, over: Path | None = None) -> Iterator[int]:
     """The server of a page; yields its port."""
-    with serve_page(path, port) as server:
+    with serve_page(path, port, over) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
@@ -59,9 +60,11 @@ def serving(path: Path, port: int) -> Iterator[int]:
 
 
 @contextmanager
-def opened(path: Path, folder: Path, size: tuple[int, int] = WIDE) -> Iterator[Tab]:
+def opened(
+    path: Path, folder: Path, size: tuple[int, int] = WIDE, over: Path | None = None
+) -> Iterator[Tab]:
     """The page of a recording, once it is drawn."""
-    with serving(path, 0) as port, browser(folder) as tab:
+    with serving(path, 0, over) as port, browser(folder) as tab:
         tab.open(f"http://127.0.0.1:{port}", *size)
         tab.wait(DRAWN, "a page that is drawn")
         yield tab
@@ -81,6 +84,56 @@ def test_a_recording_is_drawn_and_played(tmp_path: Path, size: tuple[int, int]) 
         tab.wait("document.querySelector('#play').innerText == 'Play'", "the end")
         assert float(tab.text("#value-time")) > 2.9
         tab.shot(f"dashboard_recorded_{size[0]}", tmp_path)
+
+
+@pytest.mark.parametrize("size", [(1280, 1500), (420, 2900)])
+def test_overlay_log_and_camera_follow_the_shown_time(
+    tmp_path: Path, size: tuple[int, int]
+) -> None:
+    pytest.importorskip("pybullet")
+    config = RobotConfig.of(None)
+    path = drive(tmp_path / "tape.mcap", config, ticks=300)
+    other = config.model_copy(update={"wheel_radius": 0.06})
+    over = drive(tmp_path / "other.mcap", other, ticks=250)
+    with opened(path, tmp_path, size, over) as tab:
+        assert not any("/camera/" in one for one in tab.requests)  # nobody looks
+        tab.run("document.querySelector('#camera').open = true")
+        picture = "document.querySelector('#camera-picture')"
+        tab.wait(f"{picture}.naturalWidth == 480", "the first picture")
+        assert tab.text("#camera-said") == ""
+        first = tab.run(f"{picture}.src")
+        tab.press("#log li.later button")
+        tab.wait("parseFloat(document.querySelector('#value-time').innerText) > 2.9", "the line")
+        assert not tab.run("document.querySelector('#log .later')")
+        assert " cm, " in tab.text("#value-gap")
+        tab.wait(f"{picture}.src != '{first}' && {picture}.naturalWidth == 480", "the next one")
+        assert tab.run("document.documentElement.scrollWidth <= innerWidth")
+        tab.shot(f"dashboard_overlay_{size[0]}", tmp_path)
+
+
+def test_a_run_that_replaces_the_file_is_followed_by_itself(tmp_path: Path) -> None:
+    path, config = tmp_path / "tape.mcap", RobotConfig.of(None)
+    drive(path, config)
+    over = threading.Event()
+
+    def drive_slowly() -> None:
+        recorder = Recorder(path)
+        with Robot(open_link("planar", config), config, [], recorder) as robot:
+            while not over.wait(config.period):
+                robot.drive(0.2, 0.1)
+
+    with opened(path, tmp_path) as tab:
+        thread = threading.Thread(target=drive_slowly)
+        thread.start()
+        try:
+            tab.wait("document.querySelector('#state').innerText == 'live'", "the new run")
+            tab.wait("parseFloat(document.querySelector('#value-time').innerText) > 1", "following")
+            assert tab.text("#play") == "Pause"
+        finally:
+            over.set()
+            thread.join()
+        tab.wait("document.querySelector('#state').innerText == 'ended'", "the end")
+        tab.wait("document.querySelector('#play').innerText == 'Play'", "the end of following")
 
 
 def test_the_stop_button_stops_a_robot_that_another_process_drives(

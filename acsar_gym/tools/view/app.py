@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
+from bisect import bisect_right
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -12,9 +13,10 @@ from typing import Any
 import dash
 from dash import Input, Output, State, ctx, dcc, html, no_update
 
-from acsar_gym.errors import escape_unprintable
+from acsar_gym.errors import RenderError, escape_unprintable
 from acsar_gym.tools.view import session as sessions
 from acsar_gym.tools.view.drawing import NO_VALUE
+from acsar_gym.tools.view.log import LogLine
 from acsar_gym.tools.view.session import Session
 from acsar_gym.tools.view.tail import GrowingEpisode
 
@@ -27,6 +29,12 @@ CONTENT_POLICY = (
 LOCAL_HOSTS = ("127.0.0.1", "localhost")
 STOP_TOKEN = "stop-token"  # noqa: S105 - only its name
 """Name of the page's mark that a stop has to show, new at every start, and of the header for it."""
+OTHER_PLOTS = (
+    "Plots of your own: open the recording in Foxglove or PlotJuggler (plotjuggler -d FILE); "
+    "a run that is started with --view shows itself live in Foxglove."
+)
+LINES_BEFORE, LINES_AFTER = 60, 5
+"""Lines of the log that are shown, from before and from after the shown time."""
 SILENCE_LIMIT = 3.0
 """A live run from which nothing came for so long is told [s]."""
 MAX_PLAY_STEP = 1.0
@@ -47,7 +55,7 @@ STATE_WORDS = {
 GRAPH_NAMES = ("top", "wheels", "lateness")
 SPEED_KINDS = ("asked", "sent", "measured")
 VALUE_NAMES = (
-    *("time", "end", "goal", "late", "worst", "age", "reason", "said"),
+    *("time", "end", "goal", "late", "worst", "age", "reason", "said", "gap"),
     *(f"{kind}_{who}" for kind in ("linear", "angular") for who in SPEED_KINDS),
 )
 PAGE_OUTPUTS = {
@@ -58,6 +66,7 @@ PAGE_OUTPUTS = {
     "playing": Output("playing", "data"),
     "clock": Output("clock", "data"),
     "seen": Output("seen", "data"),
+    "run": Output("run", "data"),
     "pulse": Output("pulse", "interval"),
     "play": Output("play", "children"),
     "state": Output("state", "children"),
@@ -68,6 +77,8 @@ PAGE_OUTPUTS = {
     "episode": Output("episode", "value"),
     "episodes": Output("episodes", "children"),
     "safety": Output("safety", "className"),
+    "log": Output("log", "children"),
+    "camera": Output("camera-at", "children"),
 }
 PAGE_INPUTS = {
     "pulse": Input("pulse", "n_intervals"),
@@ -77,6 +88,7 @@ PAGE_INPUTS = {
     "playing": State("playing", "data"),
     "clock": State("clock", "data"),
     "seen": State("seen", "data"),
+    "run": State("run", "data"),
     "longest": State("time", "max"),
     "rate": State("rate", "value"),
 }
@@ -93,6 +105,7 @@ class PageInputs:
     playing: bool
     clock: float
     seen: int
+    run: int
     longest: float
     rate: str
 
@@ -121,7 +134,7 @@ def make_app(session: Session) -> dash.Dash:
 
 
 def _add_routes(server: Any, session: Session, token: str) -> None:
-    """Answer what assets/stop.js asks, on ways that no drawing and no lock is in.
+    """Answer what assets/*.js ask; the stop on a way that no drawing and no lock is in.
 
     Pages get answers from this computer only, and browsers load nothing from elsewhere.
     """
@@ -138,6 +151,12 @@ def _add_routes(server: Any, session: Session, token: str) -> None:
             return answer("not stopped: only the page's own button may; run acsar-gym estop\n", 403)
         return answer(escape_unprintable(session.stop().said))
 
+    def camera(run: int, episode: int, row: int) -> Any:
+        try:
+            return session.draw_picture(run, episode, row), 200, {"Content-Type": "image/png"}
+        except RenderError as error:
+            return answer(str(error))
+
     def check() -> None:
         own_origin = f"http://{request.host}"
         is_own = request.headers.get("Origin", own_origin) == own_origin
@@ -150,6 +169,7 @@ def _add_routes(server: Any, session: Session, token: str) -> None:
         return response
 
     server.add_url_rule("/stop", "stop", stop, methods=["POST"])
+    server.add_url_rule("/camera/<int:run>/<int:episode>/<int:row>", "camera", camera)
     server.add_url_rule("/alive", "alive", lambda: answer(own))
     server.before_request(check)
     server.after_request(secure)
@@ -170,20 +190,23 @@ def update_page(
         Values of `PAGE_OUTPUTS`.
     """
     revision, live = session.poll(), session.is_live
+    begins = session.run != page.run  # what somebody looked at before is gone, or goes on
     playing = page.playing and cause != "episode"
-    if cause == "play":
+    if begins:
+        playing = live
+    elif cause == "play":
         playing = not page.playing
     elif cause == "time" and live:  # somebody looks at the past
         playing = False
     follows = live and playing
     count = len(session.tail.episodes)
     asked = int(page.episode or (count if live else 1))
-    number = count if follows else min(max(asked, 1), count)
+    number = count if follows or begins else min(max(asked, 1), count)
     shown = session.episode(number - 1)
     end = 0.0 if shown is None else shown.end
     at = page.at or 0.0
     followed = page.playing and at >= page.longest and session.state != sessions.RECORDED
-    if follows or (cause == "pulse" and followed):  # a live run, which may be over now
+    if follows or begins or (cause == "pulse" and followed):  # a live run, which may be over now
         at = end
     elif cause == "episode" or (cause == "play" and at >= end):
         at = 0.0
@@ -196,21 +219,24 @@ def update_page(
         "state": STATE_WORDS[state],
         "look": f"state {state}",
         "box": "stopping" if session.can_stop else "stopping none",
-        "message": escape_unprintable(_find_message(session, shown)),
+        "message": escape_unprintable(_find_message(session, shown, number - 1)),
         "about": describe_run(session),
         "pulse": QUICK_UPDATE if live or playing else SLOW_UPDATE,
         "play": "Pause" if playing else "Follow" if live else "Play",
         "playing": playing,
         "clock": now,
         "seen": revision,
+        "run": session.run,
     }
-    moves = revision != page.seen or (not follows and (playing or page.playing))
+    moves = begins or revision != page.seen or (not follows and (playing or page.playing))
     if cause == "pulse" and not moves:  # a browser that draws answers the stop button later
         return outputs
     figures, values = session.draw(number - 1, at)
     outputs |= figures | {name: values[name] for name in VALUE_NAMES if values}
     return outputs | {
         "safety": f"tile reason{values.get('grade', '0')}",
+        "camera": values.get("camera", ""),
+        "log": make_lines(session.list_lines(number - 1), at),
         "slider": at,
         "longest": max(end, 0.01),
         "episode": number or no_update,
@@ -218,7 +244,24 @@ def update_page(
     }
 
 
-def _find_message(session: Session, shown: GrowingEpisode | None) -> str:
+def make_lines(lines: list[LogLine], at: float) -> list[Any]:
+    """Make the log: the newest line first; a few that come after the shown time are paler."""
+    past = bisect_right([line.time for line in lines], at + 1e-9)
+    first, last = max(past - LINES_BEFORE, 0), min(past + LINES_AFTER, len(lines))
+    shown = []
+    for line in reversed(lines[first:last]):
+        look = f"level{line.level}" + (" later" if line.time > at + 1e-9 else "")
+        told = [html.Span(f"{line.time:.1f} s"), escape_unprintable(line.text)]
+        button = html.Button(told, **{"data-time": f"{line.time:.3f}"})
+        shown.append(html.Li(button, className=look))
+    more = (len(lines) - last, "later", 0), (first, "earlier", LINES_BEFORE + LINES_AFTER + 1)
+    for count, where, place in more:
+        if count:
+            shown.insert(place, html.Li(f"{count:,} {where}", className="more"))
+    return shown
+
+
+def _find_message(session: Session, shown: GrowingEpisode | None, number: int) -> str:
     """What goes wrong, in one line; empty where nothing does."""
     if session.problem:
         return session.problem
@@ -227,7 +270,9 @@ def _find_message(session: Session, shown: GrowingEpisode | None) -> str:
     if shown.faults:
         return shown.faults[-1][1]
     age = session.tail.age
-    return f"nothing new for {age:.0f} s" if session.is_live and age > SILENCE_LIMIT else ""
+    if session.is_live and age > SILENCE_LIMIT:
+        return f"nothing new for {age:.0f} s"
+    return session.explain_alone(number)
 
 
 def describe_run(session: Session) -> str:
@@ -263,18 +308,31 @@ def make_page(session: Session) -> Any:
         ("goal", "ring goal"),
         ("true path, if simulated", "line truth"),
     ]
+    other = session.overlay
+    if other is not None:
+        top_key.insert(1, (other.name, "line other"))
+        wheel_key.append((f"measured in {other.name}", "line other"))
     late_key = [
-        ("late: over 1 ms", "line late"),
+        ("late from here on", "line late"),
         ("as asked", "box none"),
         ("limits", "box limits"),
         ("geofence", "box fence"),
         ("stale feedback", "box stale"),
         ("emergency stop", "box estop"),
     ]
+    gap = html.P([f"Gap to {other.name}: " if other else "", html.B(id="value-gap")], id="gap")
     pair = [
-        _make_card("From above", top_key, "top", PANNED_GRAPH, "top"),
+        _make_card("From above", top_key, "top", PANNED_GRAPH, "top", gap),
         _make_card("Wheel speeds", wheel_key, "wheels", STATIC_GRAPH, "wheels"),
     ]
+    log = html.Section([html.H2("Log"), html.Ol([], id="log")], className="card")
+    picture = [
+        html.Summary(html.H2("Camera")),
+        html.P("drawing ...", id="camera-said", className="muted"),
+        html.Img(id="camera-picture", alt="What the simulator's camera behind the robot sees"),
+        html.Span("", id="camera-at", hidden=True),
+    ]
+    camera = html.Details(picture, id="camera", className="card")
     late = "Lateness of ticks, and the safety layer"
     return html.Main(
         [
@@ -283,10 +341,13 @@ def make_page(session: Session) -> Any:
             html.Div(_make_tiles(), className="tiles"),
             html.Div(pair, className="pair"),
             _make_card(late, late_key, "lateness", STATIC_GRAPH, "late"),
+            html.Div([log, camera], className="pair loose"),
+            html.P(OTHER_PLOTS, className="muted"),
             html.Div(_make_transport(), className="transport"),
             dcc.Store(id="playing", data=session.is_live),
             dcc.Store(id="clock", data=0.0),
             dcc.Store(id="seen", data=0),
+            dcc.Store(id="run", data=session.run),
             dcc.Interval(id="pulse", interval=QUICK_UPDATE if session.is_live else SLOW_UPDATE),
         ]
     )
@@ -322,13 +383,18 @@ def _make_tiles() -> list[Any]:
 
 
 def _make_card(
-    title: str, entries: list[tuple[str, str]], graph: str, config: dict[str, Any], kind: str
+    title: str,
+    entries: list[tuple[str, str]],
+    graph: str,
+    config: dict[str, Any],
+    kind: str,
+    *more: Any,
 ) -> Any:
-    """A figure with its title, and what its colours mean."""
+    """A figure with its title, and what its colours mean; `more` stands above the figure."""
     key = [html.Span([html.I(className=look), name]) for name, look in entries]
     heading = html.Div([html.H2(title), html.Div(key, className="key")], className="heading")
     plot = dcc.Graph(id=graph, figure={}, config=config, responsive=True)
-    return html.Section([heading, plot], className=f"card {kind}")
+    return html.Section([heading, *more, plot], className=f"card {kind}")
 
 
 def _make_transport() -> list[Any]:

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
-from acsar_gym.recording.encoder import LATE_TICK
 from acsar_gym.recording.types import Floats
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors.scan import ray_spec
+from acsar_gym.tools.view.log import REASON_WORDS
+from acsar_gym.tools.view.overlay import Partner, measure_gaps, measure_true_gap
 from acsar_gym.tools.view.tail import TICK_PLACES, GrowingEpisode
 from acsar_gym.worlds import World
 from acsar_gym.worlds.pool import Pool
@@ -35,19 +36,13 @@ COLOURS = {
     "seen": "#c3ccd4",
     "wall": "#6b7280",
     "truth": "#9b6bd3",
+    "other": "#c2267d",
 }
 """Those that dashboard.css has too, have the same name there."""
 REASON_COLOURS = ("#dfe9e2", "#f2cf66", "#9b6bd3", "#ef8a3c", "#c81e2b")
 """Of each `safety.rules.Reason`."""
 PAGE_FONT = {"family": "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"}
 NO_VALUE = "\N{EN DASH}"
-REASON_WORDS = {
-    Reason.NONE: "sent as asked",
-    Reason.LIMITS: "limits of speed or acceleration",
-    Reason.GEOFENCE: "outside the geofence: held",
-    Reason.STALE_FEEDBACK: "feedback too old: stopped",
-    Reason.EMERGENCY_STOP: "emergency stop: held",
-}
 WHEEL_CHARTS = ((1, "front left"), (0, "front right"), (2, "rear left"), (3, "rear right"))
 """Place in the wheel order and name of each, as seen from above with the front up."""
 WHEELS_SPAN = 20.0
@@ -177,7 +172,12 @@ def _draw_marker(
 
 
 def draw_episode_from_above(
-    episode: GrowingEpisode, config: RobotConfig, world: World | None, at: float, revision: str
+    episode: GrowingEpisode,
+    config: RobotConfig,
+    world: World | None,
+    at: float,
+    revision: str,
+    other: Partner | None = None,
 ) -> Figure:
     """Draw the robot, its path and its surroundings from above, in the odometry frame.
 
@@ -187,12 +187,12 @@ def draw_episode_from_above(
         world: obstacles, in their own frame; None where they aren't known.
         at: time since the reset [s].
         revision: what zoom and pan belong to; they are kept for as long as it is the same.
+        other: what is drawn over it: paths, robot, and a line between the robots.
 
     Returns:
         `data` and `layout` of plotly.
     """
-    poses = np.stack([episode.column(name) for name in ("x", "y", "theta")], axis=1)
-    place, goal = episode.place(at), episode.goal
+    goal = episode.goal
     scan, seen = find_hits(episode, config, at)
     traces = [_draw_specks(seen, COLOURS["seen"], 3, "seen before")]
     if world is not None:
@@ -203,38 +203,34 @@ def draw_episode_from_above(
             _draw_path(circles, wall, "obstacles", line={"width": 1}, **filled),
             _draw_path(segments, wall, "walls", line={"width": 2}, connectgaps=False),
         ]
-    if episode.is_simulated:
-        rows = episode.truth.rows
-        rows = rows[: int(np.searchsorted(rows[:, 0], at + 1e-9, "right"))]
-        rows = rows[thin_evenly(len(rows), PATH_POINTS // 3)]
-        true = [to_odometry(episode.start, (x, y, yaw)) for x, y, yaw in rows[:, 1:].tolist()]
-        truth = np.array(true, np.float64).reshape(-1, 3)
-        traces.append(_draw_path(truth, COLOURS["truth"], "true path", line={"dash": "dot"}))
-    chosen = thin_evenly(len(poses), PATH_POINTS)
-    done, wide = np.r_[chosen[chosen <= place], [place] * (place >= 0)], {"width": 2.5}
-    sent = COLOURS["sent"]
-    traces += [
-        _draw_path(poses[chosen], sent + "40", "path to come", line=wide),
-        _draw_path(poses[done.astype(np.intp)], sent, "path", line=wide),
-        _draw_specks(scan, COLOURS["scan"], 4, "LiDAR now"),
-    ]
+    drawn = [(episode, config, at, "")]
+    if other is not None:
+        drawn.insert(0, (other.episode, other.config, at + other.shift, "other "))
+    for one, _, time, whose in drawn:
+        traces += _draw_paths(one, time, whose)
+    traces.append(_draw_specks(scan, COLOURS["scan"], 4, "LiDAR now"))
     cross = {"symbol": "cross-thin", "line": {"width": 2, "color": COLOURS["muted"]}}
     traces.append(_draw_marker((0.0, 0.0), "start", COLOURS["muted"], 9, **cross))
     if goal is not None:
         ring = {"line": {"width": 2.5, "color": COLOURS["goal"]}}
         traces.append(_draw_marker(goal, "goal", COLOURS["goal"] + "33", 22, **ring))
-    x, y, theta = poses[place] if place >= 0 else (0.0, 0.0, 0.0)
-    turn = np.array([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
-    corners = np.array([*config.outline, config.outline[0]])
-    front = np.array([(0.0, 0.0), (float(corners[:, 0].max()), 0.0)])
-    ink = COLOURS["ink"]
-    body = {"fill": "toself", "fillcolor": ink + "cc"}
-    traces += [
-        _draw_path(corners @ turn + (x, y), ink, "robot", **body),
-        _draw_path(front @ turn + (x, y), "#ffffff", "front", line=wide),
-    ]
+    poses = [one.pose(time) for one, _, time, _ in drawn]
+    if other is not None:
+        ends = np.array(poses)[:, :2]
+        traces.append(_draw_path(ends, COLOURS["other"], "gap", line={"dash": "dot"}))
+    for (_, robot, _, whose), (x, y, theta) in zip(drawn, poses, strict=True):
+        turn = np.array([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+        corners = np.array([*robot.outline, robot.outline[0]])
+        front = np.array([(0.0, 0.0), (float(corners[:, 0].max()), 0.0)])
+        ink = COLOURS["other"] if whose else COLOURS["ink"]
+        body = {"fill": "toself", "fillcolor": ink + ("99" if whose else "cc")}
+        traces += [
+            _draw_path(corners @ turn + (x, y), ink, whose + "robot", **body),
+            _draw_path(front @ turn + (x, y), "#ffffff", whose + "front", line={"width": 2.5}),
+        ]
     goals = NO_POINTS if goal is None else np.array([goal])
-    points = np.concatenate([np.zeros((1, 2)), poses[:, :2], goals])
+    paths = [one.poses[:, :2] for one, *_ in drawn]
+    points = np.concatenate([np.zeros((1, 2)), *paths, goals])
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0) - VIEW_MARGIN, points.max(axis=0) + VIEW_MARGIN
     more = np.maximum(LEAST_VIEW - (high - low), 0.0) / 2.0
@@ -247,6 +243,25 @@ def draw_episode_from_above(
         yaxis=_make_axis("y left [m]", range=[low[1], high[1]], **square),
     )
     return {"data": traces, "layout": layout}
+
+
+def _draw_paths(episode: GrowingEpisode, at: float, whose: str) -> list[Figure]:
+    """The path by odometry, paler where it is to come, and the true one where it is known."""
+    colour, true_colour = (COLOURS["other"],) * 2 if whose else (COLOURS["sent"], COLOURS["truth"])
+    traces, poses, place = [], episode.poses, episode.place(at)
+    if episode.is_simulated:
+        rows = episode.truth.rows[: episode.count_truth(at)]
+        rows = rows[thin_evenly(len(rows), PATH_POINTS // 3)]
+        true = [to_odometry(episode.start, (x, y, yaw)) for x, y, yaw in rows[:, 1:4].tolist()]
+        points = np.array(true, np.float64).reshape(-1, 3)
+        traces.append(_draw_path(points, true_colour, whose + "true path", line={"dash": "dot"}))
+    chosen = thin_evenly(len(poses), PATH_POINTS)
+    done, wide = np.r_[chosen[chosen <= place], [place] * (place >= 0)], {"width": 2.5}
+    return [
+        *traces,
+        _draw_path(poses[chosen], colour + "40", whose + "path to come", line=wide),
+        _draw_path(poses[done.astype(np.intp)], colour, whose + "path", line=wide),
+    ]
 
 
 def world_lines(world: World, start: tuple[float, float, float]) -> tuple[Floats, Floats]:
@@ -329,22 +344,31 @@ def find_hits(episode: GrowingEpisode, config: RobotConfig, at: float) -> tuple[
     return hits[-1], cells * SEEN_CELL
 
 
-def draw_wheels(episode: GrowingEpisode, at: float, revision: str) -> Figure:
-    """Draw the wheel speeds asked for, sent and measured, in the time before `at` [s]."""
+def draw_wheels(
+    episode: GrowingEpisode, at: float, revision: str, other: Partner | None = None
+) -> Figure:
+    """Draw the wheel speeds asked for, sent and measured, in the time before `at` [s].
+
+    Of another run that is drawn over it, only those measured.
+    """
     begin = max(0.0, at - WHEELS_SPAN)
     ticks = slice(max(episode.place(begin), 0), episode.place(at) + 1)
-    stamps = episode.column("stamp")[ticks]
-    first_speed = TICK_PLACES["speed_a"]
-    measured = episode.ticks.rows[ticks, first_speed : first_speed + 4]
+    stamps, measured = episode.column("stamp")[ticks], episode.measured[ticks]
     asked, sent = episode.asked(ticks), episode.sent.rows
     first, last = np.searchsorted(sent[:, 0], (begin, at + 1e-9))
     sent = sent[max(first - 1, 0) : last]
-    lines: tuple[tuple[str, Floats, Floats, dict[str, Any]], ...] = (
+    lines: list[tuple[str, Floats, Floats, dict[str, Any]]] = [
         ("measured", stamps, measured, {}),
         ("sent", sent[:, 0], sent[:, 1:], {"shape": "hv"}),
         ("asked", stamps, asked, {"dash": "dot", "width": 2.2}),
-    )
-    speeds = np.concatenate([measured.ravel(), asked.ravel(), sent[:, 1:].ravel()])
+    ]
+    if other is not None:
+        theirs = other.episode
+        first, last = theirs.place(begin + other.shift), theirs.place(at + other.shift)
+        shown = slice(max(first, 0), last + 1)
+        stamps = theirs.column("stamp")[shown] - other.shift
+        lines.append(("other", stamps, theirs.measured[shown], {}))
+    speeds = np.concatenate([values.ravel() for _, _, values, _ in lines])
     known = np.r_[speeds[np.isfinite(speeds)], 0.0, 2.0]
     low, high = float(known.min()), float(known.max())
     limits = [2.0 * math.floor(low / 1.9), 2.0 * math.ceil(high / 1.9)]  # seldom change
@@ -395,13 +419,13 @@ def _draw_thinned(x: Floats, y: Floats, colour: str, style: dict[str, Any]) -> F
     return _draw_line(x[chosen], y[chosen], colour, line=style)
 
 
-def draw_lateness(episode: GrowingEpisode, at: float, revision: str) -> Figure:
+def draw_lateness(episode: GrowingEpisode, late_tick: float, at: float, revision: str) -> Figure:
     """Draw how late ticks ended and why the safety layer stepped in, over the whole episode."""
     end = max(episode.end, 1.0)
     late = np.maximum(episode.column("lateness") * 1e3, LEAST_LATENESS)
     known = late[np.isfinite(late)]
     high = max(10.0, 2.0 * float(known.max())) if len(known) else 10.0
-    limit, dashed = np.full(2, LATE_TICK * 1e3), {"dash": "dash", "width": 1}
+    limit, dashed = np.full(2, late_tick * 1e3), {"dash": "dash", "width": 1}
     traces = [
         _draw_line(np.array([0.0, end]), limit, REASON_COLOURS[4], line=dashed),
         _draw_thinned(episode.column("stamp"), late, COLOURS["ink"], {"width": 1.2}),
@@ -505,6 +529,24 @@ def read_values(episode: GrowingEpisode, at: float) -> dict[str, str]:
         "age": format_number(row["feedback_age"] * 1e3, 0),
         **reason,
     }
+
+
+def describe_gap(episode: GrowingEpisode, other: Partner | None, at: float) -> str:
+    """Tell how far apart two runs are at a time [s]; empty where that isn't known."""
+    if other is None or not len(episode.ticks) or not len(other.episode.ticks):
+        return ""
+    stamps = episode.column("stamp")[: episode.place(at) + 1]
+    times = np.r_[stamps[thin_evenly(len(stamps), PATH_POINTS)], at]
+    gaps = measure_gaps(episode, other, times)
+    largest = format_number(float(gaps[:, 0].max()) * 100.0, 1)
+    text = f"{_format_gap(gaps[-1, 0], gaps[-1, 1])} by odometry (at most {largest} cm so far)"
+    if episode.is_simulated and other.episode.is_simulated:
+        text += f"; true: {_format_gap(*measure_true_gap(episode, other, at))}"
+    return text
+
+
+def _format_gap(distance: float, turn: float) -> str:
+    return f"{format_number(distance * 100.0, 1)} cm, {format_number(math.degrees(turn), 1)}°"
 
 
 def format_number(value: float, digits: int) -> str:

@@ -58,12 +58,13 @@ def find_recording(source: str) -> Path:
 
 
 @contextlib.contextmanager
-def serve_page(path: Path, port: int = PAGE_PORT) -> Iterator[Any]:
+def serve_page(path: Path, port: int = PAGE_PORT, over: Path | None = None) -> Iterator[Any]:
     """Make a server of the dashboard, as a context manager.
 
     Args:
         path: of the recording.
         port: to listen on, on this computer only; 0 for any free one.
+        over: another recording, which is drawn over it.
 
     Yields:
         A werkzeug server, with `port` and `serve_forever()`.
@@ -72,7 +73,7 @@ def serve_page(path: Path, port: int = PAGE_PORT) -> Iterator[Any]:
         MissingExtraError: dash isn't installed.
         ConfigError: the recording can't be read, or the port can't be used.
     """
-    session = Session(path)
+    session = Session(path, over)
     with require_extra("the dashboard", "dashboard"):
         from werkzeug.serving import WSGIRequestHandler, make_server  # noqa: PLC0415 - optional
 
@@ -104,3 +105,4 @@ def serve_page(path: Path, port: int = PAGE_PORT) -> Iterator[Any]:
             yield server
         finally:
             server.server_close()
+            session.close()

@@ -8,11 +8,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from acsar_gym.errors import ConfigError, LinkError
+import numpy as np
+
+from acsar_gym.errors import ConfigError, LinkError, RenderError
 from acsar_gym.safety import estop
-from acsar_gym.tools.view import drawing
-from acsar_gym.tools.view.tail import WRITING_TIMEOUT, GrowingEpisode, RecordingTail
-from acsar_gym.worlds import World
+from acsar_gym.tools.view import drawing, log
+from acsar_gym.tools.view.camera import Camera, Shot
+from acsar_gym.tools.view.log import LogLine
+from acsar_gym.tools.view.overlay import Overlay, Partner
+from acsar_gym.tools.view.tail import (
+    MAX_COORDINATE,
+    WRITING_TIMEOUT,
+    GrowingEpisode,
+    RecordingTail,
+)
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.world import point_in_world
 
 LIVE, STOPPED, ENDED, RECORDED, BROKEN = "live", "stopped", "ended", "recorded", "broken"
 
@@ -72,31 +83,38 @@ class Session:
     """A recording, whether it is live, and the stop button.
 
     Attributes: `problem`, why it can't be read any further, empty where it can; `stopped`, what
-    came of the last stop, None before; `revision`, how often there was something new.
+    came of the last stop, None before; `revision`, how often there was something new; `run`, how
+    often another recording, or a live run, has begun.
 
     Args:
         path: of the recording.
+        over: another recording, which is drawn over it.
 
     Raises:
-        ConfigError: it can't be read, or is over and holds no episode.
+        ConfigError: one can't be read, is over and holds no episode, or they have none in common.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, over: Path | None = None) -> None:
         self.tail = RecordingTail(path)
+        self.overlay = None if over is None else Overlay(over)
         self.problem = ""
         self.stopped: StopAnswer | None = None
-        self.revision = 1
+        self.revision, self.run = 1, 0
         self._lock, self._stopping = threading.Lock(), threading.Lock()
         self._worlds: dict[int, World | None] = {}
+        self._lines: tuple[tuple[int, int], list[LogLine]] | None = None
         self._stopped_in = 0
+        self._camera = Camera()
         self._was_live = self._is_written()
         if not self.tail.episodes and not self._was_live:
             raise ConfigError(f"{path}: holds no episode")
+        if self.tail.episodes and all(map(self.explain_alone, range(len(self.tail.episodes)))):
+            raise ConfigError(self.explain_alone(0))
 
     def poll(self) -> int:
         """Read what was added; returns `revision`: each page knows which one it shows."""
         with self._lock:
-            known = self.tail.header
+            known, was_live = self.tail.header, self._was_live
             try:
                 self.revision += self.tail.poll()
                 self.problem = ""
@@ -104,9 +122,11 @@ class Session:
                 self.problem = str(error)
             if self.tail.header is not known:
                 self._worlds, self.stopped, self._was_live = {}, None, False
+                self.run += 1
             elif len(self.tail.episodes) > self._stopped_in:
                 self.stopped = None  # somebody has started again
             self._was_live = self._was_live or self._is_written()
+            self.run += self._was_live and not was_live
             return self.revision
 
     def _is_written(self) -> bool:
@@ -151,23 +171,99 @@ class Session:
             return None
         return found[number] if 0 <= number < len(found) else found[-1]
 
+    def close(self) -> None:
+        """End the process that draws pictures; idempotent."""
+        self._camera.close()
+
+    def find_partner(self, number: int) -> Partner | None:
+        """Return what is drawn over an episode; None where nothing is to be.
+
+        Raises:
+            ConfigError: the overlay has no episode of the same seed and goal.
+        """
+        episodes = self.tail.episodes
+        if self.overlay is None or not 0 <= number < len(episodes):
+            return None
+        return self.overlay.find_partner(episodes, number)
+
+    def explain_alone(self, number: int) -> str:
+        """Say why nothing is drawn over an episode; empty where something is, or shouldn't be."""
+        try:
+            self.find_partner(number)
+        except ConfigError as error:
+            return str(error)
+        return ""
+
     def draw(self, number: int, at: float) -> tuple[dict[str, Any], dict[str, str]]:
         """Draw an episode at a time since its reset [s].
 
         Returns:
-            Figures of plotly: top, wheels, lateness; and texts, see `drawing.read_values`. Both
-            are empty where there is no episode.
+            Figures of plotly: top, wheels, lateness; and texts, see `drawing.read_values`, with
+            `gap`, and `camera`, the numbers that `draw_picture` takes, "/" between them. Both are
+            empty where there is no episode.
         """
         with self._lock:
             episode, config = self.episode(number), self.tail.config
             if episode is None:
                 return {}, {}
-            if number not in self._worlds and len(episode.truth):
-                self._worlds[number] = drawing.find_world(self.tail.header, config, episode)
-            world, revision = self._worlds.get(number), str(number)
+            world, revision = self._find_world(number, episode), str(number)
+            other = None if self.explain_alone(number) else self.find_partner(number)
+            top = drawing.draw_episode_from_above(episode, config, world, at, revision, other)
             figures = {
-                "top": drawing.draw_episode_from_above(episode, config, world, at, revision),
-                "wheels": drawing.draw_wheels(episode, at, revision),
-                "lateness": drawing.draw_lateness(episode, at, revision),
+                "top": top,
+                "wheels": drawing.draw_wheels(episode, at, revision, other),
+                "lateness": drawing.draw_lateness(episode, config.late_tick, at, revision),
             }
-            return figures, drawing.read_values(episode, at)
+            row = max(episode.count_truth(at) - 1, 0) if episode.is_simulated else 0
+            texts = {
+                "camera": f"{self.run}/{max(number, 0)}/{row}",
+                "gap": drawing.describe_gap(episode, other, at),
+            }
+            return figures, drawing.read_values(episode, at) | texts
+
+    def _find_world(self, number: int, episode: GrowingEpisode) -> World | None:
+        """Return the world of an episode; made once, and None where it isn't known."""
+        if number not in self._worlds and len(episode.truth):
+            self._worlds[number] = drawing.find_world(self.tail.header, self.tail.config, episode)
+        return self._worlds.get(number)
+
+    def draw_picture(self, run: int, number: int, row: int) -> bytes:
+        """Draw what PyBullet's camera behind the robot sees, as PNG.
+
+        Others, such as the stop, don't wait for it; newest pictures are kept.
+
+        Args:
+            run: as `run` was when the picture was asked for.
+            number: of the episode.
+            row: of its true poses.
+
+        Raises:
+            RenderError: there is no such picture.
+        """
+        with self._lock:
+            episodes, config = self.tail.episodes, self.tail.config
+            if run != self.run or not 0 <= number < len(episodes):
+                raise RenderError("no picture: another recording has begun")
+            episode = episodes[number]
+            if not episode.is_simulated:
+                raise RenderError("no picture: only simulated robots have this camera")
+            poses, goal = episode.truth.rows[:, 1:4], episode.goal
+            if not (0 <= row < len(poses) and (np.abs(poses[row]) < MAX_COORDINATE).all()):
+                raise RenderError("no picture: the true pose isn't known then")
+            x, y, theta = poses[row].tolist()
+            target = None if goal is None else point_in_world(episode.start, goal)
+            scene = Scene((x, y, theta), target, self._find_world(number, episode))
+        return self._camera.draw(Shot((run, number), config, scene))
+
+    def list_lines(self, number: int) -> list[LogLine]:
+        """Return what happened in an episode, see `log.list_lines`, and how the recording ended."""
+        with self._lock:
+            episode, key = self.episode(number), (self.revision, number)
+            if episode is None:
+                return []
+            if self._lines is None or self._lines[0] != key:
+                self._lines = key, log.list_lines(episode, self.tail.config.late_tick)
+            lines = list(self._lines[1])
+            if episode is self.tail.episodes[-1] and not self.is_live:
+                lines.append(log.describe_end(self.tail, max(episode.end, lines[-1].time)))
+            return lines

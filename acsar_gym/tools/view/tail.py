@@ -19,6 +19,8 @@ from acsar_gym.recording.messages import (
     DIAGNOSTICS,
     EXCHANGES,
     SCANS,
+    STEP_COLUMNS,
+    STEPS,
     TICK_COLUMNS,
     TICKS,
     WIRE_SENT,
@@ -35,7 +37,7 @@ from acsar_gym.recording.types import Floats, WireLog
 
 WRITING_TIMEOUT = 10.0
 """A file that hasn't grown for so long when it is opened isn't being written [s]."""
-TAIL_TOPICS = TICKS, EXCHANGES, SCANS, WIRE_SENT, DIAGNOSTICS
+TAIL_TOPICS = TICKS, EXCHANGES, STEPS, SCANS, WIRE_SENT, DIAGNOSTICS
 FAULT_STATUS = b"acsar: fault"
 """Name of the status that tells what ended an episode."""
 TICK_PLACES = {name: place for place, name in enumerate(TICK_COLUMNS)}
@@ -89,8 +91,9 @@ class GrowingTable:
 class GrowingEpisode:
     """What was recorded from a reset to the next one. Times are since the reset [s].
 
-    Attributes: `ticks`, the columns of `messages.TICK_COLUMNS`; `truth`, (m, 4) time, x [m], y [m],
-    theta [rad] in the frame of the world, NaN on hardware; `sent`, (k, 5) time and the wheel
+    Attributes: `ticks` and `steps`, the columns of `messages.TICK_COLUMNS` and `STEP_COLUMNS`;
+    `truth`, (m, 5) time, x [m], y [m], theta [rad] in the frame of the world, and whether there was
+    contact, NaN on hardware; `sent`, (k, 5) time and the wheel
     speeds of each command on the wire [rad/s]; `scans`, (s, 1) times; `ranges`, (s, rays) [m],
     None without a LiDAR; `faults`, (time, text).
 
@@ -102,7 +105,8 @@ class GrowingEpisode:
     def __init__(self, parts: EpisodeParts, config: RobotConfig) -> None:
         self.info = parts.info
         self.ticks = GrowingTable(len(TICK_COLUMNS))
-        self.truth = GrowingTable(4)
+        self.steps = GrowingTable(len(STEP_COLUMNS))
+        self.truth = GrowingTable(5)
         self.sent = GrowingTable(5)
         self.scans = GrowingTable(1)
         self.ranges: GrowingTable | None = None
@@ -118,7 +122,8 @@ class GrowingEpisode:
         """
         before = self._count_rows()
         self.ticks.add(self._take_table(TICKS), TICK_PLACES["stamp"])
-        self.truth.add(self._take_table(EXCHANGES)[:, [1, 5, 6, 7]], 0)
+        self.steps.add(self._take_table(STEPS), STEP_COLUMNS.index("stamp"))
+        self.truth.add(self._take_table(EXCHANGES)[:, [1, 5, 6, 7, 10]], 0)
         stamps, sent = self._take_list(WIRE_SENT)
         log = WireLog(stamps, tuple(sent), np.zeros(0), ())
         stamps, speeds = log.commands(self._config)
@@ -138,7 +143,14 @@ class GrowingEpisode:
         return self._count_rows() != before
 
     def _count_rows(self) -> list[int]:
-        tables: list[Sized] = [self.ticks, self.truth, self.sent, self.scans, self.faults]
+        tables: list[Sized] = [
+            self.ticks,
+            self.truth,
+            self.sent,
+            self.scans,
+            self.faults,
+            self.steps,
+        ]
         return [len(table) for table in tables]
 
     def _take_table(self, topic: Topic) -> Floats:
@@ -181,9 +193,32 @@ class GrowingEpisode:
         found: Floats = self.ticks.rows[:, TICK_PLACES[name]]
         return found
 
+    @property
+    def poses(self) -> Floats:
+        """Poses by odometry at each tick, (n, 3): x [m], y [m], theta [rad]."""
+        found: Floats = self.ticks.rows[:, TICK_PLACES["x"] : TICK_PLACES["theta"] + 1]
+        return found
+
+    @property
+    def measured(self) -> Floats:
+        """Newest wheel speeds at each tick, (n, 4) [rad/s]."""
+        first = TICK_PLACES["speed_a"]
+        found: Floats = self.ticks.rows[:, first : first + 4]
+        return found
+
+    def pose(self, time: float) -> tuple[float, float, float]:
+        """Pose by odometry at a time [s], that of the newest tick; zero before the first one."""
+        place = self.place(time)
+        x, y, theta = self.poses[place].tolist() if place >= 0 else (0.0, 0.0, 0.0)
+        return x, y, theta
+
     def place(self, time: float) -> int:
         """Number of the newest tick at a time [s]; -1 before the first one."""
         return int(np.searchsorted(self.column("stamp"), time + 1e-9, "right")) - 1
+
+    def count_truth(self, time: float) -> int:
+        """How many true poses there are until a time [s]."""
+        return int(np.searchsorted(self.truth.rows[:, 0], time + 1e-9, "right"))
 
     def asked(self, ticks: slice) -> Floats:
         """Wheel speeds that were asked for in some ticks, (n, 4) [rad/s]; NaN where none were."""
@@ -293,6 +328,12 @@ class RecordingTail:
     def is_complete(self) -> bool:
         """Whether the recording was ended in order."""
         return self._collector.end is not None
+
+    @property
+    def dropped(self) -> int:
+        """Events that were dropped because the writer couldn't keep up; 0 where it isn't told."""
+        found = (self._collector.end or {}).get("dropped")
+        return found if isinstance(found, int) else 0
 
     @property
     def age(self) -> float:

@@ -23,6 +23,7 @@ from acsar_gym.tools.view.app import (
 )
 from acsar_gym.tools.view.drawing import COLOURS
 from acsar_gym.tools.view.session import Session
+from acsar_gym.tools.view.tail import WRITING_TIMEOUT
 
 BASE = "http://127.0.0.1:8050"
 OPENED = PageInputs(
@@ -33,6 +34,7 @@ OPENED = PageInputs(
     playing=False,
     clock=0.0,
     seen=1,
+    run=0,
     longest=1.0,
     rate="1",
 )
@@ -80,6 +82,7 @@ def test_other_sites_get_nothing(client: Any, base: str, origin: str | None, cod
 def test_the_page_is_answered_over_http(client: Any) -> None:
     asked = client.get("/_dash-dependencies", base_url=BASE).get_json()[0]
     values = {"time": 0.5, "episode": 1, "playing": False, "clock": 1.0, "seen": 0, "rate": "1"}
+    values["run"] = 0
     body = {
         "output": asked["output"],
         "outputs": [
@@ -148,6 +151,39 @@ def test_a_live_run_is_followed_until_somebody_looks_back(tape: Path, tmp_path: 
         assert (over["state"], over["playing"]) == ("ended", False)
         assert over["top"] is not no_update
     assert answered(live, "pulse", seen=live.revision)["top"] is no_update
+
+
+def test_a_run_that_replaces_what_was_watched_is_followed(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(tape.read_bytes())
+    page = Session(path)
+    watched = answered(page, "time", at=0.2)
+    path.rename(tmp_path / "drive.1.mcap")
+    path.write_bytes(tape.read_bytes()[:300])  # its header isn't there yet
+    broken = answered(page, "pulse", at=0.2, run=watched["run"])
+    path.write_bytes(begun(tape))
+    told = answered(page, "pulse", at=broken["slider"], run=broken["run"])
+    assert (told["state"], told["playing"]) == ("live", True)
+    assert told["slider"] == told["longest"] > 0.2
+    past = answered(page, "time", playing=True, at=0.2, run=told["run"])
+    still = answered(page, "pulse", at=0.2, run=past["run"], seen=past["seen"])
+    assert (still["playing"], still["slider"]) == (False, no_update)
+    path.rename(tmp_path / "drive.2.mcap")  # another one, which is over before anybody asks
+    path.write_bytes(tape.read_bytes())
+    over = answered(page, "pulse", at=0.2, run=past["run"], seen=past["seen"])
+    assert (over["playing"], over["slider"]) == (False, over["longest"])
+
+
+def test_a_recording_that_goes_on_is_followed(tape: Path, tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(begun(tape))
+    long_ago = path.stat().st_mtime - 2.0 * WRITING_TIMEOUT
+    os.utime(path, (long_ago, long_ago))
+    page = Session(path)
+    assert answered(page, None)["state"] == "recorded"
+    os.utime(path)
+    told = answered(page, "pulse")
+    assert (told["state"], told["playing"], told["slider"]) == ("live", True, told["longest"])
 
 
 def answered(session: Session, cause: str | None, now: float = 100.0, **changes: Any) -> Any:
