@@ -95,6 +95,7 @@ class Robot:
         self._held = False
         self._stopwatch: EpisodeStopwatch | None = None
         self._watch: WheelWatch | None = None
+        self._lateness: float | None = None
         self._period = self.config.period
         self._clocked = self.sensors.clocked
 
@@ -146,7 +147,7 @@ class Robot:
         self.odometry.reset()
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
-            self._stopwatch = EpisodeStopwatch(self._period)
+            self._stopwatch = EpisodeStopwatch(self.config)
             if self.link.truth is None and self.config.wheel_check:
                 self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
         self.sensors.reset(scene, rng)
@@ -359,7 +360,7 @@ class Robot:
         for one, share in wire.shares(heard, dt):
             self.odometry.update(one, share)
         if self._stopwatch is not None:
-            self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
+            self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
             fastest = max(map(abs, wire.speeds))
             if self._stopwatch.commanded(wire.written, fastest, drives=any(speeds or ZERO)):
                 self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
@@ -391,7 +392,7 @@ class Robot:
             (float(linear), float(angular)),
             self.safety.sent,
             self.safety.reason,
-            self.link.lateness,
+            self._lateness,
             wire.age,
             sum(wire.decoder.refused.values()),
         )

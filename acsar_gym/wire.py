@@ -44,8 +44,7 @@ class Wire:
         self.speeds: Speeds = ZERO
         self.age = 0.0
         self.stamp = self.began = self.written = 0.0
-        self._settled = False
-        self._timed = link.lateness is not None
+        self._settled = self._timed = False
         self._line_time = line_time(config)
 
     def reset(self) -> None:
@@ -55,6 +54,7 @@ class Wire:
         self.age = 0.0
         self.stamp = self.began = self._link.now()
         self._settled = False
+        self._timed = self._link.lateness is not None  # a replay knows it from its reset on
 
     def send(self, speeds: Speeds) -> None:
         """Send a command line; it is encoded again only where `speeds` is another object."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from acsar_gym.config import FirmwareConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
@@ -66,6 +68,20 @@ def standing(*answers: bytes, then: bytes = STILL) -> tuple[Robot, ScriptedLink]
     robot = Robot(link, RobotConfig())
     robot.activate()
     return robot, link
+
+
+def test_the_time_until_the_first_command_is_late_in_no_table(tmp_path: Path) -> None:
+    """The first tick's deadline is that of the reset, and a policy may be loaded in between."""
+    link, file = ScriptedLink(then=STILL), tmp_path / "drive.mcap"
+    link.lateness = 0.2
+    with Robot(link, ACSAR, recorder=Recorder(file)) as robot:
+        robot.drive(0.1, 0.0)
+        link.lateness = 0.003
+        robot.drive(0.1, 0.0)
+        assert robot.timing is not None
+        assert robot.timing.lateness.worst == 0.003
+    (episode,) = read(file).episodes
+    assert episode.lateness.tolist() == pytest.approx([math.nan, 0.003], nan_ok=True)
 
 
 @pytest.mark.parametrize("link", ["planar", "bullet"])

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 
-LATE_TICK = 0.001
-"""A tick is late if it ends more than this after its deadline [s]."""
+from acsar_gym.config import RobotConfig
 
 STANDSTILL = 0.1
 """Wheels slower than this count as standing still [rad/s]."""
@@ -48,7 +47,7 @@ class TickTiming:
 
     ticks: int
     late_ticks: int
-    """Ticks that ended more than 1 ms after their deadline."""
+    """Ticks that ended more than the robot's `late_after` after their deadline."""
     missed_ticks: int
     """Control periods that passed without a tick."""
     p50: float
@@ -132,23 +131,24 @@ class LatenessHistogram(DurationHistogram):
     """Counts the lateness of ticks.
 
     Args:
-        period: control period [s].
+        config: of the robot, for its control period and what it calls late.
 
     Attributes:
-        late: ticks more than 1 ms late.
+        late: ticks that ended more than `limit` after their deadline.
+        limit: `config.late_tick` [s].
         missed: whole periods without a tick; a tick that ends 3.5 periods late has missed
             three.
     """
 
-    def __init__(self, period: float) -> None:
+    def __init__(self, config: RobotConfig) -> None:
         super().__init__()
-        self.period = period
+        self.period, self.limit = config.period, config.late_tick
         self.late = self.missed = 0
 
     def add(self, seconds: float) -> None:
         """Add a tick that ended `seconds` after its deadline."""
         super().add(seconds)
-        if seconds > LATE_TICK:
+        if seconds > self.limit:
             self.late += 1
             if seconds > self.period:
                 self.missed += int(seconds / self.period)
@@ -163,28 +163,34 @@ class EpisodeStopwatch:
     """Measures the timing of one episode.
 
     Args:
-        period: control period [s].
+        config: of the robot.
     """
 
-    def __init__(self, period: float) -> None:
-        self._lateness = LatenessHistogram(period)
+    def __init__(self, config: RobotConfig) -> None:
+        self._lateness = LatenessHistogram(config)
         self._ages, self._trips = DurationHistogram(), DurationHistogram()
         self._newest_trips: deque[float] = deque(maxlen=KEPT_TRIPS)
         self._begun = False
         self._asked: float | None = None
         self._fastest = self._shows = 0.0
 
-    def tick(self, lateness: float, age: float) -> None:
+    def tick(self, lateness: float, age: float) -> float | None:
         """Add a tick.
 
         Args:
             lateness: time from its deadline to its end [s].
             age: age of the newest feedback [s].
+
+        Returns:
+            The lateness; None for the first tick, whose deadline is the reset's: nothing drove
+            since, so that the time until the first command doesn't count.
         """
-        if self._begun:  # time between reset and first step doesn't count
-            self._lateness.add(lateness)
-            self._ages.add(age)
-        self._begun = True
+        if not self._begun:
+            self._begun = True
+            return None
+        self._lateness.add(lateness)
+        self._ages.add(age)
+        return lateness
 
     def commanded(self, written: float, fastest: float, *, drives: bool) -> bool:
         """Add a command, and what the feedback of its period shows.

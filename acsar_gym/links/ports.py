@@ -260,9 +260,12 @@ def _opening_error(device: str, error: Exception) -> LinkError:
     """Convert an exception of pyserial to a LinkError with advice."""
     code = getattr(error, "errno", None)
     text = str(error)
-    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
+    gone = code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError)
+    if gone or errno.ENOTTY in getattr(error.__context__, "args", ()):  # of termios
         known = ", ".join(port.device for port in find_ports()) or "none"
-        return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
+        if gone:
+            return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
+        return LinkError(f"{device}: isn't a serial port", f"serial ports here: {known}")
     if code in (errno.EACCES, errno.EPERM):
         return PortPermissionError(
             f"{device}: permission denied",

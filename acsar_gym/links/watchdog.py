@@ -45,7 +45,8 @@ WATCHDOG_AVAILABLE = os.name == "posix"
 CHILD_TIMEOUT = 5.0
 """Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
 ASLEEP_TIME = 0.2
-"""It counts as halted if it didn't run during this driving time [s]; it runs every 50 ms."""
+"""It counts as halted if it didn't run during this driving time, or its own time-out where that is
+longer [s]; it runs every 50 ms."""
 LONGEST_TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
 BEATS_PER_TIMEOUT = 3
@@ -87,6 +88,7 @@ class Watchdog:
     def __init__(self, zeros: bytes, timeout: float | None) -> None:
         self._zeros = zeros
         self._timeout = timeout or math.inf
+        self._asleep_time = max(ASLEEP_TIME, timeout or 0.0)
         self._can_start = timeout is not None
         self._ours = contextlib.ExitStack()
         self._open = self._driving = self._halted = self._resting = False
@@ -219,13 +221,13 @@ class Watchdog:
         else:
             self._unseen += min(now - self._drove, LONGEST_TICK)
         self._drove = now
-        if self._unseen <= ASLEEP_TIME and self._is_running():
+        if self._unseen <= self._asleep_time and self._is_running():
             return
         self._halted = True  # so that it is replaced at the next reset
         why = "is suspended"
         if self._process.returncode is not None:
             why = "has ended"
-        elif self._unseen > ASLEEP_TIME:
+        elif self._unseen > self._asleep_time:
             why = f"hasn't run for {self._unseen:.2f} s"
         raise LinkError(
             f"the watchdog process {why} (PID {self.pid})",

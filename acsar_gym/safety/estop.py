@@ -532,7 +532,10 @@ def _print_drivers() -> int:
         called = f" ({escape_unprintable(each.name)})" if each.name else ""
         print(f"{robot}{called}: process {each.process}, since {since}")
     if not found:
-        print("no robot is being driven from this computer")
+        print(
+            "you drive no robot from this computer; "
+            "'sudo -u USER acsar-gym estop' stops what another user drives"
+        )
     return 0 if found else 1
 
 

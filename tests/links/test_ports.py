@@ -212,3 +212,13 @@ def test_a_url_that_no_watchdog_can_share_is_refused(url: str, config: RobotConf
     with pytest.raises(ConfigError, match="socket://host:port"):
         robot.activate()
     assert not robot.active
+
+
+@pytest.mark.parametrize("name", ["/dev/null", "file"])
+def test_what_is_no_serial_port_is_one_line_with_those_that_are(
+    name: str, config: RobotConfig, adapter: str, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    device = str(tmp_path / name)  # /dev/null is absolute and stays
+    with pytest.raises(LinkError, match=f"^{device}: isn't a serial port: .*{adapter}"):
+        ports.open_port(device, config)

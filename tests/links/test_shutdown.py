@@ -256,6 +256,8 @@ for number in (signal.SIGUSR1, signal.SIGCHLD, signal.SIGWINCH, signal.SIGHUP):
 """
 """SIGHUP is one of them where the program handles it: servers read their settings again."""
 WHILE_A_CHILD_ENDS = """
+import warnings
+warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
 robot.activate()
 thread, errors = in_a_thread(lambda: drive(60))
 child = os.fork()

@@ -121,7 +121,10 @@ def test_without_a_robot_the_command_says_so(
     for name in ((), ("rob",)):
         code, output, error = estop_command(capsys, monkeypatch, *name)
         assert (code, error) == (1, "")
-        assert output == "no robot is being driven from this computer\n"
+        assert output == (
+            "you drive no robot from this computer; "
+            "'sudo -u USER acsar-gym estop' stops what another user drives\n"
+        )
 
 
 def test_sockets_belong_to_their_owner_alone(config: RobotConfig, shared_device: str) -> None:

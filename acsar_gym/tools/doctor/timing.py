@@ -67,6 +67,8 @@ class TimingReport:
     device: str
     rate: float
     """Ticks per second [Hz]."""
+    late_tick: float
+    """Ticks that are later than this count as late [s]."""
     lateness: TickTiming
     """Lateness of the control loop: time from a tick's deadline to its wake-up."""
     bare: TickTiming
@@ -111,7 +113,8 @@ class TimingReport:
             warn_if(
                 late.late_share > MAX_LATE_SHARE,
                 "late ticks",
-                f"{late.late_ticks} of {late.ticks} over 1 ms ({late.late_share:.2%}), "
+                f"{late.late_ticks} of {late.ticks} over {self.late_tick * 1e3:g} ms "
+                f"({late.late_share:.2%}), "
                 f"{late.missed_ticks} missed",
                 f"{BUSY_HINT}; see the computer below",
             ),
@@ -195,8 +198,8 @@ class _WakeUpLink(SerialLink):
 class _TickRecord(LatenessHistogram):
     """Lateness of the ticks of one loop, also as counts of bins."""
 
-    def __init__(self, period: float) -> None:
-        super().__init__(period)
+    def __init__(self, config: RobotConfig) -> None:
+        super().__init__(config)
         self.bins = [0] * (len(HISTOGRAM_EDGES) + 1)
 
     def next_deadline(self, woke: float, deadline: float) -> float:
@@ -232,7 +235,7 @@ def examine_timing(
         )
     link = _WakeUpLink(device, config)
     robot = Robot(link, config)
-    own, bare = _TickRecord(config.period), _TickRecord(config.period)
+    own, bare = _TickRecord(config), _TickRecord(config)
     ages, decision_times = DurationHistogram(), DurationHistogram()
     if policy is None:
         with contextlib.suppress(MissingExtraError):
@@ -269,6 +272,7 @@ def examine_timing(
         return TimingReport(
             device=device,
             rate=config.control_rate,
+            late_tick=config.late_tick,
             lateness=own.summary(),
             bare=bare.summary(),
             histogram=tuple(own.bins),

@@ -18,6 +18,7 @@ try:
 except ImportError:
     raise ConfigError("this operating system has no pseudo-terminals to emulate on") from None
 
+PSEUDO_TERMINALS = Path("/dev/pts")
 READ_SIZE = 4096
 UNNAMED_RATES = (128000,)
 """Baud rates that termios has no name for, and Linux's terminals have all the same."""
@@ -60,7 +61,8 @@ class EmulatedCable:
         device: path of the device; empty while unplugged.
 
     Raises:
-        ConfigError: no terminal knows the baud rate, or the symbolic link can't be created.
+        ConfigError: no terminal knows the baud rate, or the symbolic link can't be created, or is
+            that of another device.
     """
 
     def __init__(self, baud_rate: int, name: Path | None = None) -> None:
@@ -70,6 +72,12 @@ class EmulatedCable:
         if not hasattr(termios, f"B{baud_rate}") and baud_rate not in unnamed:
             raise ConfigError(
                 f"baud = {baud_rate}: must be a rate that a terminal knows, as 115200"
+            )
+        other = name.readlink() if name is not None and name.is_symlink() else Path()
+        if other.parent == PSEUDO_TERMINALS and other.exists():
+            raise ConfigError(
+                f"{name}: is the name of {other}, perhaps another emulator's: end that, or give "
+                "another name"
             )
         self._name = name
         self._descriptors: tuple[int, ...] = ()

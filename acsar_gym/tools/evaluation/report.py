@@ -57,22 +57,21 @@ def print_tables(*tables: Table) -> None:
 
 
 def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
-    """Yield items, with a progress bar on stderr once it takes longer than PROGRESS_DELAY.
+    """Yield items, with a progress bar on a terminal once it takes longer than PROGRESS_DELAY.
 
     Args:
         what: label of the bar.
         items: the items.
         total: number of items.
     """
-    begin = time.monotonic()
+    begin, console = time.monotonic(), SafeConsole(stderr=True)
     with contextlib.ExitStack() as stack:
         bar: Progress | None = None
         for number, item in enumerate(items, start=1):
             yield item
-            if bar is None and time.monotonic() - begin > PROGRESS_DELAY:
-                bar = stack.enter_context(
-                    Progress(console=SafeConsole(stderr=True), transient=True)
-                )
+            late = time.monotonic() - begin > PROGRESS_DELAY
+            if bar is None and late and console.is_terminal:
+                bar = stack.enter_context(Progress(console=console, transient=True))
                 bar.add_task(what, total=total)
             if bar is not None:
                 bar.update(bar.task_ids[0], completed=number)

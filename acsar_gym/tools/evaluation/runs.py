@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from acsar_gym.config import RobotConfig
+from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.errors import (
@@ -219,7 +219,7 @@ def seed_range(first: int, count: int) -> range:
 def evaluate_policy(
     policy: FilePolicy,
     link: str,
-    robot: str | None,
+    robot: RobotSource,
     seeds: range,
     *,
     how: Mapping[str, Any] | None = None,
@@ -234,7 +234,7 @@ def evaluate_policy(
     Args:
         policy: the policy.
         link: name of the link.
-        robot: preset or file of the robot; None for the default.
+        robot: preset, file or config of the robot; None for the default.
         seeds: seeds of the episodes.
         how: keyword arguments of `episodes.run_episodes`.
         elsewhere: results of these episodes, in any order, if other processes run them.
@@ -258,6 +258,7 @@ def drive_to_goal(
     robot: str | None,
     goal: tuple[float, float],
     ready: Callable[[], object] = lambda: None,
+    how: Mapping[str, Any] = {},
     **options: Any,
 ) -> EvaluationRun:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as `evaluate_policy`.
@@ -279,8 +280,9 @@ def drive_to_goal(
         refuse_outside(policy)
         _warn_differences(policy)
         ready()
-        running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal)
-        return _collect_run(env, policy, link, range(1), {"goal": goal}, running)
+        running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
+        told = {"goal": goal, **how}
+        return _collect_run(env, policy, link, range(1), told, running)
 
 
 def _warn_differences(policy: FilePolicy) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.links.lateness import LATE_TICK
+from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation import metrics
@@ -29,13 +29,10 @@ from acsar_gym.tools.sysid.delays import (
 from acsar_gym.tools.sysid.tracks import EpisodeTrack, find_damage, make_recorded_track
 from acsar_gym.tools.sysid.twin_gap import format_cell, format_interval
 from acsar_gym.worlds.search import path_length
-from acsar_gym.worlds.world import to_odometry
 
 NO_INTERVAL = (math.nan, math.nan)
 FEWEST_PAIRS = 2
 """Fewest pairs that have an interval."""
-SAME_GOAL_DISTANCE = 0.01
-"""Goals that are nearer to each other are one [m]."""
 NamedRecordings = Sequence[tuple[str, Recording]]
 """Recordings with the names of their files."""
 
@@ -152,7 +149,7 @@ class EpisodeOutcome:
     """One episode of a task."""
 
     log: str
-    key: tuple[int | None, int]
+    key: SeedKey
     """Seed, and which one of the episodes with this seed."""
     success: float
     """1 or 0; NaN where the recording doesn't tell."""
@@ -166,6 +163,11 @@ class EpisodeOutcome:
         seed, again = self.key
         named = f"episode {again}" if seed is None else f"seed {seed}"
         return named if seed is None or not again else f"{named} ({again + 1})"
+
+    @property
+    def goal(self) -> Any:
+        """The goal x, y in the odometry frame [m]; None where the recording doesn't tell."""
+        return self.episode.info.get("goal")
 
     @property
     def path_length(self) -> float:
@@ -310,7 +312,7 @@ def compare_sides(
     if len(widths) > 1:
         sizes = " and ".join(map(str, sorted(widths)))
         raise ConfigError(f"{second[0][0]}: another task: observations of {sizes} numbers")
-    pairs = tuple((a, b) for a, b in common if have_same_goal(a.episode, b.episode))
+    pairs = tuple((a, b) for a, b in common if have_same_goal(a.goal, b.goal))
     if not pairs:
         one, other = common[0]
         raise ConfigError(
@@ -336,19 +338,20 @@ def compare_sides(
 
 def _list_outcomes(logs: NamedRecordings) -> list[EpisodeOutcome]:
     """The episodes of one side; repeated seeds are counted."""
-    seen: Counter[int | None] = Counter()
+    whole = [
+        (name, log.config, one)
+        for name, log in logs
+        for one in log.episodes
+        if not find_damage(one)
+    ]
+    seeds = (one.info.get("seed") for _, _, one in whole)
+    keys = number_seeds(None if seed is None else int(seed) for seed in seeds)
     outcomes = []
-    for name, recording in logs:
-        for episode in recording.episodes:
-            if find_damage(episode):
-                continue
-            seed = episode.info.get("seed")
-            key = (None if seed is None else int(seed), seen[seed])
-            seen[seed] += 1
-            success = math.nan if episode.success is None else float(episode.success)
-            seconds = float(episode.stamps[-1] - episode.stamps[0]) + recording.config.period
-            track = make_recorded_track(episode, recording.config)
-            outcomes.append(EpisodeOutcome(name, key, success, seconds, track, episode))
+    for key, (name, config, episode) in zip(keys, whole, strict=True):
+        success = math.nan if episode.success is None else float(episode.success)
+        seconds = float(episode.stamps[-1] - episode.stamps[0]) + config.period
+        track = make_recorded_track(episode, config)
+        outcomes.append(EpisodeOutcome(name, key, success, seconds, track, episode))
     return outcomes
 
 
@@ -369,6 +372,7 @@ def _note_sides(
     names: tuple[str, str],
 ) -> list[str]:
     """Say what limits the comparison; episodes aren't valid with too many late ticks."""
+    limits = {name: log.config.late_tick for name, log in logs}
     notes = [f"{name}: its end is missing; the rest was used" for name, log in logs if log.cut]
     notes += [f"{name}: {log.dropped:,} ticks are missing" for name, log in logs if log.dropped]
     for name, side in zip(names, sides, strict=True):
@@ -377,7 +381,7 @@ def _note_sides(
     for name, side in zip(names, sides, strict=True):
         for one in side:
             known = one.episode.lateness[np.isfinite(one.episode.lateness)]
-            share = float(np.mean(known > LATE_TICK)) if len(known) else 0.0
+            share = float(np.mean(known > limits[one.log])) if len(known) else 0.0
             if share > MAX_LATE_SHARE:
                 notes.append(
                     f"{name}, {one.name} of {one.log}: invalid, {share:.0%} of its ticks were "
@@ -450,17 +454,6 @@ def describe_policies(first: NamedRecordings, second: NamedRecordings) -> str:
         return ""
     told = [", ".join(sorted(name for _, name in side)) for side in sides]
     return f"policies differ: {told[0]} vs {told[1]}"
-
-
-def have_same_goal(one: Episode, other: Episode) -> bool:
-    """Whether two episodes had the same goal, seen from their starts; true where it isn't told."""
-    goals = []
-    for episode in (one, other):
-        goal, start = episode.info.get("goal"), episode.info.get("start") or (0.0, 0.0, 0.0)
-        if not goal:
-            return True
-        goals.append(to_odometry(tuple(start), (float(goal[0]), float(goal[1]), 0.0))[:2])
-    return float(np.hypot(*np.subtract(goals[0], goals[1]))) < SAME_GOAL_DISTANCE
 
 
 def conclude_comparison(sides: SideComparison) -> list[str]:

@@ -62,6 +62,7 @@ def report() -> TimingReport:
     return TimingReport(
         device="/dev/ttyUSB0",
         rate=100.0,
+        late_tick=0.002,
         lateness=timing,
         bare=dataclasses.replace(timing, p99=1e-4),
         histogram=(0, 10, 900, 89, 0, 0, 1, *[0] * 6),
@@ -96,7 +97,7 @@ def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> Non
     ticks = 30  # three turns
     assert report.lateness.ticks == report.bare.ticks == ticks
     assert sum(report.histogram) == sum(report.bare_histogram) == ticks
-    assert sum(report.histogram[HISTOGRAM_EDGES.index(1e-3) + 1 :]) == report.lateness.late_ticks
+    assert sum(report.histogram[HISTOGRAM_EDGES.index(2e-3) + 1 :]) == report.lateness.late_ticks
     assert report.feedback_age.count == ticks
     assert report.policy_time is not None
     assert report.policy_time.count == 3

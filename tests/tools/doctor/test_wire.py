@@ -108,7 +108,7 @@ import os, signal, sys
 from acsar_gym import RobotConfig
 from acsar_gym.tools.doctor import wire
 from acsar_gym.protocol import encode
-link = wire.StoppableLink(sys.argv[1], RobotConfig())
+link = wire.StoppableLink(sys.argv[1], RobotConfig().with_(watchdog_timeout=5.0))
 link.open()
 for tick in range(100):
     link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))

@@ -38,6 +38,19 @@ def cable(name: Path) -> Iterator[EmulatedCable]:
     assert not name.is_symlink()
 
 
+def test_a_name_in_use_stays_with_its_device(cable: EmulatedCable, name: Path) -> None:
+    with pytest.raises(ConfigError, match=r"usb-acsar: is the name of /dev/pts/\d+"):
+        EmulatedCable(BAUD_RATE, name)
+    assert str(name.readlink()) == cable.device
+
+
+def test_a_name_that_was_left_behind_is_taken(name: Path) -> None:
+    name.symlink_to("/dev/pts/999999")
+    cable = EmulatedCable(BAUD_RATE, name)
+    assert str(name.readlink()) == cable.device
+    cable.pull()
+
+
 @contextlib.contextmanager
 def client(device: str | Path) -> Iterator[int]:
     descriptor = os.open(device, NONBLOCKING)
@@ -116,7 +129,8 @@ def test_a_name_that_others_change_is_no_error(cable: EmulatedCable, name: Path)
     cable.pull()
     cable.plug()
     assert str(name.readlink()) == cable.device
-    other = EmulatedCable(BAUD_RATE, name)  # takes over what it finds
+    name.unlink()
+    other = EmulatedCable(BAUD_RATE, name)
     cable.pull()
     assert str(name.readlink()) == other.device
     other.pull()

@@ -55,7 +55,8 @@ def test_episodes_are_only_tracked_where_asked_and_json_leaves_tracks_out(
     env = made().unwrapped
     plain = next(run_episodes(env, lambda _: np.array([1.0, 0.0], np.float32), 1, 3))
     env.close()
-    assert plain == dataclasses.replace(crash, track=None)
+    # As mappings: since Python 3.13 results with a NaN aren't equal to themselves.
+    assert dataclasses.asdict(plain) == dataclasses.asdict(dataclasses.replace(crash, track=None))
     assert "track" not in describe_episodes([crash])[0]
     with pytest.raises(ValueError, match="track"):
         pictures.draw_episode(plain)

@@ -78,7 +78,7 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     assert told.items() <= header["worlds"].items()
     for part in (header["robot"], header["worlds"]):
         assert re.fullmatch("[0-9a-f]{64}", part["sha256"])
-    standing = -sum(0.02 + 0.05 * min((step + 1) / 50, 1.0) for step in range(1, 601))
+    standing = -sum(0.04 + 0.1 * min((step + 1) / 50, 1.0) for step in range(1, 601))
     for number, episode in enumerate(data["per_episode"]):
         assert (episode["seed"], episode["length"]) == (3 + number, 600)
         assert 0 <= episode["world"] < 200

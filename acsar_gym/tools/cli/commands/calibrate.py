@@ -14,6 +14,7 @@ from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    HostOptions,
     LidarArg,
     RecordOptions,
     RobotArg,
@@ -79,6 +80,7 @@ def calibrate_robot(
     what: Manoeuvres,
     run: RunOptions,
     wire: CalibrationSetup,
+    host: HostOptions,
     output: CalibrationOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
@@ -96,6 +98,7 @@ def calibrate_robot(
         what: manoeuvres.
         run: driving.
         wire: robot and measuring.
+        host: process priority and cores.
         output: results.
     """
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
@@ -124,6 +127,7 @@ def calibrate_robot(
         job.add(calibration_runs.read_recorded_runs(Path(device), manoeuvre, config))
     elif not of_file:
         twin = config if wire.twin is None else RobotConfig.of(wire.twin)
+        host.prepare()
         recorder = wire.recorder("calibrate", link=device)
         robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, wire.world, recorder)
         for option, value in (("--twin", wire.twin), ("--world", wire.world)):

@@ -30,7 +30,7 @@ class DemoOptions(Section):
     """Env steps of the training."""
     episodes: Count = 100
     """Episodes in PyBullet."""
-    serial_episodes: Count = 16
+    serial_episodes: Count = 6
     """Episodes over the emulator's pseudo-terminal, in real time."""
     out: Path = Path("runs/demo")
     """Folder for the policy and the logs."""

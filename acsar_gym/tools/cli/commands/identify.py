@@ -10,10 +10,11 @@ from typing import Annotated
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, escape_unprintable
+from acsar_gym.errors import BUSY_HINT, ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    HostOptions,
     RecordOptions,
     RobotArg,
     check_not_given,
@@ -60,6 +61,7 @@ class IdentifyOutputs:
 def identify_robot(
     sources: Sources,
     setup: IdentifySetup,
+    host: HostOptions,
     output: IdentifyOutputs,
     duration: float = DURATION,
     yes: bool = False,
@@ -75,6 +77,7 @@ def identify_robot(
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
             --record.
         setup: robot and recording.
+        host: process priority and cores.
         output: results.
         duration: of the manoeuvre [s].
         yes: don't ask before the wheels turn.
@@ -111,11 +114,12 @@ def identify_robot(
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
         recorder = setup.recorder("identify")
+        host.prepare()
         found = identify.identify_device(link, config, duration, recorder)
         if found.duration > LATE_MANOEUVRE * duration:
             late = (
                 f"acsar-gym: the manoeuvre took {found.duration:.1f} s instead of {duration:g}: "
-                "this computer was late, and the figures are worse for it; stop other programs, "
+                f"this computer was late, and the figures are worse for it; {BUSY_HINT}; "
                 f"see 'acsar-gym doctor {device} --timing', and drive again"
             )
             print(escape_unprintable(late), file=sys.stderr)
