@@ -1,5 +1,7 @@
-# The two commands: `make demo` and `make test`. Both make their own virtual environment with pip.
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+# The two commands: `make demo` and `make test`. Both make their own virtual environment with pip, of
+# Python 3.11 where it can be had: PyBullet has wheels for it.
+PYTHON ?=
+PYTHONS ?= 3.11 3.12 3.13
 VENV := .venv
 ECOSYSTEM := .venv-ecosystem
 BIN := $(VENV)/bin
@@ -15,7 +17,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/li
 REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
-.PHONY: demo test docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+.PHONY: demo test test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
   firmware-tested fuzz soak replug stopping identify-check licences pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -25,6 +27,12 @@ test: $(READY)  ## everything that must hold; linters and docs run beside the te
 	@nice $(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	  $(BIN)/pytest -n $(WORKERS); tested=$$?; \
 	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))
+
+test-pythons:  ## make test on each Python of PYTHONS; the tests that it skips are named, with why
+	@.ci/pythons $(PYTHONS)
+
+release:  ## build wheel and sdist into dist, and use the wheel in an empty environment, elsewhere
+	@.ci/release "$(PYTHON)"
 
 test-slow: $(READY)  ## the same rules on larger samples, in half an hour
 	$(BIN)/pytest -n 2 -m 'slow or hypothesis' --hypothesis-profile thorough
@@ -89,17 +97,19 @@ pictures: $(READY)  ## draw the README's moving picture: one policy behind two l
 	$(BIN)/python assets/pictures/three_views.py
 
 $(READY): pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
+	@.ci/venv $(VENV) "$(PYTHON)"
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev,docs]'
 	touch $@
 
 # CleanRL's package is its scripts: what else it asks for is years old.
 $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
-	$(PYTHON) -m venv $(ECOSYSTEM)
+	@.ci/venv $(ECOSYSTEM) "$(PYTHON)"
 	$(ECOSYSTEM)/bin/pip install --quiet --constraint tests/ecosystem/constraints.txt \
-	  rl_zoo3 'ray[rllib]' torchrl skrl sbx-rl minari pytest onnx onnxscript torch --editable '.[bullet,fast,deploy]'
-	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0
+	  rl_zoo3 'ray[rllib]' torchrl skrl sbx-rl minari pytest onnx onnxscript torch \
+	  accelerate av datasets --editable '.[bullet,fast,deploy,export]'
+	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0 \
+	  lerobot==0.4.4 torchvision==0.28.0
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(ECOSYSTEM) build dist
+	rm -rf .venv .venv-* build dist

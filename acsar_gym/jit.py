@@ -7,8 +7,8 @@ files of the package; code with another stamp is compiled anew. tools/ doesn't c
 outside of it imports it; nor does agents/, which a wheel has inside of the package. Functions of
 tools/, and of another package, such as a user's task, are stamped with its sources, too.
 
-A batch's first reset in a new installation compiles for half a minute. The logger
-"acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
+A batch's first reset in a new installation compiles for half a minute, as does a single map's. The
+logger "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
 """
 
 from __future__ import annotations
@@ -37,8 +37,11 @@ LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
 TOOLS = PACKAGE / "tools"
 """Sources that have a stamp of their own."""
-BATCH_MODULES = "acsar_gym.vector.kernel."
-"""Modules whose functions take long to compile."""
+SLOW_MODULES = {
+    "acsar_gym.vector.kernel.": "the loops of batches",
+    "acsar_gym.sensors.map": "the map",
+}
+"""Modules whose functions take long to compile, and what they are to a user."""
 TASK_MODULE = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEWLY_COMPILED: list[str] = []
@@ -124,6 +127,10 @@ else:
         "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
         "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
     )
+    SLOW_TO_COMPILE = (
+        "acsar_gym: compiling {}, half a minute, once after each installation; "
+        "'acsar-gym warm-up' does it ahead of time"
+    )
     DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
 
     WITHIN = {
@@ -169,11 +176,11 @@ else:
         plain: Callable[P, R] = compiled or numba.njit(**options)(function)
         return plain
 
-    def _warn_once(message: str, why: object) -> None:
+    def _warn_once(message: str, *why: object) -> None:
         """Warn, once in this process."""
         if message not in GIVEN_WARNINGS:
             GIVEN_WARNINGS.add(message)
-            LOG.warning(message, why)
+            LOG.warning(message, *why)
 
     class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
         """Compiled code on disk, stamped, and with a checksum.
@@ -268,23 +275,22 @@ else:
         return decorator
 
     class _Announcer(event.Listener):  # type: ignore[misc]
-        """Notes what is compiled because the cache doesn't have it; warns once, before batches."""
+        """Notes what is compiled because the cache doesn't have it; warns of what takes long."""
 
-        said = False
+        depth = 0
+        """How many functions are being compiled, each for the one before."""
 
         def on_start(self, event: Any) -> None:
             function = event.data["dispatcher"].py_func
             NEWLY_COMPILED.append(f"{function.__module__}.{function.__qualname__}")
             module = function.__module__ or ""
-            if not self.said and module.startswith(BATCH_MODULES) and module != TASK_MODULE:
-                self.said = True
-                LOG.warning(
-                    "acsar_gym: compiling the loops of batches, half a minute, once after each "
-                    "installation; 'acsar-gym warm-up' does it ahead of time"
-                )
+            slow = [what for begin, what in SLOW_MODULES.items() if module.startswith(begin)]
+            if self.depth == 0 and slow and module != TASK_MODULE:
+                _warn_once(SLOW_TO_COMPILE.format(slow[0]))
+            self.depth += 1
 
         def on_end(self, event: Any) -> None:
-            pass
+            self.depth -= 1
 
     announcer = _Announcer()
     event.register("numba:compile", announcer)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import logging
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -13,6 +15,8 @@ from typing import Any
 
 import pytest
 from disk_tools import full_disk
+from rich.console import Console
+from serial_tools import wait_until
 
 from acsar_gym import jit as compiled
 from acsar_gym.errors import MissingExtraError
@@ -153,7 +157,7 @@ from acsar_gym.vector.kernel import layout
 compiled.loop(kinematics.compute_twist)(*range(1, 8))
 print("small", file=sys.stderr)
 compiled.loop(layout.robots_of_block)(0, 1)
-compiled.announcer.said = False
+compiled.GIVEN_WARNINGS.clear()
 compiled.loop(layout.robots_of_block)(0, 1)  # as in the next process: from the cache
 print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
 """
@@ -173,6 +177,30 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
         again
         == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.robots_of_block"
     )
+
+
+COMPILE_MAP = """
+import sys
+from acsar_gym import jit as compiled
+from acsar_gym.sensors.map import log_share
+
+def double_share(value, most):
+    return 2.0 * log_share(value, most)
+
+compiled.loop(double_share, keep=False)(1.0, 2.0)
+print("within", file=sys.stderr)
+compiled.loop(log_share)(1.0, 2.0)
+"""
+
+
+@needs_numba
+def test_compiling_a_map_is_announced_but_not_as_a_part_of_a_batch(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", COMPILE_MAP]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    within, said = done.stderr.splitlines()
+    assert within == "within"
+    assert said.startswith("acsar_gym: compiling the map, half a minute")
 
 
 BESIDE = """
@@ -205,6 +233,31 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
     assert caplog.records == []
     assert warm_up.warm_env(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
+
+
+COUNTED = """
+from acsar_gym.tools.warm_up import warm_env
+print(warm_env("point_goal").functions)
+"""
+
+
+@needs_numba
+@pytest.mark.slow
+def test_the_progress_knows_how_much_there_is_to_compile(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", COUNTED]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert int(done.stdout) == pytest.approx(warm_up.BATCH_FUNCTIONS, rel=0.05)
+
+
+def test_compilation_shows_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr(compiled, "NEWLY_COMPILED", ["one before"])
+    with warm_up.show_compilation(Console(file=shown, force_terminal=True, width=100)):
+        assert "compiling" not in shown.getvalue()
+        compiled.NEWLY_COMPILED.extend(["kernel.step"] * 100)
+        wait_until(lambda: "s left" in shown.getvalue(), "a time that is left")
+    assert re.search(r"compiling, once after each installation.*about \d+ s left", shown.getvalue())
 
 
 def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,7 @@ from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.render.top_view import TopView, TopViewFrame
 from acsar_gym.robot import Robot
+from acsar_gym.sensors.map import MapSensor
 from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tasks import Outcome, State, Task
 from acsar_gym.tools.policies import OnnxPolicy
@@ -48,6 +49,8 @@ PATH_POINTS = 500
 RECORDING_TICKS = 100
 """Ticks of one block, after which the writer catches up for RECORDING_BREAK [s]."""
 RECORDING_BREAK = 0.05
+MAP_STEPS = 300
+"""Updates of the map of which the mean is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,7 +432,7 @@ def _measure_recording() -> list[Figure]:
 def _measure_policies() -> list[Figure]:
     """Measure one decision of packaged policies."""
     figures = []
-    for name, title in (("point_goal", ""), ("barn", ", barn")):
+    for name, title in (("point_goal", ""), ("obstacle_goal", " with a map")):
         try:
             actor = OnnxPolicy(name)
         except MissingExtraError:
@@ -437,4 +440,22 @@ def _measure_policies() -> list[Figure]:
         observation = np.zeros(actor.width, np.float32)
         took = median_duration(partial(actor, observation), 1000)
         figures.append(Figure(f"ONNX policy{title}, one decision", took * 1e6, "us"))
-    return figures
+    return [*figures, Figure("map, one update", _measure_map(actor) * 1e6, "us")]
+
+
+def _measure_map(policy: OnnxPolicy) -> float:
+    """Return how long an update of the map takes [s]: the mean over a drive among obstacles."""
+    env = make_simulated("ObstacleGoal-v1", "planar", worlds="clutter:1-20")
+    inner: Any = env.unwrapped
+    spent = []
+    (sensor,) = (one for one in inner.robot.sensors if isinstance(one, MapSensor))
+    observation, _ = env.reset(seed=0)
+    for _ in range(MAP_STEPS):
+        observation, _, terminated, truncated, _ = env.step(policy(observation))
+        begin = time.perf_counter()
+        sensor.read(None, 0.0)
+        spent.append(time.perf_counter() - begin)
+        if terminated or truncated:
+            observation, _ = env.reset()
+    env.close()
+    return float(np.mean(spent))

@@ -7,12 +7,15 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError
-from acsar_gym.tools.emulation.board import run_emulator
+from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import report, runs
 from acsar_gym.tools.evaluation.episodes import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.training.plan import TrainingOptions, require_training
+from acsar_gym.tools.warm_up import show_compilation, warm_env
 
 
 def run_demo(
@@ -27,19 +30,23 @@ def run_demo(
         MissingExtraError: a library is missing; checked before the training starts.
         SystemExit: a signal ended the training.
     """
-    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
+    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy"), ("numba", "fast")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
+    require_training()
     console, log = report.SafeConsole(), out / "emulator.jsonl"
     console.rule("1. train PPO on simulated robots", align="left")
+    with show_compilation(console):
+        warm_env("point_goal")
     policy_file = train_demo_policy(steps, out)
     policy = OnnxPolicy(policy_file)
     gc.freeze()  # keeps garbage collection short while the robot drives
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
-    simulated = _drive(policy, "bullet", range(10_000, 10_000 + episodes))
+    simulated = _drive(policy, "bullet", range(10_000, 10_000 + episodes), None)
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     with run_emulator("--body", "bullet", "--log", str(log)) as devices:
-        serial = _drive(policy, devices.robot, range(20_000, 20_000 + serial_episodes))
+        robot = RobotConfig.of(None).with_(**PATIENCE)
+        serial = _drive(policy, devices.robot, range(20_000, 20_000 + serial_episodes), robot)
     errors = odometry_errors(serial.results, log)
     known = [replace(r, odometry_error=e) for r, e in zip(serial.results, errors, strict=True)]
     return [("PyBullet", simulated), ("serial device (emulator)", replace(serial, results=known))]
@@ -55,7 +62,6 @@ def train_demo_policy(steps: int, out: Path) -> Path:
         SystemExit: a signal ended the training.
     """
     from acsar_gym.tools.training import run as training  # noqa: PLC0415 - imports torch
-    from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
 
     code = training.train(TrainingOptions(steps=steps, out=out))
     if code != 0:
@@ -63,9 +69,9 @@ def train_demo_policy(steps: int, out: Path) -> Path:
     return out / "policy.onnx"
 
 
-def _drive(policy: OnnxPolicy, link: str, seeds: range) -> EvaluationRun:
-    """Evaluate a policy; raises what ended the evaluation early."""
-    run = runs.evaluate_policy(policy, link, None, seeds)
+def _drive(policy: OnnxPolicy, link: str, seeds: range, robot: RobotConfig | None) -> EvaluationRun:
+    """Evaluate a policy, however busy the computer is; raises what ended the evaluation early."""
+    run = runs.evaluate_policy(policy, link, robot, seeds, how={"late_share": 1.0})
     if run.ended is not None:
         raise run.ended
     return run
