@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from acsar_gym.tasks import Outcome, State, Task
     from acsar_gym.worlds import World
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Link",
     "Outcome",

@@ -200,7 +200,10 @@ class LateTicksError(AcsarError):
     exit_code = 4
 
     def __init__(self, invalid: int, episodes: int) -> None:
-        super().__init__(f"too many late ticks in {invalid} of {episodes} episodes: {BUSY_HINT}")
+        super().__init__(
+            f"too many late ticks in {invalid} of {episodes} episodes: {BUSY_HINT}, or allow a "
+            "larger --late-share"
+        )
 
 
 class SensorError(AcsarError):

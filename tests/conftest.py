@@ -66,13 +66,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def _frozen() -> None:
-    """What is there when a module begins stays: collecting garbage in a test then takes 1 ms."""
+    """What is there when a module begins stays: collecting garbage in a test then takes 1 ms.
+
+    Garbage is collected before: else a robot in a cycle would listen for stops as long as pytest.
+    """
+    gc.collect()
     gc.freeze()
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def _own_stops() -> Iterator[None]:
-    """Emergency stops of these tests reach no other robots of this computer, nor theirs these."""
+    """Emergency stops of a module reach no other robots of this computer, nor theirs these."""
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
         patch.setenv("ACSAR_GYM_RUNTIME_DIR", folder)
         yield

@@ -20,6 +20,8 @@ WEAK = {"LGPL-2.1-or-later", "MPL-2.0"}
 """Changes of these packages themselves must be published; what imports them is free."""
 NOT_ASKED = {"all", "dev", "docs", "fuzz"}
 """Extras that no user of the package needs, and the sum of the others."""
+CUDA = ("cuda-", "nvidia-", "triton")
+"""Begin of the names of what torch's builds for NVIDIA's devices bring along."""
 KNOWN = {
     "Apache 2.0": "Apache-2.0",
     "Apache Software License": "Apache-2.0",
@@ -39,6 +41,9 @@ HEAD = """# Licences
 installs on Linux, with the licences that the packages themselves name; `make licences` writes it,
 and a test compares it with what is installed. All are permissive, but for those marked: their weak
 copyleft asks only that changes of these packages themselves are published.
+
+torch counts as its build for processors, which `constraints.txt` is for. Those for NVIDIA's devices
+bring libraries under NVIDIA's own licences.
 
 Some wheels carry programs of others. That of imageio-ffmpeg, which only the extras `train` and
 `video` install, has an `ffmpeg` under the GPL, which runs as a process of its own. Those of numpy
@@ -82,7 +87,7 @@ def installed_by(extra: str) -> set[str]:
             one = Requirement(line)
             if _holds(one, set(asked[1])):
                 todo.append((normal(one.name), frozenset(one.extras)))
-    return {name for name, _ in seen} - {"acsar-gym"}
+    return {name for name, _ in seen if not name.startswith(CUDA)} - {"acsar-gym"}
 
 
 def licence(name: str) -> str:

@@ -27,7 +27,8 @@ from markdown_it.token import Token
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PAGES += [page for name in ("CONTRIBUTING.md", "CHANGELOG.md") if (page := ROOT / name).exists()]
+OTHERS = ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+PAGES += [page for name in OTHERS if (page := ROOT / name).exists()]
 NOT_RUN = re.compile(r"<!-- not run: (.+?) -->\s*$")
 SAVED = re.compile(r"#\s*([\w./-]+\.(?:py|ya?ml|json|xml|urdf|world))\n")
 PARSER = MarkdownIt("commonmark").enable("table")

@@ -163,18 +163,3 @@ def test_three_scenes_of_the_benchmark(acsar_gym: Command, folder: Path) -> None
     acsar_gym("benchmark", *cell, "--agents", "packaged", "turn_drive", "--out", "bench")
     table = (folder / "bench" / "benchmark.md").read_text("utf-8")
     assert {"packaged", "turn_drive"} <= set(table.replace("|", " ").split())
-
-
-def test_the_model_is_exported_and_trained_on(
-    acsar_gym: Command, folder: Path, trained: str
-) -> None:
-    acsar_gym("export", "run/model.zip", "again.onnx", "--trust")
-    before = OnnxPolicy(folder / "run" / "policy.onnx").bundle
-    assert OnnxPolicy(folder / "again.onnx").bundle is not None
-    assert before is not None
-    said = acsar_gym("train", "--resume", "run", "--trust", "--steps", "8200", "--no-progress")
-    assert "going on at 8,192 steps" in said
-    after = OnnxPolicy(folder / "run" / "policy.onnx").bundle
-    assert after is not None
-    assert after.training is not None
-    assert (after.training.steps or 0) >= 8_200
