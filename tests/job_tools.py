@@ -26,13 +26,13 @@ class Job:
 
 def square(job: Job) -> int:
     """Square a number; leaves a file "start-NUMBER-PID" and, when it is done, "end-NUMBER"."""
-    (job.folder / f"start-{job.number}-{os.getpid()}").touch()
-    died = job.folder / f"deaths-{job.number}"
-    deaths = len(died.read_text()) if died.exists() else 0
-    if deaths < job.deaths:
-        died.write_text("x" * (deaths + 1))
-        os.kill(os.getpid(), signal.SIGKILL)
     try:
+        (job.folder / f"start-{job.number}-{os.getpid()}").touch()
+        died = job.folder / f"deaths-{job.number}"
+        deaths = len(died.read_text()) if died.exists() else 0
+        if deaths < job.deaths:
+            died.write_text("x" * (deaths + 1))
+            os.kill(os.getpid(), signal.SIGKILL)
         while job.waits is not None and not job.waits.exists():
             time.sleep(0.01)
     finally:

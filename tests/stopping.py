@@ -128,7 +128,7 @@ KEY_REPEAT = 1.0 / 30.0
 HOLD_TIMEOUT = 30.0
 """Longest wait for a program that is driven by hand [s]."""
 MAX_STARTS = 3
-"""Attempts per trial, as a program may end before its fault."""
+"""Attempts per trial, as a program may end or stop before its fault."""
 ZERO_TIMEOUT = 3.0
 """Longest wait for a zero command [s]."""
 QUIET_TIME = 1.0
@@ -204,16 +204,35 @@ def measure(
 
 
 def _time_stop(kind: str, program: Programs, board: Emulated, name: Path) -> float:
-    """Run one trial; returns the time from fault to zero command [s]."""
-    board.forget()
-    for _ in range(MAX_STARTS - 1):
+    """Run one trial; returns the time from fault to zero command [s].
+
+    It is repeated where the program ended before the fault, or the robot stood already: on a busy
+    computer the watchdog may have stopped it.
+    """
+    for attempt in range(1, MAX_STARTS + 1):
+        board.forget()
         try:
-            fault = program.fault(kind)
-            break
+            fault = _cause_fault(kind, program, board, name)
         except AcsarError:
             program.bury()
-    else:
-        fault = program.fault(kind)
+            if attempt == MAX_STARTS:
+                raise
+            continue
+        while time.monotonic() < fault + ZERO_TIMEOUT + QUIET_TIME:
+            time.sleep(0.02)
+            zero = _last_stop(board, fault)
+            if fault <= zero <= time.monotonic() - QUIET_TIME:
+                break
+        program.bury()
+        zero = _last_stop(board, fault)
+        if zero >= fault:
+            return zero - fault
+    return math.inf
+
+
+def _cause_fault(kind: str, program: Programs, board: Emulated, name: Path) -> float:
+    """Cause a fault in a driving program; returns its time [s]. AcsarError: it didn't drive."""
+    fault = program.fault(kind)
     if kind in REPLUGGED:
         board.pull()
         time.sleep(random.uniform(*UNPLUGGED))
@@ -224,21 +243,21 @@ def _time_stop(kind: str, program: Programs, board: Emulated, name: Path) -> flo
     elif kind in ESTOPPED:
         fault = time.monotonic()
         stop_all(str(name))
-    zero = math.inf
-    while time.monotonic() - min(zero, fault + ZERO_TIMEOUT) < QUIET_TIME:
-        time.sleep(0.02)
-        zero = _last_stop(board, fault)
-    program.bury()
-    return _last_stop(board, fault) - fault
+    return fault
 
 
 def _last_stop(board: Emulated, fault: float) -> float:
-    """When the first zero command came after the fault that no other command followed [s]."""
+    """When the robot was commanded to stop and not to drive again [s]; inf: it wasn't.
+
+    That is the first zero command after the fault; or the last one, where all came before.
+    """
     zero, decoder = math.inf, Decoder()
     for event in board.events():
         for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
-            if event["t"] >= fault:
-                zero = min(zero, event["t"]) if reading.speeds == ZERO else math.inf
+            if reading.speeds != ZERO:
+                zero = math.inf
+            elif zero == math.inf or zero < fault:
+                zero = event["t"]
     return zero
 
 
@@ -432,14 +451,15 @@ def _drive_by_hand(device: str, config: RobotConfig, kind: str, writer: int, han
 
 
 def _pause(kind: str, program: int, watchdog: int) -> float:
-    """Suspend the program, for "pause" with its watchdog; returns the time at which they go on."""
-    paused = [program]
-    if kind == "pause":
-        paused.append(watchdog)
-        random.shuffle(paused)
+    """Suspend the program, for "pause" with its watchdog; returns the time at which they go on.
+
+    The program is first, as it notices a suspended watchdog at once, and would end in good order.
+    """
+    paused = [program, watchdog] if kind == "pause" else [program]
     for process in paused:
         os.kill(process, signal.SIGSTOP if kind == "pause" else signal.SIGTSTP)
     time.sleep(random.uniform(*PAUSE))
+    random.shuffle(paused)
     now = time.monotonic()
     for process in paused:
         with contextlib.suppress(ProcessLookupError):  # the first one has ended the second

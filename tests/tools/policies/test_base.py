@@ -172,11 +172,12 @@ def told_by(module: str) -> list[str]:
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The name of a new, still empty module in the current folder.
+    """The name of a new, still empty module in the current folder, which isn't imported from yet.
 
     Imports keep lists of folders, as old as the folders' times, which are coarse.
     """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
     name = f"mine_{uuid.uuid4().hex}"
     Path(f"{name}.py").touch()
     importlib.invalidate_caches()
@@ -196,6 +197,7 @@ def test_a_class_is_bound_once_and_reset_before_every_episode(
     policy: Any = f"{module}:{name}" if kind == "module" else f"{module}.py:{name}"
     held = f"acsar_gym_policy_{module}" if kind == "file" else module
     if kind == "object":
+        sys.path.append("")
         made = getattr(importlib.import_module(module), name)
         policy = made("acsar_gym/PointGoal-v0") if source == BASELINE else made()
     if runner == "evaluate":
@@ -214,6 +216,7 @@ def test_a_class_is_bound_once_and_reset_before_every_episode(
 def test_any_object_with_a_state_drives_episodes(module: str) -> None:
     """Without load_policy, too."""
     Path(f"{module}.py").write_text(PLANNER)
+    sys.path.append("")
     planner = importlib.import_module(module).Planner()
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
     assert len(list(evaluation.run_episodes(env, planner, 2, seed=0))) == 2
