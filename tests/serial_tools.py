@@ -198,8 +198,14 @@ class Emulated:
         return list(self._known)
 
     def forget(self) -> None:
-        """Begin a new log once the robot stands."""
-        wait_until(lambda: self.stands(loops=20), "a robot that stands")
+        """Begin a new log once what was written until now has arrived, and the robot stands."""
+        now = time.monotonic()
+
+        def has_arrived() -> bool:
+            """A late emulator reads all in one loop; a UART takes another one or two."""
+            return sum("pose" in event and event["t"] > now for event in self.events()) >= 5
+
+        wait_until(lambda: has_arrived() and self.stands(loops=20), "a robot that stands")
         self._known.clear()
 
     def received(self) -> bytes:
