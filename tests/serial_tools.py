@@ -30,6 +30,8 @@ from acsar_gym.protocol import ZERO, Decoder
 
 TIMEOUT = 30.0
 """Longest wait for anything another process does [s]; far more than it should take."""
+TRIALS = 3
+"""A machine that stalls makes a board look slow: it is measured again, at most so often."""
 CLI = (sys.executable, "-m", "acsar_gym")
 HEEDING_CTRL_C = """
 import signal

