@@ -205,7 +205,8 @@ class Emulated:
 
         def has_arrived() -> bool:
             """A late emulator reads all in one loop; a UART takes another one or two."""
-            return sum("pose" in event and event["t"] > now for event in self.events()) >= 5
+            loops = [event for event in self.events() if "pose" in event and event["t"] > now]
+            return len(loops) >= 5
 
         wait_until(lambda: has_arrived() and self.stands(loops=20), "a robot that stands")
         self._known.clear()
