@@ -29,7 +29,9 @@ from acsar_gym.sensors.seen import (
     CELL_SIDE,
     CELLS,
     LAST_CELL,
+    OCCUPIED,
     STAMP_REACH,
+    STAMP_WIDTH,
     Floats,
     Grid,
     add_scan,
@@ -125,10 +127,9 @@ RECORD = np.dtype(
         ("reach", np.float64, (REACH_STEPS,)),  # of the footprint, from the base's middle [m]
         ("spans", np.float64, (ARCS, 2)),  # of the footprint beside arcs [m]
         ("fronts", np.float64, (ARCS, BANDS, 3)),  # of the footprint along arcs [m]
-        ("stamp", np.uint8, (2 * STAMP_REACH + 1, 2 * STAMP_REACH + 1)),
+        ("stamp", np.uint8, (2 * STAMP_REACH + 1, STAMP_WIDTH)),
         ("counts", np.uint8, (CELLS, CELLS)),
         ("costs", np.uint8, (CELLS, CELLS)),
-        ("marks", np.uint8, (CELLS, CELLS)),
         ("points", np.float64, (MOST_POINTS, 4)),
         ("draft", np.float64, (MOST_POINTS, 4)),  # of another way
         ("middle_i", np.float64),  # cell of the robot
@@ -205,7 +206,6 @@ def clear_map(record: Any) -> None:
     """Forget everything, at the begin of an episode."""
     record.counts[:] = 0
     record.costs[:] = 0
-    record.marks[:] = 0
     record.middle_i = record.middle_j = 0.0
     record.corners = record.corner = record.left = record.turn = 0.0
     record.least = record.waited = 0.0
@@ -234,7 +234,7 @@ def update_map(
         out: (len(MAP_NAMES),): gets what the map adds to the observation.
     """
     side, radius, points = record.side, record.radius, record.points
-    grid = Grid(record.counts, record.costs, record.marks)
+    grid = Grid(record.counts, record.costs)
     x, y = pose[0], pose[1]
     middle = cell_at(x, side), cell_at(y, side)
     move_window(grid, int(record.middle_i), int(record.middle_j), middle[0], middle[1])
@@ -419,9 +419,10 @@ def remembered_clearance(
     for step in range(int(8.0 / CELL_SIDE)):
         far = edge + step * side
         i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
-        if record.marks[i & LAST_CELL, j & LAST_CELL] > 0:
+        count = int(record.counts[i & LAST_CELL, j & LAST_CELL])
+        if count >= OCCUPIED:
             return step * side
-        if 0 < step <= UNSEEN_CELLS and record.counts[i & LAST_CELL, j & LAST_CELL] == 0:
+        if 0 < step <= UNSEEN_CELLS and count == 0:
             unseen += 1
         if 2 * unseen > UNSEEN_CELLS:
             return -1.0

@@ -21,8 +21,10 @@ from acsar_gym.sensors.seen import (
     COUNT_OCCUPIED,
     LAST_CELL,
     MISS,
+    OCCUPIED,
     SHARED_RAYS,
     STAMP_REACH,
+    STAMP_WIDTH,
     Grid,
     add_scan,
     cell_at,
@@ -40,7 +42,7 @@ CELL = st.integers(-500, 500)
 
 
 def empty() -> Grid:
-    return Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(3)))
+    return Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(2)))
 
 
 def in_window(cell: tuple[int, int], middle: tuple[int, int]) -> bool:
@@ -105,7 +107,7 @@ def test_a_cell_is_occupied_where_measurements_end(
     grid = empty()
     for _ in range(scans):
         cell = ahead(1.0, 1, grid, x=x)
-    assert (grid.counts[place(cell)], grid.marks[place(cell)]) == (count, occupied)
+    assert grid.counts[place(cell)] == count + OCCUPIED * occupied
     assert np.count_nonzero(grid.counts) == 1
     assert grid.costs[place(cell)] == (COST_LETHAL / COST_UNIT if occupied else 0)
     assert (count >= COUNT_OCCUPIED) == occupied
@@ -117,13 +119,12 @@ def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits:
     grid = empty()
     for _ in range(hits):
         cell = ahead(1.0, 1, grid)
-    count = int(grid.counts[place(cell)])
+    count = int(grid.counts[place(cell)]) - OCCUPIED
     for left in (*range(count - MISS, COUNT_FREE, -MISS), COUNT_FREE):
         for other in range(1, SHARED_RAYS):  # another ray's turn
             ahead(FARTHEST, other, grid)
         ahead(FARTHEST, 0, grid)
-        found = grid.counts[place(cell)], grid.marks[place(cell)] > 0
-        assert found == (left, left > COUNT_FREE)
+        assert grid.counts[place(cell)] == left + OCCUPIED * (left > COUNT_FREE)
     assert not grid.costs.any()
     ahead(FARTHEST, 0, grid)
     assert grid.counts.max() == COUNT_FREE
@@ -135,7 +136,7 @@ def test_what_ends_beyond_the_window_or_nowhere_is_no_obstacle(distance: float) 
     for turn in range(SHARED_RAYS):
         ahead(distance, turn, grid)
     assert not grid.costs.any()
-    assert not grid.marks.any()
+    assert grid.counts.max() < OCCUPIED
     passed = [place((i, 0)) for i in range(2, HALF - 3)]  # seen, and free
     assert [int(grid.counts[cell]) for cell in passed] == [COUNT_FREE] * len(passed)
     assert not grid.counts[:, 1:].any()
@@ -178,16 +179,36 @@ def test_costs_raised_and_lowered_are_those_made_from_scratch(
     fresh = empty()
     for i in range(middle[0] - HALF, middle[0] + HALF):
         for j in range(middle[1] - HALF, middle[1] + HALF):
-            if grid.marks[place((i, j))]:
+            if grid.counts[place((i, j))] >= OCCUPIED:
                 raise_costs(fresh, STAMP, i, j, middle)
     np.testing.assert_array_equal(grid.costs, fresh.costs)
-    assert (grid.counts[grid.marks > 0] > 0).all()
+    occupied = grid.counts >= OCCUPIED
+    assert (grid.counts[occupied] > OCCUPIED + COUNT_FREE).all()
+    assert (grid.counts[~occupied] < COUNT_OCCUPIED).all()
+
+
+@given(middle=st.tuples(CELL, CELL), offset=st.tuples(*[st.integers(-HALF, HALF - 1)] * 2))
+@settings(max_examples=100, deadline=None)
+def test_a_stamp_is_cut_off_at_the_windows_edge_and_goes_on_beyond_the_arrays(
+    middle: tuple[int, int], offset: tuple[int, int]
+) -> None:
+    grid, cell = empty(), (middle[0] + offset[0], middle[1] + offset[1])
+    grid.costs[:] = 3
+    raise_costs(grid, STAMP, *cell, middle)
+    wanted = np.full((CELLS, CELLS), 3, np.uint8)
+    for (k, n), cost in np.ndenumerate(STAMP):
+        around = cell[0] + k - STAMP_REACH, cell[1] + n - STAMP_REACH
+        if in_window(around, middle):
+            wanted[place(around)] = max(cost, 3)
+    np.testing.assert_array_equal(grid.costs, wanted)
 
 
 @pytest.mark.parametrize(("inner", "outer"), [(0.2, 0.2), (0.12, 0.2), (0.05, 0.5)])
 def test_costs_fall_from_an_occupied_cell_outwards(inner: float, outer: float) -> None:
     stamp: Any = make_stamp(inner, outer).astype(int)
-    assert stamp.shape == (2 * STAMP_REACH + 1,) * 2
+    assert stamp.shape == (2 * STAMP_REACH + 1, STAMP_WIDTH)
+    assert not stamp[:, 2 * STAMP_REACH + 1 :].any()
+    stamp = stamp[:, : 2 * STAMP_REACH + 1]
     assert (stamp == stamp.T).all()
     assert (stamp == stamp[::-1]).all()
     row = stamp[STAMP_REACH, STAMP_REACH:]

@@ -13,6 +13,7 @@ from acsar_gym.sensors.seen import (
     CELLS,
     COST_LETHAL,
     COST_UNIT,
+    OCCUPIED,
     Grid,
     cell_at,
     cell_centre,
@@ -42,11 +43,11 @@ ORIGIN = cell_at(0.0, SIDE), cell_at(0.0, SIDE)
 
 def walled(*walls: tuple[float, float, float, float]) -> Grid:
     """A grid around the origin in which walls have been seen, (ax, ay, bx, by) each [m]."""
-    grid = Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(3)))
+    grid = Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(2)))
     for ax, ay, bx, by in walls:
         for share in np.linspace(0.0, 1.0, 200):
             i, j = (cell_at(a + share * (b - a), SIDE) for a, b in ((ax, bx), (ay, by)))
-            grid.marks[i % CELLS, j % CELLS] = 1
+            grid.counts[i % CELLS, j % CELLS] = OCCUPIED
             raise_costs(grid, STAMP, i, j, ORIGIN)
     return grid
 
