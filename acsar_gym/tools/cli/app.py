@@ -20,10 +20,13 @@ import tyro
 import acsar_gym
 from acsar_gym.errors import (
     AcsarError,
+    ConfigError,
     PolicyWarning,
     RecordingWarning,
     SafetyWarning,
     escape_unprintable,
+    show_value,
+    suggest_name,
 )
 from acsar_gym.tools.cli import commands
 from acsar_gym.tools.cli.commands import COMMANDS, CommandSection, command
@@ -66,6 +69,9 @@ def parse_command(words: list[str], **others: Any) -> Any:
     Args:
         words: the command line.
         **others: functions instead of those of `COMMANDS`, by the command's name.
+
+    Raises:
+        ConfigError: there is no such command.
     """
     sections = get_args(CommandSection)
     found: dict[str, Any] = {}
@@ -76,6 +82,8 @@ def parse_command(words: list[str], **others: Any) -> Any:
         if inner:
             groups.setdefault(first, {})[inner] = one.function
     found |= {name: make_group(functions) for name, functions in groups.items()} | others
+    if words and not words[0].startswith("-") and words[0] not in found:
+        raise ConfigError(f"{show_value(words[0])}: no such command{suggest_name(words[0], found)}")
     return tyro.extras.subcommand_cli_from_dict(
         found,
         prog="acsar-gym",

@@ -79,6 +79,12 @@ def test_help_lists_all_subcommands() -> None:
     assert listed == {name.split()[0] for name in COMMANDS}
 
 
+def test_a_command_that_is_mistyped_is_one_line(call: Call) -> None:
+    code, out, error = call("drve", "/dev/ttyUSB0")
+    assert (code, out) == (2, "")
+    assert_one_line(error, "'drve': no such command; did you mean 'drive'?")
+
+
 NEW_COMMAND = '''"""Things of all kinds."""
 from acsar_gym.tools.cli.commands import command
 
