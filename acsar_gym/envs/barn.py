@@ -21,7 +21,7 @@ class BarnEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((96 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
+    `Box((97 + rays,), float32)`, as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Reward
 

@@ -21,8 +21,8 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((96 + rays,), float32)`, with the 64 rays of the ACSAR robot (160,). All but the rays are
-    in units of the robot: the first 96 numbers are as many, and mean the same, for every robot. "R"
+    `Box((97 + rays,), float32)`, with the 64 rays of the ACSAR robot (161,). All but the rays are
+    in units of the robot: the first 97 numbers are as many, and mean the same, for every robot. "R"
     is the radius of the footprint's circle, from the base's middle.
 
     | index | observation | range |
@@ -44,15 +44,16 @@ class ObstacleGoalEnv(RobotEnv):
     | 23 | angle in which `max_angular` is stopped / pi | 0 to 1 |
     | 24 | distance driven before what was sensed is acted on / R | 0 to 1 |
     | 25 | `lidar.max_range` / (32 R) | 0 to 1 |
-    | 26 to 73 | clearances c in 48 directions, log(1 + 4 c / R) / log(1 + 4 * 16) | 0 to 1 |
-    | 74 to 84 | free ways w along 11 arcs, log(1 + 4 w / R) / log(1 + 4 * 8) | 0 to 1 |
-    | 85 to 95 | the same with 0.25 R of room on both sides | 0 to 1 |
-    | 96 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
+    | 26 | 0.7 m/s^2 / (`max_linear` * `max_angular`): both at once slide below 1 | 0 to 1 |
+    | 27 to 74 | clearances c in 48 directions, log(1 + 4 c / R) / log(1 + 4 * 16) | 0 to 1 |
+    | 75 to 85 | free ways w along 11 arcs, log(1 + 4 w / R) / log(1 + 4 * 8) | 0 to 1 |
+    | 86 to 96 | the same with 0.25 R of room on both sides | 0 to 1 |
+    | 97 on | range of each ray / `lidar.max_range`, counter-clockwise from the back | 0 to 1 |
 
-    Numbers 7 to 95 are those of the map, which remembers what the LiDAR has seen. The way is the
+    Numbers 7 to 96 are those of the map, which remembers what the LiDAR has seen. The way is the
     cheapest one over it, where a metre costs more near an obstacle and what hasn't been seen is
-    free. Directions go counter-clockwise from the back, 7.5 degrees each: 26 begins there, and 49
-    and 50 are ahead. A clearance is the length from the footprint's edge to the obstacle, along a
+    free. Directions go counter-clockwise from the back, 7.5 degrees each: 27 begins there, and 50
+    and 51 are ahead. A clearance is the length from the footprint's edge to the obstacle, along a
     line from the base's middle; where the LiDAR doesn't look, what was seen before counts, up to
     8 R away, and what was never seen has a clearance of 0.5 R. A free way is what the
     footprint can drive along an arc before it touches something. The arcs' curvatures are -0.9,
@@ -67,7 +68,7 @@ class ObstacleGoalEnv(RobotEnv):
 
     0.1 times observation 7, so that the way counts and not the straight line; less 0.04 a step,
     0.1 times observation 18, 0.05 times the backward part of the action, and 0.15 (1 - a / b)
-    where the least of observations 26 to 73, a, is below b, which stands for 0.5 R; less 0.1 for
+    where the least of observations 27 to 74, a, is below b, which stands for 0.5 R; less 0.1 for
     each m/s^2 of acceleration sideways (linear times angular velocity) over 0.7, up to 0.2, because
     odometry drifts where tyres slide; +5 at the goal, -15 for a collision.
     `reward_threshold` 10.

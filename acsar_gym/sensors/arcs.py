@@ -63,23 +63,22 @@ def along_arc(x: float, y: float, curvature: float) -> tuple[float, float]:
 def tabulate_arcs(outline: Outline) -> tuple[Floats, Floats]:
     """Tabulate a footprint's fronts along the arcs.
 
-    A slanted front differs within a band: what is nearer to it than about a tenth of the radius may
-    count as touched already, and be left out.
+    A slanted front differs within a band: what lies beyond a part of it counts as touched already.
 
     Args:
         outline: corners [m].
 
     Returns:
-        (ARCS, 2): the least and the greatest `across` of the footprint, and (ARCS, BANDS, 3): of
-        each band of it, how far its front, that part's back, and the front of the part behind it
-        reach along the arc [m].
+        (ARCS, 2): the least and the greatest `across` of the footprint, and (ARCS, BANDS, 4): of
+        each band of it, how far its front reaches along the arc, at most and at least, that part's
+        back, and the front of the part behind it [m].
     """
     radius = outline_radius(outline)
     steps = np.arange(0.0, 1.0, len(outline) / OUTLINE_POINTS)
     edge = np.concatenate(
         [np.asarray(a) + steps[:, None] * np.subtract(b, a) for a, b in outline_sides(outline)]
     )
-    spans, fronts = np.empty((ARCS, 2)), np.empty((ARCS, BANDS, 3))
+    spans, fronts = np.empty((ARCS, 2)), np.empty((ARCS, BANDS, 4))
     for arc, curvature in enumerate(CURVATURES):
         points = [along_arc(float(x), float(y), curvature / radius) for x, y in edge]
         across, along = np.array(points).T
@@ -92,8 +91,9 @@ def tabulate_arcs(outline: Outline) -> tuple[Floats, Floats]:
         nearest = np.sort(crossed, axis=2)[:, :, -3:]  # (BANDS, levels, 3)
         spans[arc] = low, high
         fronts[arc, :, 0] = nearest[:, :, 2].max(axis=1)
-        fronts[arc, :, 1] = nearest[:, :, 1].min(axis=1)
-        fronts[arc, :, 2] = nearest[:, :, 0].max(axis=1)
+        fronts[arc, :, 1] = nearest[:, :, 2].min(axis=1)
+        fronts[arc, :, 2] = nearest[:, :, 1].min(axis=1)
+        fronts[arc, :, 3] = nearest[:, :, 0].max(axis=1)
     return spans, fronts
 
 
@@ -118,10 +118,10 @@ def measure_arcs(spans: Floats, fronts: Floats, radius: float, spots: Floats, ou
             if across < low - margin or across > high + margin:
                 continue
             band = min(max(int((across - low) / (high - low) * BANDS), 0), BANDS - 1)
-            if along >= fronts[arc, band, 0]:
-                gap = along - fronts[arc, band, 0]
-            elif fronts[arc, band, 2] <= along < fronts[arc, band, 1]:
-                gap = along - fronts[arc, band, 2]
+            if along >= fronts[arc, band, 1]:
+                gap = max(along - fronts[arc, band, 0], 0.0)
+            elif fronts[arc, band, 3] <= along < fronts[arc, band, 2]:
+                gap = along - fronts[arc, band, 3]
             else:
                 continue
             wide = min(wide, gap)

@@ -26,6 +26,7 @@ from acsar_gym.sensors.map import (
     FIRST_SECTOR,
     GAINED,
     SECTORS,
+    SLIDE_ACCELERATION,
     STALLED,
     log_share,
 )
@@ -64,11 +65,6 @@ def barn_score(success: float, time: float, length: float, speed: float, k: floa
 
 NEAR_SHARE = log_share(0.5, FARTHEST_CLEARANCE)
 """Less clearance than this costs reward: half a radius of the footprint, as the map observes it."""
-
-
-SLIDE_ACCELERATION = 0.7
-"""More acceleration sideways costs reward [m/s^2]. After 2 s of a circle at 1 m/s^2 the heading of
-a simulated Jackal's odometry is off by up to 0.1 rad, at 2 m/s^2 by 0.5, at 4 m/s^2 by more."""
 
 
 class NavigationTask(GoalTask):

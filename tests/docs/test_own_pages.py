@@ -153,7 +153,7 @@ def test_a_sensor_of_ones_own(mine: Path) -> None:
         "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", **options
     )
     one = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", **options)
-    assert one.observation_space.shape == (7 + 89 + 64 + 3,)
+    assert one.observation_space.shape == (7 + 90 + 64 + 3,)
     seen, _ = one.reset(seed=1)
     np.testing.assert_allclose(batch.reset(seed=1)[0][0], seen, atol=1e-6)
     for action in actions(4, 20):

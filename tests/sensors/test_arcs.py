@@ -112,6 +112,16 @@ def test_the_outer_rear_corner_hits_what_stands_beside_it() -> None:
     assert ways[-1] < 0.5 < ways[ARCS // 2]
 
 
+@pytest.mark.parametrize("degrees", range(4, 76, 4))
+def test_what_nearly_touches_a_slanted_front_counts_as_touched(degrees: int) -> None:
+    """Within a band of its width, a circle's front differs by up to a tenth of its radius."""
+    angle = math.radians(degrees)
+    spot = 0.301 * math.cos(angle), 0.301 * math.sin(angle)
+    straight, _ = drive(CIRCLE, ARCS // 2, spot)
+    assert straight < 0.03
+    assert measure(CIRCLE, spot)[0, ARCS // 2] < 0.03
+
+
 def test_a_mirrored_spot_has_mirrored_ways() -> None:
     rng = np.random.default_rng(0)
     for outline in OUTLINES[:3]:

@@ -116,7 +116,7 @@ def test_the_first_number_is_what_was_gained_and_the_last_ones_are_sectors_and_a
     assert MAP_NAMES[GAINED] == "gained"
     assert MAP_NAMES[FIRST_SECTOR:FIRST_ARC] == tuple(f"clearance_{n}" for n in range(SECTORS))
     assert MAP_NAMES[FIRST_ARC] == "arc_0"
-    assert len(MAP_NAMES) == len(set(MAP_NAMES)) == FIRST_ARC + 2 * ARCS == 89
+    assert len(MAP_NAMES) == len(set(MAP_NAMES)) == FIRST_ARC + 2 * ARCS == 90
     assert clearance(log_share(3.7, FARTHEST_CLEARANCE)) == pytest.approx(3.7)
 
 
@@ -259,6 +259,8 @@ def test_a_robot_that_stands_still_sees_for_how_long() -> None:
         ({"max_angular": ACSAR.max_angular / 2.0}, "top_turn_rate", 0.5),
         ({"max_angular": ACSAR.max_angular / 2.0}, "turn_stopping", 0.25),
         ({"lidar": {"max_range": ACSAR.lidar.max_range / 2.0}}, "sight", 0.5),
+        ({"max_linear": ACSAR.max_linear * 2.0}, "grip", 0.5),
+        ({"max_angular": ACSAR.max_angular * 2.0}, "grip", 0.5),
     ],
 )
 def test_the_robot_itself_is_described(changes: Any, name: str, factor: float) -> None:

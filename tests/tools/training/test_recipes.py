@@ -141,7 +141,7 @@ def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
     given = recipes.read_recipe(find_algorithm("ppo"), "acsar_gym/Barn-v1").arguments[
         "policy_kwargs"
     ]
-    observed, acted = Box(-1.0, 1.0, (96,)), Box(-1.0, 1.0, (2,))
+    observed, acted = Box(-1.0, 1.0, (97,)), Box(-1.0, 1.0, (2,))
     policy = MirrorPolicy(observed, acted, lambda _: 0.001, **given)
     assert policy.activation_fn is ReLU
 
