@@ -199,7 +199,7 @@ def test_a_stamp_is_cut_off_at_the_windows_edge_and_goes_on_beyond_the_arrays(
     for (k, n), cost in np.ndenumerate(STAMP):
         around = cell[0] + k - STAMP_REACH, cell[1] + n - STAMP_REACH
         if in_window(around, middle):
-            wanted[place(around)] = max(cost, 3)
+            wanted[place(around)] = max(int(cost), 3)
     np.testing.assert_array_equal(grid.costs, wanted)
 
 
