@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.tools.emulation.lidar import Floats, LidarTwin
-from acsar_gym.tools.emulation.rplidar import RplidarTwin
+from acsar_gym.tools.emulation.rplidar import MULTIPLE, SINGLE, RplidarTwin, encode_descriptor
 
 
 class PacketTwin(LidarTwin):
@@ -124,6 +126,71 @@ class YdlidarTwin(PacketTwin):
         return head + struct.pack(f"<{len(words)}H", *words)
 
 
+class TminiProTwin(YdlidarTwin):
+    """A T-mini Pro: its beam goes where the head points; intensity before each distance."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.running = self.scanning = True
+
+    def receive(self, data: bytes) -> bytes:
+        return b""
+
+    def measure(self, degrees: Floats, ages: Floats) -> Floats:
+        return LidarTwin.measure(self, degrees, ages)
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
+        kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
+        check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
+        samples = b""
+        for number, distance in enumerate(ranges):
+            intensity, word = (number * 37) & 0xFF, round(distance * 1000.0) << 2
+            check ^= intensity ^ word
+            samples += struct.pack("<BH", intensity, word)
+        return struct.pack("<HBBHHH", 0x55AA, kind, len(ranges), first, last, check) + samples
+
+
+class DenseRplidarTwin(RplidarTwin):
+    """An RPLIDAR S2: its typical mode, of number 1, sends dense capsules."""
+
+    farthest_range = 0xFFFF / 1000.0
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._is_dense = False
+        self._waiting: list[tuple[float, float]] = []
+
+    def _answer(self, request: bytes) -> bytes:
+        command, payload = request[1], request[3:-1]
+        is_whole = functools.reduce(operator.xor, request) == 0
+        if command == 0xA8 and is_whole:
+            self.running = struct.unpack("<H", payload)[0] > 0
+        elif command == 0x84 and is_whole:
+            answer = {0x7C: b"\x01\x00", 0x75: b"\x85"}[payload[0]]
+            return encode_descriptor(4 + len(answer), SINGLE, 0x20) + payload[:4] + answer
+        elif command == 0x82 and is_whole and payload[0] == 1 and not self._broken:
+            self.scanning = self._is_dense = self._is_first = True
+            self._waiting = []
+            return encode_descriptor(84, MULTIPLE, 0x85)
+        return super()._answer(request) if command < 0x80 else b""
+
+    def encode(self, degrees: Floats, ranges: Floats, starts: NDArray[np.bool_]) -> bytes:
+        if not self._is_dense:
+            return super().encode(degrees, ranges, starts)
+        sent = b""
+        for degree, distance in zip(degrees.tolist(), ranges.tolist(), strict=True):
+            self._waiting.append((degree, distance))
+            if len(self._waiting) == 40:
+                first = round(self._waiting[0][0] * 64.0) % (360 * 64)
+                words = [round(metres * 1000.0) for _, metres in self._waiting]
+                body = struct.pack("<41H", first | self._is_first << 15, *words)
+                check = functools.reduce(operator.xor, body)
+                sent += bytes((0xA0 | check & 15, 0x50 | check >> 4)) + body
+                self._waiting, self._is_first = [], False
+        return sent
+
+
 class NeatoTwin(PacketTwin):
     """An XV-11 measures once a degree, counter-clockwise."""
 
@@ -159,10 +226,17 @@ class Maker(NamedTuple):
 
 MAKERS = {
     "rplidar": Maker(RplidarTwin, 115200, {"samples": 360}, scan=b"\xa5\x20"),
-    "rplidar_c1": Maker(RplidarTwin, 460800, {"samples": 500}, scan=b"\xa5\x20"),
+    "rplidar_a3": Maker(RplidarTwin, 256000, {"samples": 400}, scan=b"\xa5\x20"),
+    "rplidar_s2": Maker(
+        DenseRplidarTwin,
+        1_000_000,
+        {"samples": 3200},
+        scan=bytes.fromhex("a5 82 05 01 00 00 00 00 23"),
+    ),
     "ld06": Maker(LdrobotTwin, 230400, {"samples": 450}, stops=False),
     "ld14p": Maker(LdrobotTwin, 230400, {"samples": 384, "takes_commands": True}),
     "ydlidar_x4": Maker(YdlidarTwin, 128000, {"samples": 500}, scan=b"\xa5\x60"),
+    "ydlidar_tmini_pro": Maker(TminiProTwin, 230400, {"samples": 660}, stops=False),
     "neato": Maker(NeatoTwin, 115200, {"samples": 360}, stops=False),
 }
 """By the model's name in a URL."""

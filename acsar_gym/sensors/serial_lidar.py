@@ -68,6 +68,8 @@ class Packet(NamedTuple):
     """Index of the first one that belongs to a new revolution; None where the old one goes on."""
     gap: bool = False
     """Whether measurements are missing before these."""
+    delay: float = 0.0
+    """How long after the last one the packet was sent, in the unit of `duration`."""
 
 
 class Driver:
@@ -84,9 +86,9 @@ class Driver:
     """Names in URLs, such as "ld06", and what lds2d calls these models."""
     start_proof: ClassVar[int] = 1
     """How many measurements must follow the start of a revolution before it is believed."""
-    max_unevenness: ClassVar[float] = 60.0
+    max_unevenness: float = 60.0
     """Angles of a revolution grow evenly up to this deviation; otherwise some are missing [deg]."""
-    max_jump: ClassVar[float] = math.inf
+    max_jump: float = math.inf
     """The same between one measurement and the next, for packets without a checksum [deg]."""
 
     def __init__(self, model: str) -> None:
@@ -231,7 +233,7 @@ class RevolutionAssembler:
         # A packet is sent when it is complete. Of those that arrived at once the newest counts.
         if self._marks and self._marks[-1][1] >= arrived:
             self._marks.pop()
-        self._marks.append((self._elapsed, arrived))
+        self._marks.append((self._elapsed + packet.delay, arrived))
         for k in range(count):
             if k == start:
                 self._ended, self._current = self._current, _Measurements(before)

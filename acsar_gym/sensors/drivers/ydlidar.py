@@ -1,4 +1,4 @@
-"""LiDARs of YDLIDAR: X2, X3, X4, X4 PRO, SCL, T-mini. They measure at a constant rate.
+"""LiDARs of YDLIDAR: X2, X3, X4, X4 PRO, SCL, T-minis. They measure at a constant rate.
 
 A packet has up to 40 measurements between its first and its last angle, and a checksum. The adapter
 boards of these LiDARs switch the motor by DTR; an X4 takes commands as well.
@@ -34,12 +34,17 @@ class YdlidarDriver(Driver):
         "ydlidar_x4_pro": "YDLidarX4Pro",
         "ydlidar_scl": "YDLidarSCL",
         "ydlidar_tmini": "YDLidarTmini",
+        "ydlidar_tmini_plus": "YDLidarTmini",
+        "ydlidar_tmini_pro": "YDLidarTmini",
     }
 
     def __init__(self, model: str) -> None:
         super().__init__(model)
-        self._kind = getattr(load_lds2d().ydlidar, self.models[model])
-        self._decoder = self._kind(None)
+        library = load_lds2d().ydlidar
+        self._kind = getattr(library, self.models[model])
+        self._decoders = [self._kind(None)]
+        if self._kind is library.YDLidarTmini:
+            self._decoders.insert(0, make_intensity_decoder(library))
         self.product = self._kind.MODEL_NAME
         self.forget()
 
@@ -72,11 +77,15 @@ class YdlidarDriver(Driver):
         if len(data) - at < HEADER_BYTES:
             return 0, None
         count = data[at + 3]
-        size = HEADER_BYTES + count * self._kind.SAMPLE_BYTES
-        packet = data[at : at + size]
-        used, found = self._decoder._try_parse(packet)  # noqa: SLF001 - its scans() wait
-        if found is None:
-            return used, None
+        for decoder in self._decoders:  # a packet's checksum tells which one it is for
+            packet = data[at : at + HEADER_BYTES + count * decoder.SAMPLE_BYTES]
+            used, decoded = decoder._try_parse(packet)  # noqa: SLF001 - its scans() wait
+            if not used:
+                return 0, None
+            if decoded is not None:
+                break
+        else:
+            return 1, None
         # The head's own angles; those of the measurements allow for the lens beside the laser.
         first, last = ((packet[k] | packet[k + 1] << 8) / 128.0 for k in (4, 6))
         gap = False
@@ -86,7 +95,23 @@ class YdlidarDriver(Driver):
             jump = (first - self._angle - self._step + 180.0) % 360.0 - 180.0
             gap = abs(jump) > MAX_JUMP
         self._angle = last
-        points = found[1]
+        points = decoded[1]
         angles, distances = [p.angle_deg for p in points], [p.dist_mm for p in points]
         start = 0 if packet[2] & 1 else None
-        return size, Packet(angles, distances, float(count), start, gap)
+        return len(packet), Packet(angles, distances, float(count), start, gap)
+
+
+def make_intensity_decoder(library: Any) -> Any:
+    """Make the decoder of a T-mini Pro or Plus: three bytes a sample, as an SCL's.
+
+    The first is the intensity, the others the distance in quarters of a millimetre, whose last two
+    bits say what disturbed it. A T-mini's angles need no correction (YDLidar-SDK, `parsePoints`).
+    """
+
+    class IntensityDecoder(library.YDLidarSCL):  # type: ignore[misc]
+        """Samples with intensity, at the head's own angles."""
+
+        def _angle_correction_deg64(self, sample: bytes, dist_mm: int) -> float:
+            return 0.0
+
+    return IntensityDecoder(None)

@@ -20,7 +20,7 @@ except ImportError:
 
 PSEUDO_TERMINALS = Path("/dev/pts")
 READ_SIZE = 4096
-UNNAMED_RATES = (128000,)
+UNNAMED_RATES = (128000, 256000)
 """Baud rates that termios has no name for, and Linux's terminals have all the same."""
 TCGETS2, TCSETS2, TERMIOS2 = 0x802C542A, 0x402C542B, struct.Struct("=4I20s2I")
 """Requests and structure with which Linux tells and sets any rate; see termios2 in its sources."""
