@@ -14,10 +14,13 @@ FIRMWARE := $(CURDIR)/build/firmware
 BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/links/test_watchdog.py \
   tests/links/test_watched_link.py \
   tests/safety/test_estop.py
+CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics tests/recording \
+  tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training \
+  --ignore tests/recording/test_sinks.py
 REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
-.PHONY: demo test test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
   firmware-tested fuzz soak replug stopping identify-check licences pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -27,6 +30,9 @@ test: $(READY)  ## everything that must hold; linters and docs run beside the te
 	@nice $(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	  $(BIN)/pytest -n $(WORKERS); tested=$$?; \
 	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))
+
+test-floors:  ## the suite's core with the lowest versions that pyproject.toml names, in ten minutes
+	.ci/floors .venv-floors "$(PYTHON)" -n $(WORKERS) $(CORE)
 
 test-pythons:  ## make test on each Python of PYTHONS; the tests that it skips are named, with why
 	@.ci/pythons $(PYTHONS)
