@@ -103,10 +103,11 @@ class Spawn:
                 tasks that follow "path", points (x, y) [m], instead of "goal".
 
         Raises:
-            ConfigError, WorldError: for unknown options, or values that are malformed or out of
-                range.
+            ConfigError, WorldError: for unknown options, options that contradict each other, or
+                values that are malformed or out of range.
         """
         options = check_reset_options(options, self.options)
+        _refuse_contradictions(options)
         if options.get("path") is not None:
             return assign_path(options["path"])
         if self.pool is not None:
@@ -132,6 +133,16 @@ class Spawn:
                 "the start: give the env another goal_distance, run --goal-distance"
             )
         return goal
+
+
+def _refuse_contradictions(options: Mapping[str, Any]) -> None:
+    """ConfigError where two options name the world or the path of the episode."""
+    given = [name for name in ("path", "world", "difficulty") if options.get(name) is not None]
+    if len(given) > 1:
+        raise ConfigError(
+            f"reset options {' and '.join(map(repr, given))} contradict each other, as each chooses "
+            "the surroundings: give one of them"
+        )
 
 
 def _check_point(value: Any) -> Goal:

@@ -78,6 +78,12 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
                 among = spawn.pool.ranks((low, high))
                 ranks[which.ravel() == number] = among.start, among.stop
         found |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
+        twice = np.flatnonzero((found.get("wished_world", 0.0) > 0.0) & (ranks[:, 1] > 0.0))
+        if twice.size:
+            raise ConfigError(
+                f"reset options 'world' and 'difficulty' of robot {twice[0]} contradict each other, "
+                "as each chooses the surroundings: give one of them"
+            )
     return found
 
 

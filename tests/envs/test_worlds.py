@@ -35,6 +35,29 @@ def test_options_of_a_reset_choose_world_goal_and_path() -> None:
     env.close()
 
 
+@pytest.mark.parametrize(
+    ("env_id", "options", "named"),
+    [
+        (SEEING[0], {"world": 3, "difficulty": (0.0, 1.0)}, "'world' and 'difficulty'"),
+        ("PathFollow-v0", {"path": [(0, 0), (1, 0)], "world": 3}, "'path' and 'world'"),
+        (
+            "PathFollow-v0",
+            {"path": [(0, 0), (1, 0)], "difficulty": (0.0, 1.0)},
+            "'path' and 'difficulty'",
+        ),
+    ],
+)
+def test_options_of_a_reset_that_contradict_each_other_are_refused(
+    env_id: str, options: dict[str, Any], named: str
+) -> None:
+    env = make(f"acsar_gym/{env_id.removeprefix('acsar_gym/')}")
+    with pytest.raises(ConfigError, match=f"{named} contradict each other") as caught:
+        env.reset(options=options)
+    assert "\n" not in str(caught.value)
+    env.reset(options={**dict.fromkeys(options), next(iter(options)): next(iter(options.values()))})
+    env.close()
+
+
 def test_barns_rules() -> None:
     env = make("acsar_gym/Barn-v1")
     assert env.spec is not None

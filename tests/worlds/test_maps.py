@@ -106,6 +106,7 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
         ({"occupied_thresh": 0.2}, [True, True, True, False, False]),
         ({"mode": "scale"}, [True, True, False, False, False]),
         ({"mode": "raw"}, [False, True, False, False, False]),
+        ({"mode": "raw", "negate": 1}, [False, True, False, False, False]),
     ],
 )
 def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
