@@ -291,6 +291,10 @@ class SafetyWarning(UserWarning):
     """The robot is driven without a protection; the message says which one and what to do."""
 
 
+class WorldWarning(UserWarning):
+    """Something in a world's file is otherwise here, such as a moving obstacle, which stands."""
+
+
 class PolicyWarning(UserWarning):
     """A policy drives a robot unlike those of its training; the message names the value."""
 

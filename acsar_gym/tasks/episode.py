@@ -29,7 +29,13 @@ from acsar_gym.tasks.factory import check_distances, check_reset_options, task_n
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.pool import Pool, Source, check_world
-from acsar_gym.worlds.search import align_with_path, footprint_radius, sample_path, world_along
+from acsar_gym.worlds.search import (
+    align_with_path,
+    footprint_radius,
+    lidar_height,
+    sample_path,
+    world_along,
+)
 from acsar_gym.worlds.world import Floats
 
 WORLD_DRAWS = 6
@@ -87,7 +93,10 @@ class Spawn:
         level = task.difficulty if difficulty is None else difficulty
         if source is None and level is not None:
             raise ConfigError(f"difficulty = {show_value(level)}: {task.id} has no worlds")
-        self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
+        self.pool = None
+        if source is not None:
+            radius, height = footprint_radius(config), lidar_height(config)
+            self.pool = Pool.of(source, level, radius, height=height)
         check_distances(task.goal_distance)
         self.options: tuple[str, ...] = ("goal",)
         if self.pool is not None:
@@ -140,8 +149,8 @@ def _refuse_contradictions(options: Mapping[str, Any]) -> None:
     given = [name for name in ("path", "world", "difficulty") if options.get(name) is not None]
     if len(given) > 1:
         raise ConfigError(
-            f"reset options {' and '.join(map(repr, given))} contradict each other, as each chooses "
-            "the surroundings: give one of them"
+            f"reset options {' and '.join(map(repr, given))} contradict each other, as each "
+            "chooses the surroundings: give one of them"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
-from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
+from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
 
 MAX_DRAWN = 100
 """Most worlds on one sheet."""
@@ -58,12 +58,17 @@ class WorldFinding:
 
 
 def collect_worlds(
-    source: str, level: float | None, robot: str | None, count: int, most: int = MAX_AT_ONCE
+    source: str | Mapping[str, Any],
+    level: float | None,
+    robot: str | None,
+    count: int,
+    most: int = MAX_AT_ONCE,
 ) -> list[World]:
     """Read or generate worlds.
 
     Args:
-        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds.
+        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds, also
+            with what it doesn't say (see `Pool.of`).
         level: difficulty for a generator, 0 to 1; None for its default.
         robot: preset or file of the robot whose footprint generated worlds must let through.
         count: number of worlds to generate, where `source` names no numbers.
@@ -73,10 +78,12 @@ def collect_worlds(
         WorldError: a world can't be read or generated.
         ConfigError: there are more than `most` worlds.
     """
-    worlds: list[World] | Pool | None = read_worlds(source)
+    config = RobotConfig.of(robot)
+    worlds: list[World] | Pool | None = read_worlds(source, lidar_height(config))
     if worlds is None:
-        worlds = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
+        worlds = Pool.of(source, level, footprint_radius(config), count)
     if len(worlds) > most:
+        source = source["path"] if isinstance(source, Mapping) else source
         raise ConfigError(
             f"{source} holds {len(worlds):,} worlds: name one file, or one like barn:7-7"
             if most == 1
@@ -180,7 +187,9 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
     return findings
 
 
-def convert_world(source: str, out: Path, level: float | None, robot: str | None) -> None:
+def convert_world(
+    source: str | Mapping[str, Any], out: Path, level: float | None, robot: str | None
+) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
 
     Raises:

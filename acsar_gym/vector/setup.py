@@ -78,13 +78,18 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
                 among = spawn.pool.ranks((low, high))
                 ranks[which.ravel() == number] = among.start, among.stop
         found |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
-        twice = np.flatnonzero((found.get("wished_world", 0.0) > 0.0) & (ranks[:, 1] > 0.0))
-        if twice.size:
-            raise ConfigError(
-                f"reset options 'world' and 'difficulty' of robot {twice[0]} contradict each other, "
-                "as each chooses the surroundings: give one of them"
-            )
+        _refuse_contradictions(found)
     return found
+
+
+def _refuse_contradictions(found: ResetOptions) -> None:
+    """ConfigError for a robot whose world is chosen by its number and by its difficulty."""
+    both = np.flatnonzero((found.get("wished_world", 0.0) > 0.0) & (found["last_rank"] > 0.0))
+    if both.size:
+        raise ConfigError(
+            f"reset options 'world' and 'difficulty' of robot {both[0]} contradict each other, as "
+            "each chooses the surroundings: give one of them"
+        )
 
 
 def _spread_option(name: str, value: Any, robots: int, width: int) -> Array:

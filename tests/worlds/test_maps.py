@@ -166,7 +166,10 @@ def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
         ({"image": "."}, "image '.': isn't a regular file"),
         ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
-        ({"start": None}, "has no start: add a line like 'start: {x: 0.0, y: 0.0}'"),
+        (
+            {"start": None},
+            "has no start: add --start X,Y,THETA [m, rad], or a line like 'start: {x: 0.0, y: 0.0}'",
+        ),
     ],
 )
 def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:

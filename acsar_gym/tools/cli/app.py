@@ -24,6 +24,7 @@ from acsar_gym.errors import (
     PolicyWarning,
     RecordingWarning,
     SafetyWarning,
+    WorldWarning,
     escape_unprintable,
     show_value,
     suggest_name,
@@ -117,7 +118,7 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning):
+    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning | WorldWarning):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 

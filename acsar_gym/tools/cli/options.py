@@ -32,6 +32,33 @@ EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
+@dataclass(frozen=True)
+class WorldFileOptions:
+    """What a Gazebo world or a ROS map doesn't say."""
+
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None
+    """Where the robot starts in a world of a file [m, rad], as in --start -2,3,1.57; without theta
+    it faces any way."""
+    goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    """Where the goal is in a world of a file [m]."""
+    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder of the models that a Gazebo world includes; several as in PATH. Those in
+    GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH come next, then those beside the world."""
+
+    def place(self, worlds: str | None) -> Any:
+        """Return what an env takes as `worlds=`: the name alone, or with these options.
+
+        Args:
+            worlds: kind, file or folder; None for an env's own.
+
+        Raises:
+            ConfigError: these options are given without a name.
+        """
+        from acsar_gym.worlds.pool import place_worlds  # noqa: PLC0415
+
+        return place_worlds(worlds, self.start, self.goal, self.models)
+
+
 def say(text: str) -> None:
     """Print a line at once, with control characters escaped."""
     print(escape_unprintable(text), flush=True)

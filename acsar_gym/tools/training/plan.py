@@ -29,6 +29,7 @@ from acsar_gym.vector.env import (
     check_threads,
     usable_cores,
 )
+from acsar_gym.worlds.pool import place_worlds
 
 MAX_STEPS = 10**10
 MAX_ROBOTS = 16_384
@@ -85,6 +86,12 @@ class TrainingOptions(Section):
     """Cores to use; default: as many as are free when the training begins."""
     worlds: str | None = None
     """Generator, file or folder of worlds, instead of the env's own."""
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None
+    """Where the robot starts in a world of a file [m, rad]."""
+    goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    """Where the goal is in a world of a file [m]."""
+    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder of the models that a Gazebo world includes."""
     robot: str | None = None
     """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
     randomize: bool = True
@@ -232,7 +239,8 @@ class TrainingPlan:
     @property
     def _arguments(self) -> dict[str, Any]:
         """Arguments of the env: the recipe's, and the worlds if the user gave some."""
-        worlds = self.options.worlds
+        options = self.options
+        worlds = place_worlds(options.worlds, options.start, options.goal, options.models)
         given = {
             key: each for key, each in self.recipe.env_kwargs.items() if key != RANDOMIZATION_KEY
         }

@@ -29,6 +29,7 @@ from rich.table import Table
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.physics.randomization import LEVEL_WIDTHS, randomization_level
@@ -39,6 +40,9 @@ from acsar_gym.tools.training import checkpoints, held_out, recipes, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan, require_training
 from acsar_gym.tools.training.run import train
+from acsar_gym.worlds.files import format_world
+from acsar_gym.worlds.pool import place_worlds, read_worlds
+from acsar_gym.worlds.search import lidar_height
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
@@ -152,7 +156,13 @@ def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
     for name in ("conf_file", "robot", "worlds"):
         given = getattr(options, name)
         path = Path(given or "")
-        if given is not None and path.is_file():
+        if name == "worlds" and path.is_file():  # the files that it names aren't there
+            source = place_worlds(given, options.start, options.goal, options.models)
+            robot = make_fleet(options.robot, 1).robots[0]
+            for world in read_worlds(source or path, lidar_height(robot)) or ():
+                alone = alone.model_copy(update={"start": None, "goal": None, "models": None})
+                sent.append((name, f"{path.stem}.json", format_world(world, ".json")))
+        elif given is not None and path.is_file():
             sent.append((name, path.name, reading.read_file(path, MAX_SENT_BYTES)))
         elif name == "worlds" and "/" in str(path) and path.is_dir():
             raise ConfigError(f"--worlds {path}: a folder can't be sent to a cluster: give a file")

@@ -18,6 +18,7 @@ from acsar_gym.tools.cli.options import (
     LidarArg,
     RecordOptions,
     RobotArg,
+    WorldFileOptions,
     Worlds,
     check_not_given,
     check_writable,
@@ -40,7 +41,7 @@ Manoeuvre = Annotated[
 
 
 @dataclass(frozen=True)
-class CalibrationSetup(RecordOptions):
+class CalibrationSetup(RecordOptions, WorldFileOptions):
     """The robot, who measures, and recording."""
 
     robot: RobotArg = None
@@ -129,7 +130,8 @@ def calibrate_robot(
         twin = config if wire.twin is None else RobotConfig.of(wire.twin)
         host.prepare()
         recorder = wire.recorder("calibrate", link=device)
-        robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, wire.world, recorder)
+        world = wire.place(wire.world)
+        robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, world, recorder)
         for option, value in (("--twin", wire.twin), ("--world", wire.world)):
             if value is not None and not robot.simulated:
                 raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")

@@ -14,6 +14,7 @@ from acsar_gym.tools.cli.options import (
     File,
     RobotArg,
     Seconds,
+    WorldFileOptions,
     Worlds,
 )
 
@@ -31,14 +32,22 @@ class BoardOptions:
     feedback-rate=HZ, backward-gain=NUMBER, overshoot=SHARE, reversal-hold=SECONDS."""
 
 
+@dataclass(frozen=True)
+class EmulatedWorld(WorldFileOptions):
+    """The world around the robot."""
+
+    world: Worlds = None
+    """World with the robot at its start: a file, or a generated world like clutter:7-7."""
+
+
 @command("emulate", "robots")
 def emulate_board(
     board: BoardOptions,
+    place: EmulatedWorld,
     robot: RobotArg = None,
     body: str = "planar",
     log: File = None,
     duration: Seconds = None,
-    world: Worlds = None,
     lidar: bool = False,
     name: File = None,
 ) -> int:
@@ -48,27 +57,29 @@ def emulate_board(
 
     Args:
         board: how the board behaves.
+        place: the world around the robot.
         robot: preset or config file of the emulated robot.
         body: physics, planar, bullet or mujoco.
         log: write commands and true poses to this file, one JSON line each.
         duration: seconds to run; default: until Ctrl-C.
-        world: world with the robot at its start: a file, or a generated world like clutter:7-7.
         lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
         name: symbolic link that always points to the current device.
     """
     from acsar_gym.tools.emulation.board import Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
-    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius, lidar_height  # noqa: PLC0415
 
-    config, place = RobotConfig.of(robot), None
-    if world is not None:
-        place = next(iter(Pool.of(world, None, footprint_radius(config), 1) or ()), None)
+    config, world = RobotConfig.of(robot), None
+    source = place.place(place.world)
+    if source is not None:
+        radius, height = footprint_radius(config), lidar_height(config)
+        world = next(iter(Pool.of(source, None, radius, 1, height) or ()), None)
     with Emulator(
         config,
         body=body,
         log=log,
         silent=board.silent,
-        world=place,
+        world=world,
         sees=lidar,
         name=name,
         quirks=board.quirk,

@@ -19,6 +19,7 @@ from acsar_gym.tools.cli.options import (
     LidarArg,
     RecordOptions,
     RobotArg,
+    WorldFileOptions,
     Worlds,
     check_writable,
     countdown,
@@ -59,7 +60,7 @@ class RobotOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class WorldOptions:
+class WorldOptions(WorldFileOptions):
     """The worlds of an evaluation."""
 
     worlds: Worlds = None
@@ -155,7 +156,7 @@ def evaluate_policy(
         how={"in_order": worlds.in_order, "late_share": robot.late_share},
         workers=scale.workers,
         address=scale.address,
-        worlds=worlds.worlds,
+        worlds=worlds.place(worlds.worlds),
         difficulty=worlds.difficulty,
         lidar=robot.lidar,
         tracked=video.video is not None,
