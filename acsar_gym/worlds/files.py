@@ -227,9 +227,20 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
         options = {"start": "--start X,Y,THETA", "goal": "--goal X,Y"}
         raise WorldError(
             f"has no {' and no '.join(missing)}: add {' '.join(options[name] for name in missing)} "
-            "[m, rad] of the world"
+            f"[m, rad] in its frame{_describe_extent(found)}"
         )
     return World(found.circles, found.segments, start, goal, way, path.stem)
+
+
+def _describe_extent(found: sdf.SdfObstacles) -> str:
+    """Where the obstacles are, for who looks for a start; empty without any."""
+    circles, segments = found.circles, found.segments.reshape(-1, 2)
+    centres, radii = circles[:, :2], circles[:, 2:]
+    points = np.concatenate([centres - radii, centres + radii, segments])
+    if not len(points):
+        return ""
+    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+    return f", where obstacles are at x {left:.3g} to {right:.3g}, y {low:.3g} to {high:.3g}"
 
 
 def _warn_of_movers(path: Path, found: sdf.SdfObstacles) -> None:

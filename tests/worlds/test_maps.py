@@ -168,7 +168,7 @@ def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
         (
             {"start": None},
-            "has no start: add --start X,Y,THETA [m, rad], or a line like 'start: {x: 0.0, y: 0.0}'",
+            "has no start: add --start X,Y,THETA [m, rad], or a line like 'start: {x: 0.0",
         ),
     ],
 )

@@ -306,7 +306,7 @@ def test_only_barns_own_worlds_have_its_start_and_goal(tmp_path: Path) -> None:
         path.write_bytes(sdf_of(*others))
         with pytest.raises(WorldError, match="has no start and no goal: add --start X,Y,THETA"):
             files.load_world(path)
-        with pytest.raises(WorldError, match=r"has no goal: add --goal X,Y \[m"):
+        with pytest.raises(WorldError, match=r"has no goal: add --goal X,Y \[m, rad\] in"):
             files.load_world(path, Placement(start=(1.0, 2.0)))
     world = files.load_world(path, Placement(start=(1.0, 2.0, 0.5), goal="-1,3.5"))
     assert (world.start, world.goal) == (Region(1.0, 2.0, 0.0, 0.5), Region(-1.0, 3.5))
