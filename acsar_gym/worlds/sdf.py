@@ -10,6 +10,7 @@ What moves in Gazebo, by a plugin or as an actor, is named: here it stands still
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -246,7 +247,7 @@ class _WorldReader:
 
     def __init__(self, model_folders: Sequence[Path], height: float) -> None:
         self._model_folders = model_folders
-        self._shapes = ShapeReader(height, self._find_file)
+        self._shapes = ShapeReader(height, self._find_mesh)
         self._bodies = 0
         self._includes = 0
         self._files: dict[Path, Element] = {}
@@ -316,7 +317,7 @@ class _WorldReader:
         model.plugins = [*model.element.findall("plugin"), *plugins]
         key = model.name
         while key in parent.children:  # Gazebo renames, too
-            key += "_"
+            key = f"{model.name}_{len(parent.children)}"
         parent.children[key] = model
         self._read_children(model, [model.element], depth + 1)
 
@@ -334,23 +335,18 @@ class _WorldReader:
             if name not in self._missing:
                 self._missing.append(name)
             return
-        if path not in self._files:
-            try:
-                content = reading.read_content(path, MAX_SDF_BYTES, WorldError)
-                self._files[path] = parse_xml(content)
-            except WorldError as error:
-                raise WorldError(f"included {quote_name(str(path))}: {error}") from error
         self._includes += 1
         if self._includes > MAX_INCLUDES:
             raise WorldError(f"includes more than {MAX_INCLUDES:,} models: cut out a part of it")
-        root = self._files[path]
+        root = self._read_file(path)
         name = (include.findtext("name") or "").strip()
         element = root.find("model")
         if element is None:
-            self._actors += [
-                f"actor {quote_name(name or actor.get('name', ''))}"
-                for actor in root.iterfind("actor")
-            ]
+            actors = root.findall("actor")
+            if not actors and root.find("light") is None:
+                raise WorldError(f"included {quote_name(str(path))}: holds no model")
+            names_of_actors = (name or actor.get("name", "") for actor in actors)
+            self._actors += [f"actor {quote_name(actor)}" for actor in names_of_actors]
             return
         pose, placement = element.find("pose"), element.get("placement_frame", "")
         if include.find("pose") is not None:
@@ -361,29 +357,45 @@ class _WorldReader:
             parent.merged.append(model)
         self._add_child(parent, model, include.findall("plugin"), depth)
 
+    def _read_file(self, path: Path) -> Element:
+        """The root element of a file, which is read once."""
+        if path not in self._files:
+            try:
+                content = reading.read_content(path, MAX_SDF_BYTES, WorldError)
+                self._files[path] = parse_xml(content)
+            except WorldError as error:
+                raise WorldError(f"included {quote_name(str(path))}: {error}") from error
+        return self._files[path]
+
     def _find_model(self, uri: str, folder: Path | None) -> Path | None:
         """The SDF file of an included model; None where it isn't here."""
-        place = self._find_file(uri, folder)
-        if place is None or place.is_file():
-            return place
-        versions = [inner for inner in place.iterdir() if inner.name.isdecimal() and inner.is_dir()]
-        if versions and not (place / "model.sdf").is_file():  # as Fuel's are kept on disk
-            place = max(versions, key=lambda inner: int(inner.name))
-        names = {}
-        if (place / "model.config").is_file():
-            content = reading.read_content(place / "model.config", MAX_SDF_BYTES, WorldError)
-            for sdf in parse_xml(content).iterfind("sdf"):
-                version = tuple(map(int, re.findall(r"\d+", sdf.get("version", ""))))
-                names[version] = (sdf.text or "").strip()
-        path = place / (names[max(names)] if names else "model.sdf")
-        return path if path.is_file() else None
+        for found in self._list_places(uri, folder):
+            if found.is_file():
+                return found
+            place = found
+            versions = [inner for inner in place.iterdir() if inner.name.isdecimal()]
+            if versions and not (place / "model.sdf").is_file():  # as Fuel's are kept on disk
+                place = max(versions, key=lambda inner: int(inner.name))
+            names = {}
+            if (place / "model.config").is_file():
+                for sdf in self._read_file(place / "model.config").iterfind("sdf"):
+                    version = tuple(map(int, re.findall(r"\d+", sdf.get("version", ""))))
+                    names[version] = (sdf.text or "").strip()
+            path = place / (names[max(names)] if names else "model.sdf")
+            if path.is_file():
+                return path
+        return None
 
-    def _find_file(self, uri: str, folder: Path | None) -> Path | None:
-        """A file or folder that an SDF file names; None where it isn't here."""
+    def _find_mesh(self, uri: str, folder: Path | None) -> Path | None:
+        """The file of a mesh; None where it isn't here."""
+        return next((path for path in self._list_places(uri, folder) if path.is_file()), None)
+
+    def _list_places(self, uri: str, folder: Path | None) -> Iterator[Path]:
+        """Files and folders of this name that there are, the first ones to be taken first."""
         scheme, _, rest = uri.rpartition("://")
         parts = _split_uri(uri)
-        if not parts or ".." in parts:
-            return None
+        if not parts:
+            return
         candidates = []
         if scheme in ("", "file"):
             candidates += [Path(unquote(rest))] if rest.startswith("/") else []
@@ -391,12 +403,12 @@ class _WorldReader:
         for base in self._model_folders:
             for name in (parts[0], parts[0].lower(), parts[0].lower().replace(" ", "_")):
                 candidates.append(base.joinpath(name, *parts[1:]))
-            if base.name == parts[0]:
-                candidates.append(base.joinpath(*parts[1:]))
-        try:
-            return next((path for path in candidates if path.exists()), None)
-        except (OSError, ValueError):
-            return None
+            around = (base.absolute(), *base.absolute().parents)
+            candidates += [up.joinpath(*parts[1:]) for up in around if up.name == parts[0]]
+        for path in candidates:
+            with contextlib.suppress(OSError, ValueError):  # too long a name, or one with zeros
+                if path.exists():
+                    yield path
 
     def _find_world_plugins(self, world: _Model) -> None:
         """Note the models that a plugin of the world names, as it may move them."""
@@ -438,7 +450,7 @@ class _WorldReader:
 
 def _split_uri(uri: str) -> list[str]:
     """The parts of a model's or file's name: ["table", "meshes", "table.dae"]."""
-    scheme, _, rest = uri.rpartition("://")
+    scheme, _, rest = uri.replace("\\", "/").rpartition("://")
     parts = [part for part in PurePosixPath(unquote(rest)).parts if part != "/"]
     if scheme in ("http", "https") and "models" in parts:  # .../models/Table/2/files/meshes/x.dae
         parts = parts[parts.index("models") + 1 :]

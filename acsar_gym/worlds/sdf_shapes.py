@@ -41,13 +41,13 @@ class ShapeReader:
 
     Args:
         height: of the LiDAR above the floor [m].
-        find_file: finds the file of a URI, given the folder where relative ones begin.
+        find_mesh: finds the mesh of a URI, given the folder where relative ones begin.
     """
 
-    def __init__(self, height: float, find_file: Callable[[str, Path | None], Path | None]) -> None:
+    def __init__(self, height: float, find_mesh: Callable[[str, Path | None], Path | None]) -> None:
         self._height = height
         self._top = max(HEADROOM, height)
-        self._find_file = find_file
+        self._find_mesh = find_mesh
         self._meshes: dict[tuple[Path, str, bool], meshes.Mesh] = {}
 
     def read(
@@ -196,8 +196,8 @@ class ShapeReader:
     ) -> Shape:
         """Outline a mesh at the LiDAR's height, or where it is within reach."""
         uri = (shape.findtext("uri") or "").strip()
-        path = self._find_file(uri, folder)
-        if path is None or not path.is_file():
+        path = self._find_mesh(uri, folder)
+        if path is None:
             raise WorldError(
                 f"{model}: there is no mesh {quote_name(uri)}: name its folder with --models FOLDER"
             )

@@ -472,6 +472,23 @@ def test_models_are_found_where_gazebo_finds_them(
     assert where == [[1.0, 1.0, 0.1]]
 
 
+@pytest.mark.parametrize(
+    "uri", ["package://my_gazebo/models/table", "..\\models\\table", ".\\own\\table", "own/table"]
+)
+def test_models_are_found_by_package_and_path(uri: str, tmp_path: Path) -> None:
+    """A world of a ROS package names its models so; one of Windows with backslashes."""
+    package = tmp_path / "my_gazebo"
+    write_model(package / "models", "table", MOVED)
+    write_model(package / "worlds" / "own", "table", MOVED)
+    assert load_included(package / "worlds", include(uri)) == [[1.0, 1.0, 0.1]]
+
+
+def test_a_folder_without_a_model_hides_none(tmp_path: Path) -> None:
+    (tmp_path / "table").mkdir()
+    write_model(tmp_path / "models", "table", MOVED)
+    assert load_included(tmp_path, include("model://table")) == [[1.0, 1.0, 0.1]]
+
+
 def test_the_newest_file_of_a_model_counts(tmp_path: Path) -> None:
     write_model(tmp_path, "table", model(""), "old.sdf")
     write_model(tmp_path, "table", MOVED, "new.sdf")
@@ -563,8 +580,7 @@ def test_models_that_include_each_other_many_times_are_refused_soon(tmp_path: Pa
     assert "includes more than 10,000 models" in refuse_included(tmp_path, include("model://m0"))
 
 
-@pytest.mark.parametrize("uri", ["model://../m", "file://../m/model.sdf", "model://", ""])
-def test_a_world_names_no_files_above_its_folders(uri: str, tmp_path: Path) -> None:
-    write_model(tmp_path, "m", MOVED)
-    (tmp_path / "worlds").mkdir()
-    assert "which no model folder has" in refuse_included(tmp_path / "worlds", include(uri))
+@pytest.mark.parametrize("uri", ["model://", "", "file:///", "model://hall.world", "m" * 5000])
+def test_what_is_no_model_is_refused(uri: str, tmp_path: Path) -> None:
+    said = "holds no model" if "hall" in uri else "which no model folder has"
+    assert said in refuse_included(tmp_path, include(uri))
