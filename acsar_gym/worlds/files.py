@@ -67,6 +67,12 @@ NPY_ERRORS = (
     *(MemoryError, RecursionError, tokenize.TokenError),
 )
 """Exceptions that NumPy raises for broken files."""
+MISSING_ENDS = {
+    (True, True): "has no start and no goal: add --start X,Y,THETA --goal X,Y",
+    (True, False): "has no start: add --start X,Y,THETA",
+    (False, True): "has no goal: add --goal X,Y",
+}
+"""Whether a file lacks a start and a goal, and what is said then."""
 PLACE_FORM = re.compile(r"\s*[,\s]\s*")
 """Between the numbers of a place on the command line."""
 WORLD_SUFFIXES = (".world", ".sdf", ".yaml", ".yml", ".json")
@@ -222,13 +228,9 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     if is_barn(found.circles):
         way = _barn_path(path) if start is None and goal is None else None
         start, goal = start or BARN_START, goal or BARN_GOAL
-    missing = [name for name, end in (("start", start), ("goal", goal)) if end is None]
     if start is None or goal is None:
-        options = {"start": "--start X,Y,THETA", "goal": "--goal X,Y"}
-        raise WorldError(
-            f"has no {' and no '.join(missing)}: add {' '.join(options[name] for name in missing)} "
-            f"[m, rad] in its frame{_describe_extent(found)}"
-        )
+        missing = MISSING_ENDS[start is None, goal is None]
+        raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(found)}")
     return World(found.circles, found.segments, start, goal, way, path.stem)
 
 
@@ -410,17 +412,16 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
 
 def _place_ends(data: dict[str, Any], placement: Placement) -> dict[str, Any]:
     """The content of a file with the start and goal that are given; WorldError without them."""
-    for end, option, region in (
-        ("start", "--start X,Y,THETA", placement.start_region),
-        ("goal", "--goal X,Y", placement.goal_region),
-    ):
+    for end, region in (("start", placement.start_region), ("goal", placement.goal_region)):
         if region is not None:  # the file's path leads from or to another place
             theta = {} if region.theta is None else {"theta": region.theta}
             data = {**data, end: {"x": region.x, "y": region.y, **theta}, "path": None}
-        if data.get(end) is None:
-            raise WorldError(
-                f"has no {end}: add {option} [m, rad], or a line like '{end}: {{x: 0.0, y: 0.0}}'"
-            )
+    lacks = data.get("start") is None, data.get("goal") is None
+    if any(lacks):
+        end = "start" if lacks[0] else "goal"
+        raise WorldError(
+            f"{MISSING_ENDS[lacks]} [m, rad], or a line like '{end}: {{x: 0.0, y: 0.0}}'"
+        )
     return data
 
 

@@ -141,7 +141,7 @@ def cut_mesh(vertices: Floats, faces: NDArray[np.int64], heights: Sequence[float
         # A little off round numbers, where faces and corners would lie in the plane of the cut.
         lines = trimesh.intersections.mesh_plane(mesh, (0.0, 0.0, 1.0), (0.0, 0.0, height + 1e-7))
         outlines.append(simplify_outline(np.asarray(lines)[:, :, :2].reshape(-1, 4)))
-    return np.concatenate(outlines)
+    return np.unique(np.concatenate(outlines), axis=0)  # an upright wall is the same at each
 
 
 def simplify_outline(segments: Floats) -> Floats:

@@ -114,6 +114,7 @@ def test_what_is_lower_than_the_lidar_is_outlined_where_it_is(suffix: str, tmp_p
     write_mesh(tmp_path / f"kerb{suffix}", KERB)
     segments = load(tmp_path, f"<uri>kerb{suffix}</uri>")
     assert corners(segments) == boxed(KERB)
+    assert len(segments) == 4
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 -0.115 0 0 0")), "a floor"
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 0.6 0 0 0")), "a beam"
 
