@@ -220,23 +220,23 @@ def load_world(path: Path | str, placement: Placement | None = None) -> World:
 def _read_gazebo(path: Path, placement: Placement) -> World:
     """Read a Gazebo world; warn of what moves in it."""
     content = reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
-    found = sdf.read_obstacles(
+    obstacles = sdf.read_obstacles(
         content, path.parent, placement.list_model_folders(path.parent), placement.height
     )
-    _warn_of_movers(path, found)
+    _warn_of_movers(path, obstacles)
     start, goal, way = placement.start_region, placement.goal_region, None
-    if is_barn(found.circles):
+    if is_barn(obstacles.circles):
         way = _barn_path(path) if start is None and goal is None else None
         start, goal = start or BARN_START, goal or BARN_GOAL
     if start is None or goal is None:
         missing = MISSING_ENDS[start is None, goal is None]
-        raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(found)}")
-    return World(found.circles, found.segments, start, goal, way, path.stem)
+        raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(obstacles)}")
+    return World(obstacles.circles, obstacles.segments, start, goal, way, path.stem)
 
 
-def _describe_extent(found: sdf.SdfObstacles) -> str:
+def _describe_extent(obstacles: sdf.SdfObstacles) -> str:
     """Where the obstacles are, for who looks for a start; empty without any."""
-    circles, segments = found.circles, found.segments.reshape(-1, 2)
+    circles, segments = obstacles.circles, obstacles.segments.reshape(-1, 2)
     centres, radii = circles[:, :2], circles[:, 2:]
     points = np.concatenate([centres - radii, centres + radii, segments])
     if not len(points):
@@ -245,14 +245,14 @@ def _describe_extent(found: sdf.SdfObstacles) -> str:
     return f", where obstacles are at x {left:.3g} to {right:.3g}, y {low:.3g} to {high:.3g}"
 
 
-def _warn_of_movers(path: Path, found: sdf.SdfObstacles) -> None:
+def _warn_of_movers(path: Path, obstacles: sdf.SdfObstacles) -> None:
     notes = []
-    if found.movers:
-        stand = "stand where they begin" if len(found.movers) > 1 else "stands where it begins"
-        notes.append(f"{', '.join(found.movers)} {stand}")
-    if found.actors:
+    if obstacles.movers:
+        stand = "stand where they begin" if len(obstacles.movers) > 1 else "stands where it begins"
+        notes.append(f"{', '.join(obstacles.movers)} {stand}")
+    if obstacles.actors:
         notes.append(
-            f"{', '.join(found.actors)} {'are' if len(found.actors) > 1 else 'is'} left out"
+            f"{', '.join(obstacles.actors)} {'are' if len(obstacles.actors) > 1 else 'is'} left out"
         )
     if notes:
         warnings.warn(

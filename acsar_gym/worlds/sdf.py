@@ -140,8 +140,8 @@ class _Model:
     """Children whose names count as its own."""
     frames: dict[str, Element] = field(default_factory=dict)
     """Links, joints and explicit frames."""
-    known: dict[str, Matrix] = field(default_factory=dict)
-    open: list[str] = field(default_factory=list)
+    resolved: dict[str, Matrix] = field(default_factory=dict)
+    pending: list[str] = field(default_factory=list)
     """Names whose frame is being looked for."""
 
     @property
@@ -161,13 +161,13 @@ class _Model:
         """
         if name in ("", "__model__") or (name == "world" and not self.name):
             return np.eye(4)
-        if name not in self.known:
-            if name in self.open or len(self.open) > MAX_FRAME_CHAIN:
+        if name not in self.resolved:
+            if name in self.pending or len(self.pending) > MAX_FRAME_CHAIN:
                 raise WorldError(f"{self.described}: frames are relative to each other in a circle")
-            self.open.append(name)
-            self.known[name] = self._find(name, whose or self.described)
-            self.open.pop()
-        return self.known[name]
+            self.pending.append(name)
+            self.resolved[name] = self._find(name, whose or self.described)
+            self.pending.pop()
+        return self.resolved[name]
 
     def _find(self, name: str, whose: str) -> Matrix:
         if name in self.children:
@@ -369,10 +369,10 @@ class _WorldReader:
 
     def _find_model(self, uri: str, folder: Path | None) -> Path | None:
         """The SDF file of an included model; None where it isn't here."""
-        for found in self._list_places(uri, folder):
-            if found.is_file():
-                return found
-            place = found
+        for path in self._list_places(uri, folder):
+            if path.is_file():
+                return path
+            place = path
             versions = [inner for inner in place.iterdir() if inner.name.isdecimal()]
             if versions and not (place / "model.sdf").is_file():  # as Fuel's are kept on disk
                 place = max(versions, key=lambda inner: int(inner.name))
@@ -381,9 +381,9 @@ class _WorldReader:
                 for sdf in self._read_file(place / "model.config").iterfind("sdf"):
                     version = tuple(map(int, re.findall(r"\d+", sdf.get("version", ""))))
                     names[version] = (sdf.text or "").strip()
-            path = place / (names[max(names)] if names else "model.sdf")
-            if path.is_file():
-                return path
+            file = place / (names[max(names)] if names else "model.sdf")
+            if file.is_file():
+                return file
         return None
 
     def _find_mesh(self, uri: str, folder: Path | None) -> Path | None:

@@ -241,13 +241,13 @@ def cut_convex(points: Floats, low: float, high: float) -> Floats:
         (m, 2) [m]; their convex hull is the shadow.
     """
     heights = points[:, 2]
-    found = [points[(heights >= low) & (heights <= high), :2]]
+    corners = [points[(heights >= low) & (heights <= high), :2]]
     for level in {low, high}:
         above, below = points[heights > level], points[heights < level]
         share = (level - below[:, 2]) / (above[:, None, 2] - below[:, 2])
         crossing = below[:, :2] + share[..., None] * (above[:, None, :2] - below[:, :2])
-        found.append(crossing.reshape(-1, 2))
-    return np.concatenate(found)
+        corners.append(crossing.reshape(-1, 2))
+    return np.concatenate(corners)
 
 
 def convex_hull(points: Floats) -> Floats:

@@ -109,6 +109,42 @@ def test_a_part_counts_alone_and_may_be_centred(tmp_path: Path) -> None:
         load(tmp_path, uri.format("").replace("leg", "arm"))
 
 
+def test_a_world_as_packages_publish_them(tmp_path: Path) -> None:
+    """Worlds beside models, whose meshes name the model, in models that include models."""
+    (tmp_path / "worlds").mkdir()
+    for name, inside in (
+        ("table", "<mesh><uri>model://table/meshes/Table_collision.DAE</uri></mesh>"),
+        ("pillar", "<cylinder><radius>0.15</radius><length>0.5</length></cylinder>"),
+    ):
+        (tmp_path / "models" / name / "meshes").mkdir(parents=True)
+        (tmp_path / "models" / name / "model.config").write_text(
+            "<?xml version='1.0'?><model><sdf version='1.6'>model.sdf</sdf></model>"
+        )
+        (tmp_path / "models" / name / "model.sdf").write_text(
+            f"<sdf version='1.6'><model name='x'><static>1</static><link name='l'><collision "
+            f"name='c'><pose>0 0 0.1 0 0 0</pose><geometry>{inside}</geometry></collision></link>"
+            "</model></sdf>"
+        )
+    write_mesh(tmp_path / "models" / "table" / "meshes" / "Table_collision.DAE", TABLE, 0.0254)
+    (tmp_path / "worlds" / "cafe.world").write_text(
+        "<?xml version='1.0' encoding='utf-8'?><!-- a cafe --><sdf version='1.6'>"
+        "<world name='default'><include><uri>model://sun</uri></include><gui/>"
+        "<physics type='ode' name='p' default='true'/><scene><sky/></scene>"
+        "<plugin name='init' filename='libgazebo_ros_init.so'/>"
+        "<model name='corner'><include><uri>model://table</uri><pose>1 0 0 0 0 0</pose></include>"
+        "<include><name>p2</name><uri>model://pillar</uri></include>"
+        "<pose frame=''>0 3 0 0 0 0</pose></model><include><name>Pillar</name><uri>model://pillar</uri></include>"
+        "<state world_name='default'><model name='Pillar'><pose>-4 0 0 0 0 0</pose></model></state>"
+        "</world></sdf>",
+        encoding="utf-8",
+    )
+    ends = Placement(start=(9, 9, 0), goal=(9, 8))
+    world = files.load_world(tmp_path / "worlds" / "cafe.world", ends)
+    assert sorted(world.circles.tolist()) == [[-4.0, 0.0, 0.15], [0.0, 3.0, 0.15]]
+    legs = [(size, (x + 1.0, y + 3.0, z)) for size, (x, y, z) in TABLE[1:]]
+    assert corners(world.segments) == boxed(legs)
+
+
 @pytest.mark.parametrize("suffix", [".stl", ".dae"])
 def test_what_is_lower_than_the_lidar_is_outlined_where_it_is(suffix: str, tmp_path: Path) -> None:
     write_mesh(tmp_path / f"kerb{suffix}", KERB)
