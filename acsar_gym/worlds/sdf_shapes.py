@@ -72,7 +72,7 @@ class ShapeReader:
             MissingExtraError: it is a mesh, and trimesh isn't installed.
         """
         shape = None if geometry is None else next(iter(geometry), None)
-        if shape is None or shape.tag == "empty":
+        if geometry is None or shape is None or shape.tag == "empty":
             return [], []
         if shape.tag in ("heightmap", "image"):
             raise WorldError(
@@ -81,8 +81,10 @@ class ShapeReader:
             )
         if shape.tag in ("sphere", "capsule"):
             return self._outline_round(shape, frame, scale, model)
-        if shape.tag == "polyline":
-            return self._outline_polyline(shape, frame, scale, model)
+        if shape.tag == "polyline":  # and its holes
+            lines = geometry.findall("polyline")
+            rings = [self._outline_polyline(line, frame, scale, model) for line in lines]
+            return [], [segment for ring in rings for segment in ring]
         if shape.tag == "mesh":
             return self._outline_mesh(shape, frame, scale, model, folder)
         return self._outline_solid(shape, frame, scale, model)
@@ -174,7 +176,7 @@ class ShapeReader:
 
     def _outline_polyline(
         self, shape: Element, frame: Matrix, scale: Sequence[float], model: str
-    ) -> Shape:
+    ) -> list[list[float]]:
         """Outline an extruded polygon."""
         if abs(frame[2, 2]) < math.cos(MAX_TILT):
             raise WorldError(f"{model}: a polyline is tilted: replace it by boxes")
@@ -182,9 +184,9 @@ class ShapeReader:
         bottom, top = sorted([float(frame[2, 3]), float(frame[2, 3] + height)])
         points = [read_numbers(point, "point", 2, model) for point in shape.iterfind("point")]
         if len(points) < 3 or not self._is_reached(bottom, top):
-            return [], []
+            return []
         corners = np.array(points) * scale[:2]
-        return [], _ring(corners @ frame[:2, :2].T + frame[:2, 3])
+        return _ring(corners @ frame[:2, :2].T + frame[:2, 3])
 
     def _outline_mesh(
         self,

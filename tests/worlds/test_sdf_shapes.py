@@ -159,6 +159,7 @@ def test_a_polyline_is_a_prism() -> None:
     expected = [[1.0, 0.0, 1.0, 2.0], [1.0, 2.0, 0.0, 2.0], [0.0, 2.0, 1.0, 0.0]]
     np.testing.assert_allclose(segments, expected, atol=1e-12)
     assert outline(shape, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0) == ([], [])
+    assert len(outline(shape * 2, *[0.0] * 6)[1]) == 6, "a hole is a polyline of its own"
 
 
 def test_a_hull_has_only_corners() -> None:
