@@ -101,9 +101,11 @@ def test_a_file_is_passed_with_what_it_does_not_say(tmp_path: Path) -> None:
     assert [pool.kind for pool in pools if pool] == [str(path)] * 2
     taller = RobotConfig.preset("acsar").with_(lidar_z_offset=0.45)
     other = make(SEEING[0], worlds=worlds, robot=taller)
-    radii = [inner(one).pool[0].circles[0, 2] for one in (env, other)]
+    circles = [world.circles for one in (env, other) for world in inner(one).pool or ()]
     expected = [math.sqrt(0.2**2 - gap**2) for gap in (0.395 - 0.37, 0.45 - 0.405)]
-    assert radii == pytest.approx(expected), "cut at the robot's own LiDAR"
+    assert [rows[0, 2] for rows in circles] == pytest.approx(expected), (
+        "cut at the robot's own LiDAR"
+    )
     for one in (env, again, other):
         one.close()
     with pytest.raises(ConfigError, match=r"unknown field 'worlds\.gaol'; did you mean 'goal'"):

@@ -164,6 +164,7 @@ def test_a_training_takes_them_too(room: tuple[str, ...], tmp_path: Path) -> Non
         address="nowhere:1",
     )
     batch = TrainingPlan.of(options).make_training_batch()
+    assert batch.pool is not None
     world = batch.pool[0]
     batch.close()
     assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
