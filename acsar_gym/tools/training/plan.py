@@ -69,7 +69,8 @@ class TrainingOptions(Section):
     target: Annotated[float, Field(ge=0, le=1)] | None = None
     """End once this share of 512 held-out episodes succeeds, such as 0.97; default: never."""
     out: Path | None = None
-    """Folder for the policy, checkpoints and logs; default: runs/ENV."""
+    """Folder for the policy, checkpoints and logs, with no other training in it; default:
+    runs/ENV, or runs/ENV-2 and so on where there is one already."""
     robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     """Robots stepped together, at most 16,384; default: the recipe's."""
     seed: Annotated[int, Field(ge=0, lt=held_out.FIRST_HELD_OUT_SEED)] = 0
@@ -154,11 +155,11 @@ class TrainingPlan:
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
-        """Derive the settings of a training and create its folder.
+        """Derive the settings of a training; writes nothing.
 
         Raises:
-            ConfigError: the env isn't registered, has no time limit or no worlds, the recipe
-                can't be used, or the folder or the number of threads can't be used.
+            ConfigError: the env isn't registered, has no time limit or no worlds, or the recipe or
+                the number of threads can't be used.
         """
         env_id = ids.find_id(options.env)
         own = ids.strip_module(env_id)
@@ -174,10 +175,6 @@ class TrainingPlan:
         robot, kind = make_fleet(options.robot, 1).robots[0], find_algorithm(options.algo)
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
         modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
         recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_changes(
             steps=options.steps,

@@ -32,8 +32,8 @@ class DemoOptions(Section):
     """Episodes in PyBullet."""
     serial_episodes: Count = 6
     """Episodes over the emulator's pseudo-terminal, in real time."""
-    out: Path = Path("runs/demo")
-    """Folder for the policy and the logs."""
+    out: Path | None = None
+    """Folder for the policy and the logs; default: runs/demo, or runs/demo-2 and so on."""
 
 
 @command("demo", "first steps")
@@ -46,12 +46,14 @@ def show_demo(demo: DemoOptions, json: File = None) -> int:
     """
     from acsar_gym.tools import demo as demos  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+    from acsar_gym.tools.training.folder import find_free_folder  # noqa: PLC0415
 
     check_writable(json)
-    report.make_folder(demo.out)
-    runs = demos.run_demo(demo.steps, demo.episodes, demo.serial_episodes, demo.out)
+    out = demo.out or find_free_folder(Path("runs/demo"))
+    report.make_folder(out)
+    runs = demos.run_demo(demo.steps, demo.episodes, demo.serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
-    title = f"One policy file, {demo.out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
+    title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
     data = {name: run.as_dict() for name, run in runs}
     print_results(report.summary_table(title, rows), json=json, data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
