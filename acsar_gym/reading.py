@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import math
 import os
@@ -16,7 +17,7 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import FunctionType
 from typing import IO, Any
@@ -298,22 +299,77 @@ def parse_yaml(
         AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
             too long numbers or strings, too many values, and too deep nesting.
     """
-    depth = 0
     try:
-        events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
-        for count, event in enumerate(events):
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            where = f"line {event.start_mark.line + 1}"
-            if isinstance(event, yaml.AliasEvent):
-                raise error(f"{where}: has an alias (*), which is refused: write the value out")
-            if depth > MAX_YAML_DEPTH or count > most:
-                raise error(f"{where}: is nested too deeply or has too many values")
-            if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
-                raise error(f"{where}: a text of {length:,} characters, which is too long")
+        _check_events(text, error, most)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from None
+
+
+def parse_yaml_entry(
+    text: str, names: Sequence[str], error: type[AcsarError] = ConfigError, *, hint: str
+) -> tuple[str, Any]:
+    """Parse one entry of a YAML mapping, with aliases and merge keys; others aren't made.
+
+    Args:
+        text: the YAML.
+        names: of the entry; the first one that is there is taken.
+        error: class of the exception.
+        hint: what to do where there is none of them.
+
+    Returns:
+        Its name and its value.
+
+    Raises:
+        AcsarError: as `error`, for no such entry, and as by `parse_yaml`; bounds hold for the entry
+            with all aliases written out.
+    """
+    try:
+        _check_events(text, error, MAX_YAML_EVENTS, aliases=True)
+        root = yaml.compose(text, Loader=_MergingLoader)
+        if not isinstance(root, yaml.MappingNode):
+            raise error("must be values by name")
+        entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
+        name = next((name for name in names if name in entries), None)
+        if name is None:
+            known = shorten_text(", ".join(map(str, entries))) or "nothing"
+            raise error(f"has no {' and no '.join(map(show_value, names))}, but {known}: {hint}")
+        if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
+            raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
+        return name, _MergingLoader("").construct_document(entries[name])
+    except YAML_ERRORS as problem:
+        raise error(f"not valid YAML: {explain_error(problem)}") from problem
+
+
+def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: bool = False) -> None:
+    """Check the bounds of a YAML document, without making anything of it."""
+    depth = 0
+    events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
+    for count, event in enumerate(events):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        where = f"line {event.start_mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent) and not aliases:
+            raise error(f"{where}: has an alias (*), which is refused: write the value out")
+        if depth > MAX_YAML_DEPTH or count > most:
+            raise error(f"{where}: is nested too deeply or has too many values")
+        if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
+            raise error(f"{where}: a text of {length:,} characters, which is too long")
+
+
+def _count_values(node: yaml.Node, depth: int, most: int) -> int:
+    """Count the nodes of a value with its aliases written out; more than `most` for too many."""
+    if depth < 0:
+        return most + 1
+    count = 1
+    parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+    for part in itertools.chain.from_iterable(
+        one if isinstance(one, tuple) else (one,) for one in parts
+    ):
+        if count > most:
+            break
+        count += _count_values(part, depth - 1, most - count)
+    return count
 
 
 def format_yaml(data: Any) -> str:
@@ -333,6 +389,15 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
                 merge = " (<< is refused: write the values out)" if key.value == "<<" else ""
                 line = key.start_mark.line + 1
                 raise ValueError(f"line {line}: a key must be text, in quotes if need be{merge}")
+
+
+class _MergingLoader(_Loader):
+    """The same, with merge keys: `<<: *defaults`."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Write the values of merge keys out; refuse other keys that aren't strings."""
+        yaml.SafeLoader.flatten_mapping(self, node)  # type: ignore[arg-type]
+        super().flatten_mapping(node)
 
 
 _Loader.add_implicit_resolver(

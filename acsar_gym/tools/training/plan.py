@@ -61,6 +61,9 @@ class TrainingOptions(Section):
     conf_file: Path | None = None
     """Recipe file in RL Zoo's format, or the config.yml of an earlier training; default:
     agents/recipes/ALGO.yml."""
+    conf_entry: str | None = None
+    """Entry of that file, such as Pendulum-v1 of RL Zoo's; default: the one of the env's id, or
+    "default"."""
     modules: tuple[str, ...] = ()
     """Modules of your own whose classes the recipe names, such as mine.networks; they are imported,
     which a recipe alone can't do. The module of --env is one of them."""
@@ -176,7 +179,9 @@ class TrainingPlan:
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
         modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
-        recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_changes(
+        recipe = recipes.read_recipe(
+            kind, own, options.conf_file, modules, options.conf_entry
+        ).with_changes(
             steps=options.steps,
             robots=options.robots,
             gamma=options.gamma,

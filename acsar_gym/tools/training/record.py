@@ -252,6 +252,6 @@ def _merge_options(folder: Path, recorded: Any, options: TrainingOptions) -> Tra
                 f"--{flag} {value}: {folder} is of a training with "
                 f"{getattr(before, name)}: leave --{flag} away, or train anew"
             )
-    changes |= {"out": folder, "conf_file": folder / CONFIG_FILE}
+    changes |= {"out": folder, "conf_file": folder / CONFIG_FILE, "conf_entry": None}
     changes |= dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
     return before.model_copy(update=changes)
