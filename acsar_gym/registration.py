@@ -31,19 +31,20 @@ class SceneChoice:
     is an open floor, None the task's own default."""
     robots: tuple[str, ...] = ("acsar",)
     """Presets, files, or robots drawn by number, each of which drives the scenes."""
-    score: str = "completion_time"
-    """What scores an episode that succeeds: "completion_time", "cross_track", or one of the
-    numbers that the task tells; see `tools.benchmark.figures.score_episode`."""
+    score: str = ""
+    """What scores an episode that succeeds: "completion_time", "cross_track", "success", or one of
+    the numbers that the task tells; see `tools.benchmark.figures.score_episode`. "" is
+    "completion_time" where the task says its shortest path, otherwise "success"."""
 
 
 THREE_ROBOTS = ("acsar", "jackal", "husky")
 UNSEEN_ROBOTS = tuple(f"drawn:{number}" for number in range(2000, 2005))
 """Robots drawn at random that no policy was trained on."""
 SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
-    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS)},
+    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS, "completion_time")},
     "acsar_gym/ObstacleGoal-v1": {
-        "clutter": SceneChoice("clutter", THREE_ROBOTS),
-        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS),
+        "clutter": SceneChoice("clutter", THREE_ROBOTS, "completion_time"),
+        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS, "completion_time"),
     },
     "acsar_gym/Barn-v1": {
         "barn": SceneChoice("barn", score="barn_score_own"),

@@ -24,6 +24,7 @@ from acsar_gym.tasks.base import (
     new_memory,
     point_in_disc,
     relative_point,
+    says_shortest_path,
 )
 from acsar_gym.tasks.factory import check_distances, check_reset_options, task_name
 from acsar_gym.worlds import Pose, Region, World
@@ -316,18 +317,20 @@ def check_observation(task: Task, numbers: Observation) -> None:
 class RunningEpisode:
     """The running episode of a task: its assignment (world, start, goal) and its memory.
 
-    Attributes: `task`, `assignment`, `memory`; `steps` so far; `outcome` of the last step.
+    Attributes: `task`, `assignment`, `memory`; `steps` so far; `state` and `outcome` of the last.
     """
 
     def __init__(self, task: Task, assignment: Assignment) -> None:
         self.task, self.assignment = task, assignment
         self.memory = new_memory(task)
         self.steps = 0
+        self.state = State()
         self.outcome = Outcome.GOING
         self._told = info_names(task)
 
     def begin(self, state: State) -> None:
         """Begin the episode with the state after the reset. TaskError as for `step`."""
+        self.state = state
         with translate_errors(TaskError, lambda: task_name(self.task)):
             self.task.begin(state, self.memory)
 
@@ -337,6 +340,7 @@ class RunningEpisode:
         Raises:
             TaskError: the task raises an error, or returns what can't be used.
         """
+        self.state = state
         with translate_errors(TaskError, lambda: task_name(self.task)):
             self.outcome = ask_outcome(self.task, state, self.memory)
             return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
@@ -363,6 +367,40 @@ class RunningEpisode:
             )
         check_observation(self.task, numbers)
         return numbers
+
+    def shortest_path(self, pose: Pose) -> Floats | float | None:
+        """Ask the task for the shortest way from a pose to success; see `Task.shortest_path`.
+
+        Args:
+            pose: of the robot, in place of that by odometry.
+
+        Returns:
+            Places (n, 2) to pass [m], or the length [m]; None where the task doesn't say it.
+
+        Raises:
+            TaskError: the task raises an error, or returns something else.
+        """
+        if not says_shortest_path(self.task):
+            return None
+        name = task_name(self.task)
+        with translate_errors(TaskError, lambda: name):
+            way = self.task.shortest_path(self.state._replace(pose=pose), self.memory)
+        if way is None:
+            return None
+        try:
+            numbers = np.array(way, np.float64)
+            places = numbers.reshape(-1, 2) if numbers.size == 0 else numbers
+            sound = np.isfinite(places).all() and (
+                places >= 0.0 if places.ndim == 0 else places.shape == (len(places), 2)
+            )
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise TaskError(
+                f"{name}.shortest_path returned {show_value(way)}: must be places (x, y) [m], a "
+                "length [m], or None"
+            )
+        return float(places) if places.ndim == 0 else places
 
     def info(self) -> Info:
         """Return what the task adds to info; the keys are the same at every step."""

@@ -180,11 +180,15 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             f"{env_id} doesn't take all of: {names} ({format_error(error)})"
         ) from None
     inner = env.unwrapped
-    if isinstance(inner, RobotEnv):
-        policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-        if inner.robot.link.truth is None:  # on hardware
-            refuse_outside(policy)
-        policy.bind(PolicyContext.of(inner))
+    try:
+        if isinstance(inner, RobotEnv):
+            policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
+            if inner.robot.link.truth is None:  # on hardware
+                refuse_outside(policy)
+            policy.bind(PolicyContext.of(inner))
+    except BaseException:
+        env.close()
+        raise
     return TrackedEnv(env) if tracked else env
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import pytest
 
+from acsar_gym.envs.base import RobotEnv
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
@@ -33,7 +34,7 @@ BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
 @pytest.fixture(autouse=True)
 def _no_env_is_kept() -> Iterator[None]:
     yield
-    runner.keep_env.cache_clear()
+    runner.close_kept_env()
 
 
 def set_named(name: str) -> SceneSet:
@@ -63,6 +64,34 @@ def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path)
         theirs = [getattr(each, name) for each in results]
         assert [getattr(e, name) for e in part.episodes] == pytest.approx(theirs, rel=1e-5)
     assert all(0.0 < each.score < 1.0 for each in part.episodes)
+
+
+def test_every_env_of_a_benchmark_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    closed: list[int] = []  # numbers, as envs close themselves when nothing names them
+    make, close = runs.make_env, RobotEnv.close
+
+    def make_and_note(*given: Any) -> Any:
+        made.append(env := make(*given))
+        return env
+
+    def close_and_note(env: RobotEnv) -> None:
+        closed.append(id(env))
+        close(env)
+
+    monkeypatch.setattr(runs, "make_env", make_and_note)
+    monkeypatch.setattr(RobotEnv, "close", close_and_note)
+    runner.run_plan(make_plan("turn_drive", "smooth"), Store(tmp_path))
+    assert len(made) == 2
+    assert all(id(env.unwrapped) in closed for env in made)
+    closed.clear()
+    policy = runs.load_policy("point_goal", trust=False)
+    with pytest.raises(PolicyError, match="rates") as error:
+        make(policy, "planar", None, {"policy_rate": 20.0})
+    assert len(closed) == 1
+    assert error.traceback  # which holds the env
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
