@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import threading
 import time
@@ -44,6 +45,8 @@ MIN_STEPS_BETWEEN = 100_000
 """Least env steps between two held-out evaluations, which take up to 5 % of the time."""
 TARGET_EVALUATIONS = 3
 """How many times more often is evaluated to end at a target."""
+FEW_UPDATES = 30
+"""Fewer updates of the policy are hardly enough to learn anything."""
 PROBE_TIME = 0.25
 """Duration of the measurement of free cores [s]."""
 _BLOCK = bytes(1 << 18)
@@ -212,6 +215,22 @@ class TrainingPlan:
         """Held-out evaluations during the training, at most."""
         most = MAX_EVALUATIONS * (1 if self.options.target is None else TARGET_EVALUATIONS)
         return max(1, min(most, self.recipe.steps // MIN_STEPS_BETWEEN))
+
+    @property
+    def update_hint(self) -> str:
+        """How few updates there will be, and which --robots gives more; empty for enough."""
+        steps, robots = self.recipe.steps, self.recipe.robots
+        each = self.recipe.steps_per_update(self.algorithm)
+        if each is None or (updates := math.ceil(steps / (each * robots))) >= FEW_UPDATES:
+            return ""
+        fewer = max(1, steps // (each * 2 * FEW_UPDATES))
+        more = math.ceil(steps / (each * fewer))
+        if more <= updates:
+            return ""
+        return (
+            f"{steps:,} steps of {robots} robots are {updates} update{'s' * (updates > 1)} of the "
+            f"policy, few to learn from: with --robots {fewer} there are {more}"
+        )
 
     def make_training_batch(self) -> RobotVectorEnv:
         """Make the batch of robots to train on."""

@@ -252,6 +252,14 @@ class Recipe:
                 built["policy"] = find_class("policy", self.policy, self.modules)
         return built
 
+    def steps_per_update(self, algorithm: Algorithm) -> int | None:
+        """Return the env steps of one robot between two updates; None where it counts episodes."""
+        defaults = inspect.signature(algorithm.load().__init__).parameters
+        name = "n_steps" if "n_epochs" in defaults else "train_freq"
+        given = self.arguments.get(name, defaults[name].default)
+        number, unit = given if isinstance(given, list | tuple) else (given, "step")
+        return int(number) if unit == "step" else None
+
     def check_names(self) -> None:
         """Check what the file names, before anything is imported.
 

@@ -33,6 +33,8 @@ CURVE_NAME = "learning_curve"
 def announce_training(plan: TrainingPlan, worlds: str) -> None:
     """Print what begins, and whether the robot's file says that its motors don't fit the model."""
     print(escape_unprintable(f"{worlds}; {plan}"), flush=True)
+    if plan.update_hint and plan.options.resume is None:
+        print(plan.update_hint, flush=True)
     if plan.recipe.note:
         print(escape_unprintable(f"{plan.recipe.file}: {plan.recipe.note}"), flush=True)
     if plan.robot.misfit:

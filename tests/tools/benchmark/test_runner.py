@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ import gymnasium
 import pytest
 
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
+from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
@@ -243,6 +244,89 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
     told = [(each.name, each.training_seed, each.env) for each in found]
     assert told == [("ppo", 0, ID), ("ppo", 1, ID)]
     assert not plan.choose_agents(["ppo"], ["acsar_gym/Barn-v1"], tmp_path, 2)
+
+
+PLANNERS = """
+import math
+
+
+class Planner:
+    def __call__(self, seen):
+        return 0.8 * max(seen[1], 0.0), math.atan2(seen[2], seen[1])
+
+
+def act(seen):
+    return Planner()(seen)
+
+
+class Own(Planner):
+    env_id = "acsar_gym/PointGoal-v0"
+"""
+
+
+def test_planners_of_ones_own_drive_beside_packaged_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    name = f"mine_{tmp_path.name}"
+    Path(f"{name}.py").write_text(PLANNERS)
+    shutil.copy(AGENTS / "policies" / "point_goal.onnx", "mine.onnx")
+    other = "acsar_gym/PathFollow-v0"
+    names = [
+        "packaged",
+        "turn_drive",
+        f"{name}:Planner",
+        f"{name}.py:act",
+        f"{name}:Own",
+        "mine.onnx",
+    ]
+    found = plan.choose_agents(names, [ID, other], None, 1)
+    told = [(each.name, each.kind, each.id) for each in found]
+    assert sorted(told) == sorted(
+        [
+            ("Own", "learned", "PointGoal-v0"),
+            ("Planner", "learned", "PathFollow-v0"),
+            ("Planner", "learned", "PointGoal-v0"),
+            (name, "learned", "PathFollow-v0"),
+            (name, "learned", "PointGoal-v0"),
+            ("mine", "learned", "PointGoal-v0"),
+            ("packaged", "learned", "PathFollow-v0"),
+            ("packaged", "learned", "PointGoal-v0"),
+            ("turn_drive", "baseline", "PathFollow-v0"),
+            ("turn_drive", "baseline", "PointGoal-v0"),
+        ]
+    )
+    some = [each for each in found if each.name in ("Planner", "packaged") and each.env == ID]
+    parts = runner.run_plan(
+        BenchmarkPlan(tuple(some), (SET,), ("planar",), count=2), make_store(tmp_path / "out")
+    )
+    assert [(part.cell.agent, len(part.episodes)) for part in parts] == [
+        ("packaged", 2),
+        ("Planner", 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["none.onnx"], "none.onnx"),
+        (["no_such_module:Planner"], "no_such_module"),
+        (["barn.onnx"], "--agents barn.onnx: drives on Barn-v1: name it with --env, too"),
+        (["turn_drive.py:act", "turn_drive"], "2 of them are called 'turn_drive'"),
+        (["turn_drve"], "--agents 'turn_drve'; did you mean 'turn_drive'"),
+    ],
+)
+def test_agents_that_cannot_be_compared_are_one_line(
+    names: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(AGENTS / "policies" / "barn.onnx", "barn.onnx")
+    Path("turn_drive.py").write_text(PLANNERS)
+    with pytest.raises(AcsarError) as error:
+        plan.choose_agents(names, [ID], None, 1)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_an_env_of_another_kind_has_no_scenes() -> None:

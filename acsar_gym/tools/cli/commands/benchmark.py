@@ -30,7 +30,8 @@ class BenchmarkChoice:
     robots: Names = ()
     """Robots that drive instead of those of the sets: presets or config files."""
     agents: Names = ()
-    """Agents: packaged, baselines such as dwa, names in --trained; default: all."""
+    """Agents: packaged, baselines such as dwa, names in --trained, and policies of your own:
+    mine.onnx, mine.py:act, mine.planner:Planner; default: all but your own."""
     trained: Folder = None
     """Trained policies, NAME/SEED/policy.onnx."""
     seeds: int = 5
