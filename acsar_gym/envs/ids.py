@@ -62,6 +62,11 @@ def find_id(name: str) -> str:
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
+        if not module and not env_id.startswith("acsar_gym/"):
+            raise ConfigError(
+                f"env {name}: isn't registered: name the module that registers it, too, as in "
+                f"mine_package:{name}"
+            ) from error
         how = f"importing {module} doesn't register it: " if module else ""
         raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None
     return env_id
