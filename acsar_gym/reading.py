@@ -396,7 +396,7 @@ class _MergingLoader(_Loader):
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Write the values of merge keys out; refuse other keys that aren't strings."""
-        yaml.SafeLoader.flatten_mapping(self, node)  # type: ignore[arg-type]
+        yaml.SafeLoader.flatten_mapping(self, node)
         super().flatten_mapping(node)
 
 

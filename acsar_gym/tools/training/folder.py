@@ -26,6 +26,7 @@ LOCK_FILE = ".lock"
 """Locked while a training runs; the system releases it however the process ends."""
 RESUMABLE = ("a finished training", "an unfinished training")
 """Contents that `--resume` goes on with."""
+SEVERAL_SEEDS = "trainings of several seeds"
 UNLOCKABLE_ERRNOS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
 """Errors of file systems that can't lock, such as some of clusters."""
 
@@ -41,7 +42,7 @@ def describe_content(folder: Path) -> str | None:
     """
     seeds = any(describe_content(path) for path in folder.glob(f"{SEED_PREFIX}*"))
     if seeds or (folder / SEEDS_FILE).exists():
-        return "trainings of several seeds"
+        return SEVERAL_SEEDS
     if (folder / CONFIG_FILE).exists():
         finished = all((folder / name).exists() for name in RESULT_FILES)
         return RESUMABLE[0 if finished else 1]

@@ -368,7 +368,7 @@ def _evaluate_texts(given: Mapping[str, Any]) -> dict[str, Any]:
                 values[name] = parse_text(values[name])
     kwargs = values.get("policy_kwargs")
     net = kwargs.get("net_arch") if isinstance(kwargs, dict) else None
-    if isinstance(net, list) and len(net) == 1 and isinstance(net[0], dict):
+    if kwargs and isinstance(net, list) and len(net) == 1 and isinstance(net[0], dict):
         values["policy_kwargs"] = {**kwargs, "net_arch": net[0]}  # as stable-baselines3 1.x had it
     if (normalize := values.pop("normalize", False)) is not False:
         normalize = {} if normalize is True else normalize

@@ -23,7 +23,12 @@ from acsar_gym.tools.policies import ZipPolicy
 from acsar_gym.tools.policies.bundle import Bundle, TrainingSummary
 from acsar_gym.tools.training import checkpoints, recipes
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, TrainingState
-from acsar_gym.tools.training.folder import CONFIG_FILE, RESULT_FILES
+from acsar_gym.tools.training.folder import (
+    CONFIG_FILE,
+    RESULT_FILES,
+    SEVERAL_SEEDS,
+    describe_content,
+)
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 from acsar_gym.vector.env import usable_cores
 
@@ -148,6 +153,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         ConfigError: the folder has no config.yml of a training.
     """
     path = folder / CONFIG_FILE
+    if describe_content(folder) == SEVERAL_SEEDS:
+        raise ConfigError(f"{folder}: holds {SEVERAL_SEEDS}: name one, such as {folder}/seed-0")
     data = reading.read_file(path, MAX_CONFIG_BYTES)
     try:
         found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])

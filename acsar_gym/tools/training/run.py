@@ -139,6 +139,7 @@ def _begin(
     """Find out what to train, in a folder that `claims` keeps other trainings out of."""
     goes_on = options.resume is not None and options.resume.is_dir()
     if options.resume is not None and goes_on:  # before its checkpoints are read
+        record.read_record(options.resume)  # before anything is written to it
         claims.enter_context(claim_folder(options.resume, resume=True))
     start = record.find_start(options)
     plan = TrainingPlan.of(start.options)

@@ -16,7 +16,7 @@ from acsar_gym import Outcome, RobotConfig, RobotEnv, State, Task
 from acsar_gym.config.footprint import make_rectangle
 from acsar_gym.errors import TaskError
 from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
-from acsar_gym.tasks import ObstacleGoal, PathFollow, PointGoal
+from acsar_gym.tasks import Observation, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.base import says_shortest_path
 from acsar_gym.tools.evaluation.episodes import (
     EpisodeResult,
@@ -197,8 +197,8 @@ class SaidPatrol(Patrol):
         return self.posts[int(memory.done) :] if self.way is ... else self.way
 
 
-def back_and_forth(seen: Any) -> Any:
-    return np.array([1.0 if seen[0] > -1.5 else -1.0, 0.0], np.float32)
+def back_and_forth(observation: Observation) -> Observation:
+    return np.array([1.0 if observation[0] > -1.5 else -1.0, 0.0], np.float32)
 
 
 def patrol(task: Task) -> EpisodeResult:

@@ -214,7 +214,7 @@ def test_a_vecnormalize_is_seen_in_the_zip_itself(
 
 def test_where_the_zip_does_not_tell_it_is_said() -> None:
     seen, original = np.array([[0.1, 0.2, 0.3]]), np.array([[0.2, 0.3, 0.4]])
-    data = {"observation_space": Box(-1.0, 1.0, (3,)), "replay_buffer_class": None}
+    data: dict[str, Any] = {"observation_space": Box(-1.0, 1.0, (3,)), "replay_buffer_class": None}
     data |= {"_last_obs": seen, "_last_original_obs": original}
     assert uses_normalization(data) is None
     assert uses_normalization(data | {"_last_obs": 10.0 * seen}) is True

@@ -122,6 +122,18 @@ def test_a_resumed_training_stays_in_its_folder(finished: Path, tmp_path: Path) 
     assert not (tmp_path / "new").exists()
 
 
+def test_a_folder_that_is_none_of_a_training_is_left_alone(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"config\.yml"):
+        seeds.main(["--resume", str(tmp_path), "--trust"])
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "seed-0").mkdir()
+    (tmp_path / "seed-0" / "config.yml").write_text("")
+    with pytest.raises(
+        ConfigError, match=f"trainings of several seeds: name one, such as {tmp_path}"
+    ):
+        seeds.main(["--resume", str(tmp_path), "--trust"])
+
+
 @pytest.mark.usefixtures("deadline")
 def test_the_second_of_two_at_once_is_refused_until_the_first_is_killed(tmp_path: Path) -> None:
     out = tmp_path / "out"
