@@ -24,7 +24,13 @@ from typing import IO, Any
 
 import yaml
 
-from acsar_gym.errors import AcsarError, ConfigError, shorten_text, show_value
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    shorten_text,
+    show_value,
+    suggest_name,
+)
 
 OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
@@ -332,8 +338,9 @@ def parse_yaml_entry(
         entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
         name = next((name for name in names if name in entries), None)
         if name is None:
-            known = shorten_text(", ".join(map(str, entries))) or "nothing"
-            raise error(f"has no {' and no '.join(map(show_value, names))}, but {known}: {hint}")
+            near = shorten_text(suggest_name(names[0], entries), 120)
+            missing = " and no ".join(map(show_value, names))
+            raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
         if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
             raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
         return name, _MergingLoader("").construct_document(entries[name])

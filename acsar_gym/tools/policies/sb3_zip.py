@@ -82,8 +82,10 @@ class ZipPolicy(FilePolicy):
             said = format_error(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self.normalized = uses_normalization(data)
-        """Whether it was trained with a VecNormalize; None where the zip doesn't tell."""
+        by_train = self.bundle is not None and self.bundle.training is not None
+        self.normalized = False if by_train else uses_normalization(data)
+        """Whether it was trained with a VecNormalize of observations, as none of 'acsar-gym train'
+        is; None where the zip doesn't tell."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
         self._width = (self.network.observation_space.shape or (0,))[0]
