@@ -64,7 +64,7 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> N
         ),
         (
             "a: &a [1]\nb: &b [*a, *a]\nother: {}",
-            "has no 'mine/Task-v0' and no 'default'; known: a, b, other: name one with --conf-entry",
+            "has no 'mine/Task-v0' and no 'default'; known: a, b, other: name one with",
         ),
         ("\n".join([*LAUGHS, "default: {gamma: *x9}"]), "default: is nested too deeply or has too"),
         ("\n".join([*MERGES, "default: {<<: *x9}"]), "default: is nested too deeply or has too"),
