@@ -211,7 +211,7 @@ def _alias_gym() -> Iterator[None]:
     try:
         yield
     finally:
-        for name in aliases:
+        for name in [name for name in sys.modules if _GYM.match(name)]:
             del sys.modules[name]
         sys.modules |= before
 

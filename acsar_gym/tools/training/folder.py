@@ -15,6 +15,10 @@ from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER
 
 CONFIG_FILE = "config.yml"
 """The record of a training."""
+MAX_CONFIG_BYTES = 1_000_000
+"""Largest accepted config.yml [bytes]."""
+FINISHED_LINE = b"\n  finished: true\n"
+"""In the record of a training whose steps are done."""
 RESULT_FILES = ("policy.onnx", "model.zip")
 """What a training leaves: the policy to drive with, and the model to train on."""
 CURVE_FILES = ("learning_curve.csv", "learning_curve.png")
@@ -43,9 +47,11 @@ def describe_content(folder: Path) -> str | None:
     seeds = any(describe_content(path) for path in folder.glob(f"{SEED_PREFIX}*"))
     if seeds or (folder / SEEDS_FILE).exists():
         return SEVERAL_SEEDS
-    if (folder / CONFIG_FILE).exists():
-        finished = all((folder / name).exists() for name in RESULT_FILES)
-        return RESUMABLE[0 if finished else 1]
+    if (config := folder / CONFIG_FILE).exists():
+        with contextlib.suppress(ConfigError):
+            if FINISHED_LINE in reading.read_file(config, MAX_CONFIG_BYTES):
+                return RESUMABLE[0]
+        return RESUMABLE[1]
     if checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER):
         return "checkpoints"
     names = (*RESULT_FILES, *CURVE_FILES)

@@ -25,6 +25,7 @@ from acsar_gym.tools.training import checkpoints, recipes
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, TrainingState
 from acsar_gym.tools.training.folder import (
     CONFIG_FILE,
+    MAX_CONFIG_BYTES,
     RESULT_FILES,
     SEVERAL_SEEDS,
     describe_content,
@@ -39,8 +40,6 @@ RUN_KEY = "run"
 """Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
 RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, besides those of every result."""
-MAX_CONFIG_BYTES = 1_000_000
-"""Largest accepted config.yml [bytes]."""
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
 CHANGEABLE_OPTIONS = (

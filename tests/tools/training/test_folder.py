@@ -51,7 +51,7 @@ def test_a_second_training_of_a_folder_is_refused(finished: Path, more: list[str
     ("files", "said"),
     [
         (["config.yml"], "an unfinished training"),
-        (["config.yml", "policy.onnx", "model.zip"], "a finished training"),
+        (["config.yml", "policy.onnx", "model.zip"], "an unfinished training"),
         (["checkpoints/rl_model_256_steps.zip"], "checkpoints"),
         (["policy.onnx"], "policy.onnx"),
         (["model.zip"], "model.zip"),
