@@ -219,6 +219,11 @@ class ForwardingLink:
         return self.link.lateness
 
     @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the link; empty where one does, or where it needs none."""
+        return str(getattr(self.link, "unwatched", ""))
+
+    @property
     def camera(self) -> Camera | None:
         """Camera of the link."""
         return camera_of(self.link)

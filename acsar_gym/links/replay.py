@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -165,9 +167,9 @@ class ReplayLink:
         """Return the age of the oldest measurement in the episode; see `Tape` [s]."""
         return self._tape.oldest_measurement() if self._tape else 0.0
 
-    def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, ByteStream | None]]:
+    def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path, ByteStream | None]]:
         """Copy with the replay at its beginning."""
-        return ReplayLink, (self.replays, self._port)
+        return partial(ReplayLink, compare=self._compare), (self.replays, self._port)
 
     def close(self) -> None:
         """Close the link, but not the port, which its owner closes. A reset opens it again."""

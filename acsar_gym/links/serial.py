@@ -58,6 +58,13 @@ class SerialLink:
         self.lateness = 0.0
         install_handlers()
 
+    @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the open link; empty where one does."""
+        if self._config.watchdog_timeout is None:
+            return "watchdog_timeout: null"
+        return "" if self.watchdog.is_started else "not on this system, or not for this port"
+
     def _make_locks(self) -> None:
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
         self._turn = threading.RLock()
@@ -293,9 +300,9 @@ class SerialLink:
         if getattr(self, "_port", None) is not None:
             self.close()
 
-    def __reduce__(self) -> tuple[type[SerialLink], tuple[str, RobotConfig]]:
+    def __reduce__(self) -> tuple[type[SerialLink], tuple[object, ...]]:
         """Copy and pickle as a closed link to the same device; a port can't be shared."""
-        return SerialLink, (self.device, self._config)
+        return SerialLink, (self.device, self._config, self._zeros)
 
     def _require_port(self) -> OpenPort:
         if self._port is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from acsar_gym.errors import CancelledError, ConfigError, escape_unprintable
+from acsar_gym.errors import CancelledError, ConfigError, LinkError, escape_unprintable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -229,15 +229,33 @@ def report_broken() -> bool:
 
 @dataclass(frozen=True)
 class HostOptions:
-    """Process priority and cores."""
+    """Process priority and cores, and whether the emergency stop may be missing."""
 
     realtime: Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")] = None
     """Real-time priority (SCHED_FIFO), 1 to 98."""
     cores: Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")] = None
     """Numbers of the cores to run on."""
+    without_estop: bool = False
+    """Drive real wheels even where 'acsar-gym estop' couldn't stop them."""
 
-    def prepare(self) -> None:
-        """Set priority and cores; ConfigError if that isn't allowed."""
+    def prepare(self, drives: str | None = None) -> None:
+        """Set priority and cores, and check that a real robot can be stopped.
+
+        Args:
+            drives: link whose wheels will turn; None where none will.
+
+        Raises:
+            ConfigError: the priority or cores aren't allowed.
+            LinkError: `acsar-gym estop` couldn't stop the robot, and that isn't allowed.
+        """
+        from acsar_gym.links.factory import is_device  # noqa: PLC0415
+        from acsar_gym.safety.estop import StopListener  # noqa: PLC0415
         from acsar_gym.tools.doctor import host  # noqa: PLC0415
 
+        if drives is not None and not self.without_estop and is_device(drives):
+            try:
+                StopListener.check_available(drives)
+            except LinkError as error:
+                fix = f"{error.fix}; or drive without an emergency stop: --without-estop"
+                raise LinkError(error.found, fix) from error
         host.prepare_realtime(self.realtime, self.cores)

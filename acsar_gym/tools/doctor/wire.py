@@ -185,6 +185,10 @@ class StoppableLink(SerialLink):
             raise EmergencyStopError
         return super().read_now()
 
+    def __reduce__(self) -> tuple[type[StoppableLink], tuple[object, ...]]:
+        """Copy and pickle as a closed link to the same device."""
+        return StoppableLink, (self.device, self._config)
+
     def close(self) -> None:
         """Command zero and close, also for `acsar-gym estop`."""
         try:

@@ -99,7 +99,7 @@ def calibrate_robot(
         what: manoeuvres.
         run: driving.
         wire: robot and measuring.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
@@ -128,7 +128,7 @@ def calibrate_robot(
         job.add(calibration_runs.read_recorded_runs(Path(device), manoeuvre, config))
     elif not of_file:
         twin = config if wire.twin is None else RobotConfig.of(wire.twin)
-        host.prepare()
+        host.prepare(device)
         recorder = wire.recorder("calibrate", link=device)
         world = wire.place(wire.world)
         robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, world, recorder)

@@ -68,7 +68,7 @@ def examine_robot(
     Args:
         timing: timing of the control loop.
         spinning: turning of the wheels, and recording.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
@@ -81,7 +81,7 @@ def examine_robot(
         config = wire.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
     check_writable(json)
-    host.prepare()
+    host.prepare(device if spinning.spin else None)
     if timing.timing:
         from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
 

@@ -135,7 +135,7 @@ def evaluate_policy(
         policy: the policy.
         robot: link, robot, LiDAR, and recording.
         worlds: worlds of the evaluation.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         scale: parallel processes, and other machines.
         episodes: the episodes.
         video: videos of the worst episodes.
@@ -145,7 +145,7 @@ def evaluate_policy(
 
     check_writable(json)
     video.prepare()
-    host.prepare()
+    host.prepare(robot.link)
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
     done = shards.evaluate_in_parallel(
@@ -187,7 +187,7 @@ def run_policy(
         goal: x and y in the odometry frame [m]: x forward, y to the left.
         policy: the policy.
         robot: link, robot, LiDAR, and recording.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         json: also write the metrics to this file.
         yes: drive a real robot without a countdown.
         goal_distance: how near and how far goals may be [m]; default: as in training.
@@ -196,7 +196,7 @@ def run_policy(
     from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
 
     check_writable(json)
-    host.prepare()
+    host.prepare(robot.link)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
 
     def ready() -> None:

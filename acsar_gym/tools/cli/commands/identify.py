@@ -77,7 +77,7 @@ def identify_robot(
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
             --record.
         setup: robot and recording.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         output: results.
         duration: of the manoeuvre [s].
         yes: don't ask before the wheels turn.
@@ -106,15 +106,16 @@ def identify_robot(
         if (setup.twin is not None or setup.quirk) and not simulated:
             raise ConfigError(f"--twin and --quirk are for simulated robots: {' or '.join(BODIES)}")
         if simulated:
+            host.prepare()
             odd = quirks.parse_quirks(setup.quirk)
             twin = config if setup.twin is None else RobotConfig.of(setup.twin)
             link = quirks.make_link(device, quirks.apply_to_config(odd, twin), odd)
         else:
             link = open_link(device, config)
+            host.prepare(device)
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
         recorder = setup.recorder("identify")
-        host.prepare()
         found = identify.identify_device(link, config, duration, recorder)
         if found.duration > LATE_MANOEUVRE * duration:
             late = (
