@@ -20,8 +20,9 @@ import stat
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -666,8 +667,8 @@ def _print_drivers() -> int:
     return 0 if found else 1
 
 
-def main(arguments: list[str]) -> int | None:
-    """Run `acsar-gym estop` with a name, --list or --release; None for other arguments.
+def parse_stop(arguments: list[str]) -> Callable[[], int] | None:
+    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows.
 
     Args:
         arguments: of the command line, without "estop".
@@ -678,4 +679,4 @@ def main(arguments: list[str]) -> int | None:
         return None
     if options == ["--list"] and names:
         return None
-    return run_command(*names, listing="--list" in options, release="--release" in options)
+    return partial(run_command, *names, listing="--list" in options, release="--release" in options)

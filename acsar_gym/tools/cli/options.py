@@ -68,8 +68,10 @@ def print_results(*tables: Table, json: Path | None = None, data: Any = None) ->
     """Print tables, and write the figures to a JSON file, if one is named."""
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    report.print_tables(*tables)
-    report.write_json(json, data)
+    try:
+        report.print_tables(*tables)
+    finally:  # also where nobody reads the tables
+        report.write_json(json, data)
 
 
 def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
