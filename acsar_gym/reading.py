@@ -18,6 +18,7 @@ import shutil
 import stat
 import sys
 from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType
 from typing import IO, Any
@@ -44,6 +45,10 @@ MAX_YAML_TEXT = 10_000
 """Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
 MAX_YAML_DEPTH = 20
 """Deepest nesting of lists and mappings in YAML, which are made by recursion."""
+COMMAND: ContextVar[str] = ContextVar("command", default="")
+"""Name of the running command, such as "evaluate"."""
+ORIGIN_BYTES = 4096
+"""Where in a file its origin must be found [bytes from the beginning]."""
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
 """Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
@@ -179,6 +184,41 @@ def replace_file(path: Path) -> Iterator[Path]:
         new.replace(place)
     finally:
         new.unlink(missing_ok=True)
+
+
+def describe_origin() -> str:
+    """Return the words by which the running command knows a file again that it wrote."""
+    return f"written by acsar-gym {COMMAND.get()}"
+
+
+def check_replaceable(path: Path, mark: str | None = None, *, force: bool = False) -> None:
+    """Check that writing a file loses none of somebody else's.
+
+    Replaced are empty files and those that the same command wrote; devices and pipes are written.
+
+    Args:
+        path: the file that will be written.
+        mark: text at the beginning of files that the command wrote; None for
+            `describe_origin`, "" where it can't know them.
+        force: whether any file may be replaced.
+
+    Raises:
+        ConfigError: there is another file, or another kind of file, of that name.
+    """
+    if force or not path.is_file() or str(path).startswith(STREAM_PATHS):
+        return
+    mark = describe_origin() if mark is None else mark
+    try:
+        with path.open("rb") as file:
+            head = file.read(ORIGIN_BYTES)
+    except OSError:
+        head = b"unreadable"
+    if head and not (mark and mark.encode() in head):
+        author = f" and wasn't written by 'acsar-gym {COMMAND.get()}'" if mark else ""
+        raise ConfigError(
+            f"{shorten_text(str(path))}: exists{author}: name another file, or replace it "
+            "with --force"
+        )
 
 
 def open_nonblocking(path: str, flags: int) -> int:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import filecmp
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.render import top_view
@@ -188,16 +191,37 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
 
 
 def convert_world(
-    source: str | Mapping[str, Any], out: Path, level: float | None, robot: str | None
+    source: str | Mapping[str, Any],
+    out: Path,
+    level: float | None,
+    robot: str | None,
+    *,
+    force: bool = False,
 ) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
 
+    A file that has just this world is left as it is.
+
+    Args:
+        source: of the world.
+        out: the file.
+        level: difficulty of a generated world, 0 to 1.
+        robot: preset or config file.
+        force: replace another file.
+
     Raises:
         WorldError: the world can't be read or generated.
-        ConfigError: there are several worlds, or `out` can't be written.
+        ConfigError: there are several worlds, or `out` can't be written, or is another file.
     """
     report.check_writable(out)
-    files.save_world(collect_worlds(source, level, robot, 1, 1)[0], out)
+    world = collect_worlds(source, level, robot, 1, 1)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / out.name
+        files.save_world(world, copy)
+        if out.is_file() and filecmp.cmp(copy, out, shallow=False):
+            return
+    reading.check_replaceable(out, mark="", force=force)  # people draw in their worlds
+    files.save_world(world, out)
 
 
 def findings_table(source: str, findings: Sequence[WorldFinding]) -> Table:

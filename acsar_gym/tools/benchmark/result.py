@@ -56,6 +56,8 @@ MAX_PLAN_BYTES = 10_000_000
 """Largest accepted plan [bytes]."""
 MAX_ROW_BYTES = 30_000_000
 """Largest accepted row [bytes]; 40,000 episodes have 10 MB."""
+TABLE_MARK = "`acsar-gym benchmark` writes this page"
+"""At the beginning of a page of tables."""
 RESULT_FILE, TABLE_FILE, ROW_SUFFIX = "benchmark.json", "benchmark.md", ".row.json"
 NOT_A_ROW = "isn't a row of 'acsar-gym benchmark --policy'"
 ROUNDING_TOLERANCE = 1e-6
@@ -174,6 +176,7 @@ def write_result(path: Path, told: Told) -> None:
     Raises:
         ConfigError: it can't be written.
     """
+    told = {"origin": reading.describe_origin(), **told}
     text = json.dumps(told, allow_nan=False, separators=(",", ":"))
     reading.write_atomically(path, f"{text}\n".encode())
 

@@ -33,6 +33,7 @@ from acsar_gym.errors import (
     show_value,
     suggest_name,
 )
+from acsar_gym.reading import COMMAND
 from acsar_gym.streams import open_streams, print_error, run_guarded
 from acsar_gym.tools.cli import commands
 from acsar_gym.tools.cli.commands import COMMANDS, CommandSection, command
@@ -136,6 +137,7 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _format_one_line
     words = sys.argv[1:]
+    COMMAND.set(_find_name(words))
     with _kept_terminal() if _drives(words) else contextlib.nullcontext():
         code = run_guarded(lambda: _run_words(words))
     sys.exit(2 if report_broken() and not code else code)
@@ -143,8 +145,13 @@ def main() -> None:
 
 def _drives(words: list[str]) -> bool:
     """Whether the command of a command line drives a robot."""
-    named = COMMANDS.get(" ".join(words[:2])) or COMMANDS.get(" ".join(words[:1]))
-    return named is not None and named.drives
+    name = _find_name(words)
+    return name in COMMANDS and COMMANDS[name].drives
+
+
+def _find_name(words: list[str]) -> str:
+    """Return the name of the command of a command line, such as "worlds show"; "" for none."""
+    return next((n for n in (" ".join(words[:2]), *words[:1]) if n in COMMANDS), "")
 
 
 def _run_words(words: list[str]) -> int:

@@ -6,7 +6,7 @@ import contextlib
 import select
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from acsar_gym.errors import CancelledError, ConfigError, LinkError, escape_unprintable
+from acsar_gym.reading import check_replaceable, describe_origin
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,6 +30,7 @@ OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
+Force = Annotated[bool, tyro.conf.arg(help="Replace files that this command didn't write, too.")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -64,22 +66,30 @@ def say(text: str) -> None:
     print(escape_unprintable(text), flush=True)
 
 
-def print_results(*tables: Table, json: Path | None = None, data: Any = None) -> None:
+def print_results(
+    *tables: Table, json: Path | None = None, data: Mapping[str, Any] | None = None
+) -> None:
     """Print tables, and write the figures to a JSON file, if one is named."""
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     try:
         report.print_tables(*tables)
     finally:  # also where nobody reads the tables
-        report.write_json(json, data)
+        if json is not None:
+            report.write_json(json, {"origin": describe_origin(), **data})
 
 
-def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
-    """Check before the work that results can be written.
+def check_writable(
+    *paths: Path | None, robot: Path | None = None, force: bool = False, mark: str | None = None
+) -> None:
+    """Check before the work that results can be written, and replace nothing that others wrote.
 
     Args:
         *paths: files; None is accepted.
-        robot: file of a robot, likewise.
+        robot: file of a robot, which is edited in place; None is accepted.
+        force: whether files may be replaced that another command or person wrote.
+        mark: text at the beginning of files that the command wrote, where it isn't the usual one;
+            "" where it can't know them again.
 
     Raises:
         ConfigError: one of them can't be written.
@@ -87,8 +97,24 @@ def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
     from acsar_gym.config import files  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    for path in (*paths, None if robot is None else files.check_target(robot)):
+    for path in filter(None, paths):
         report.check_writable(path)
+        check_replaceable(path, mark, force=force)
+    if robot is not None:
+        report.check_writable(files.check_target(robot))
+
+
+@dataclass(frozen=True)
+class ResultOptions:
+    """Results in a file."""
+
+    json: File = None
+    """Also write the figures to this file."""
+    force: Force = False
+
+    def check(self) -> None:
+        """Check before the work as `check_writable` does."""
+        check_writable(self.json, force=self.force)
 
 
 def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:

@@ -14,6 +14,7 @@ from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    Force,
     HostOptions,
     LidarArg,
     RecordOptions,
@@ -72,6 +73,7 @@ class CalibrationOutputs:
     readings."""
     json: File = None
     """Also write the result and all runs to this file."""
+    force: Force = False
 
 
 @command("calibrate", "robots", drives=True)
@@ -106,7 +108,8 @@ def calibrate_robot(
     from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
-    check_writable(output.json, output.runs, robot=output.out)
+    check_writable(output.json, robot=output.out, force=output.force)
+    check_writable(output.runs, force=True)  # runs are added to it
     of_file, of_recording = device.endswith(".json"), device.endswith(".mcap")
     kept_in = Path(device) if of_file else output.runs
     if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):

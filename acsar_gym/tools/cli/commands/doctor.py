@@ -15,6 +15,7 @@ from acsar_gym.tools.cli.options import (
     File,
     HostOptions,
     RecordOptions,
+    ResultOptions,
     RobotArg,
     ask_user,
     check_writable,
@@ -58,10 +59,10 @@ def examine_robot(
     timing: TimingOptions,
     spinning: SpinOptions,
     host: HostOptions,
+    output: ResultOptions,
     device: Device = None,
     robot: RobotArg = None,
     baud_rate: int | None = None,
-    json: File = None,
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
 
@@ -69,10 +70,10 @@ def examine_robot(
         timing: timing of the control loop.
         spinning: turning of the wheels, and recording.
         host: process priority and cores; whether the emergency stop may be missing.
+        output: results in a file.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
-        json: also write the findings to this file.
     """
     from acsar_gym.tools.doctor import wire  # noqa: PLC0415
 
@@ -80,15 +81,15 @@ def examine_robot(
     if baud_rate is not None:
         config = wire.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
-    check_writable(json)
+    output.check()
     host.prepare(device if spinning.spin else None)
     if timing.timing:
         from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
 
         timed = timings.examine_timing(device, config, timing.duration)
-        print_results(*timed.tables(), json=json, data=timed.as_dict())
+        print_results(*timed.tables(), json=output.json, data=timed.as_dict())
         return 0
-    return _run_checks(device, config, json, spinning)
+    return _run_checks(device, config, output.json, spinning)
 
 
 def _run_checks(

@@ -14,6 +14,7 @@ from acsar_gym.errors import BUSY_HINT, ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    Force,
     HostOptions,
     RecordOptions,
     RobotArg,
@@ -55,6 +56,7 @@ class IdentifyOutputs:
     """Write it even where the model doesn't fit: without intervals, and the file says so."""
     json: File = None
     """Also write the findings to this file."""
+    force: Force = False
 
 
 @command("identify", "robots", drives=True)
@@ -87,7 +89,7 @@ def identify_robot(
     from acsar_gym.tools.emulation import quirks  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
-    check_writable(output.json, robot=output.out)
+    check_writable(output.json, robot=output.out, force=output.force)
     if not sources:
         raise ConfigError("identify needs a device, or recordings made with --record")
     files = [Path(source).suffix == ".mcap" or Path(source).is_file() for source in sources]

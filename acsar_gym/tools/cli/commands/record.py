@@ -10,8 +10,7 @@ import tyro
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
-    File,
-    check_writable,
+    ResultOptions,
     print_results,
     say,
 )
@@ -20,20 +19,20 @@ Recorded = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
 @command("record info", "recordings")
-def describe_recording(file: Recorded, json: File = None) -> int:
+def describe_recording(file: Recorded, output: ResultOptions) -> int:
     """Tell what a recording holds.
 
     Args:
         file: the recording.
-        json: also write it to this file.
+        output: results in a file.
     """
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
-    check_writable(json)
+    output.check()
     found = summarize(file)
     for line in summary_lines(found):
         say(line)
-    print_results(json=json, data=found)
+    print_results(json=output.json, data=found)
     return 0
 
 

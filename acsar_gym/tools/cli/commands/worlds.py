@@ -9,8 +9,9 @@ import tyro
 
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
-    File,
+    Force,
     OutFile,
+    ResultOptions,
     RobotArg,
     WorldFileOptions,
     check_writable,
@@ -30,6 +31,7 @@ def show_worlds(
     size: int = 320,
     difficulty: float | None = None,
     robot: RobotArg = None,
+    force: Force = False,
 ) -> int:
     """Draw a world, or a sheet of several, as a PNG file.
 
@@ -41,9 +43,11 @@ def show_worlds(
         size: width and height of each world [pixels].
         difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
+        force: replace a file that this command didn't write, too.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
+    check_writable(out, force=force)
     most = atlas.max_drawn(columns, size, out)
     worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
     atlas.draw_worlds(worlds, columns, size, out)
@@ -55,28 +59,28 @@ def show_worlds(
 def check_worlds(
     source: Source,
     file: WorldFileOptions,
+    output: ResultOptions,
     difficulty: float | None = None,
     robot: RobotArg = None,
-    json: File = None,
 ) -> int:
     """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
 
     Args:
         source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         file: of the worlds.
+        output: results in a file.
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file, for its footprint.
-        json: also write the findings to this file.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
-    check_writable(json)
+    output.check()
     worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
     findings = atlas.check_worlds(worlds, robot)
     told = atlas.describe_source(source, 12)
     table = atlas.findings_table(str(told["source"]), findings)
     data = told | {"worlds": [finding.as_dict() for finding in findings]}
-    print_results(table, json=json, data=data)
+    print_results(table, json=output.json, data=data)
     return int(any(finding.fault for finding in findings))
 
 
@@ -87,6 +91,7 @@ def convert_world(
     file: WorldFileOptions,
     difficulty: float | None = None,
     robot: RobotArg = None,
+    force: Force = False,
 ) -> int:
     """Write a world to a file of this project's format, .json or .yaml.
 
@@ -96,9 +101,10 @@ def convert_world(
         file: of the world.
         difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
+        force: replace another file that exists.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
-    atlas.convert_world(file.place(source), out, difficulty, robot)
+    atlas.convert_world(file.place(source), out, difficulty, robot, force=force)
     say(f"written: {out}")
     return 0
