@@ -214,11 +214,12 @@ def check_replaceable(path: Path, mark: str | None = None, *, force: bool = Fals
     except OSError:
         head = b"unreadable"
     if head and not (mark and mark.encode() in head):
-        author = f" and wasn't written by 'acsar-gym {COMMAND.get()}'" if mark else ""
-        raise ConfigError(
-            f"{shorten_text(str(path))}: exists{author}: name another file, or replace it "
-            "with --force"
-        )
+        fix = "name another file, or replace it with --force"
+        if mark:
+            fix = f"exists and wasn't written by 'acsar-gym {COMMAND.get()}': {fix}"
+        else:
+            fix = f"exists: {fix}"
+        raise ConfigError(f"{shorten_text(str(path))}: {fix}")
 
 
 def open_nonblocking(path: str, flags: int) -> int:

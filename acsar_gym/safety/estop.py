@@ -137,6 +137,8 @@ HIDDEN = "."
 NUMBER_BYTES = 5
 """Random bytes of a socket's number, so that no address is given out twice: not to another thread,
 not to a process of the same id in a container, and not to one after this one."""
+BIND_ATTEMPTS = 100
+"""How often a listener whose socket was removed halfway makes another."""
 RESEND_PERIOD = 0.01
 """How soon a request is sent again that found a full queue [s]."""
 STALE_ASKER_AGE = 60.0
@@ -399,19 +401,18 @@ def _bind_listener(path: Path) -> socket.socket:
     process does, and a stop may remove it. So it gets its name when it listens: what has such a
     name and refuses, is dead for ever, and nobody else can have the address by then.
     """
+    hidden, attempts = path.with_name(HIDDEN + path.name), 0
     while True:
-        hidden = path.with_name(HIDDEN + path.name)
-        ours = _bind_socket(hidden)
+        attempts += 1
         try:
-            hidden.rename(path)
-        except FileNotFoundError:  # a stop removed it halfway
-            ours.close()
-        except OSError:
-            ours.close()
-            hidden.unlink(missing_ok=True)
-            raise
-        else:
-            return ours
+            with contextlib.ExitStack() as on_error:
+                ours = on_error.enter_context(_bind_socket(hidden))
+                hidden.rename(path)
+                on_error.pop_all()
+                return ours
+        except FileNotFoundError:  # a stop removed it halfway, or somebody the folder
+            if attempts == BIND_ATTEMPTS:
+                raise
 
 
 def _bind_socket(path: Path) -> socket.socket:

@@ -205,26 +205,32 @@ def test_what_a_listener_has_left_half_made_is_removed() -> None:
         half_made.close()
 
 
+@pytest.mark.parametrize("half", ["chmod", "rename"])
 def test_a_listener_whose_half_made_socket_was_removed_makes_another(
-    monkeypatch: pytest.MonkeyPatch,
+    half: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stop that looks between the two halves of a bind finds a socket that refuses."""
-    bind, removed = estop._bind_socket, list[Path]()
+    go_on, removed = getattr(Path, half), list[Path]()
 
-    def remove_first(path: Path) -> socket.socket:
-        ours = bind(path)
-        if not removed:
+    def remove_first(path: Path, *arguments: object) -> object:
+        if not removed and path.is_socket():
             removed.append(path)
             path.unlink()
-        return ours
+        return go_on(path, *arguments)
 
-    monkeypatch.setattr(estop, "_bind_socket", remove_first)
+    monkeypatch.setattr(Path, half, remove_first)
     listener = estop.StopListener()
     assert removed
     thread = answering(listener)
     assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     thread.join()
     listener.close()
+
+
+def test_a_folder_that_is_removed_meanwhile_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = folder() / "gone"
+    monkeypatch.setattr(estop, "find_folders", lambda: ([gone], []))
+    assert "no socket: No such file or directory" in estop.StopListener().unavailable
 
 
 def look_for_dead_ones() -> None:

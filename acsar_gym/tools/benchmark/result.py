@@ -112,7 +112,7 @@ def write_outputs(
     """
     page = format_tables(told)
     for path in filter(None, (folder / RESULT_FILE, json_file)):
-        write_result(path, told)
+        write_result(path, {"origin": reading.describe_origin(), **told})
     for path in filter(None, (folder / TABLE_FILE, table)):
         reading.write_atomically(path, page.encode())
         print(escape_unprintable(f"tables: {path}"))
@@ -176,7 +176,6 @@ def write_result(path: Path, told: Told) -> None:
     Raises:
         ConfigError: it can't be written.
     """
-    told = {"origin": reading.describe_origin(), **told}
     text = json.dumps(told, allow_nan=False, separators=(",", ":"))
     reading.write_atomically(path, f"{text}\n".encode())
 
