@@ -71,8 +71,9 @@ def open_streams() -> None:
             null = os.open(os.devnull, os.O_RDWR)  # the lowest that is free: this one
             os.set_inheritable(null, True)
     for name, mode in STREAMS.items():
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+        for attribute in (f"__{name}__", name):  # libraries use either
+            if getattr(sys, attribute) is None:
+                setattr(sys, attribute, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def print_error(text: str) -> None:
@@ -93,7 +94,7 @@ def run_guarded(command: Callable[[], int]) -> int:
     """
     open_streams()
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (CheckedStream(stream) for stream in before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (CheckedStream(stream) for stream in before)
     try:
         code = command()
         try:

@@ -17,7 +17,6 @@ import re
 import select
 import socket
 import stat
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +26,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
+from acsar_gym.streams import print_error
 
 SESSION_FOLDERS = Path("/run/user")
 """Has a folder for each user who is logged in, in which nobody else can create files."""
@@ -647,7 +647,7 @@ def run_command(name: str = "", *, listing: bool = False, release: bool = False)
         if not found:
             _print_drivers()
     except LinkError as error:
-        print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
+        print_error(f"acsar-gym: {escape_unprintable(str(error))}")
         return error.exit_code
     return 0 if found and all(each.answered for each in found) else 1
 

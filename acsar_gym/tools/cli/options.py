@@ -15,6 +15,7 @@ import tyro
 
 from acsar_gym.errors import CancelledError, ConfigError, LinkError, escape_unprintable
 from acsar_gym.reading import check_replaceable, describe_origin
+from acsar_gym.streams import print_error
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -76,7 +77,7 @@ def print_results(
         report.print_tables(*tables)
     finally:  # also where nobody reads the tables
         if json is not None:
-            report.write_json(json, {"origin": describe_origin(), **data})
+            report.write_json(json, {"origin": describe_origin(), **(data or {})})
 
 
 def check_writable(
@@ -251,7 +252,7 @@ def report_broken() -> bool:
     ]
     _command_recorders.clear()
     for name in broken:
-        print(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"), file=sys.stderr)
+        print_error(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"))
     return bool(broken)
 
 

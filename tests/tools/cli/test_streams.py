@@ -62,7 +62,8 @@ def run_with(
                 os._exit(ended.code if isinstance(ended.code, int) else 99)
         os._exit(98)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return code, *(files[n][1].read_text() if files[n][1].exists() else "" for n in (1, 2))
+    texts = [files[n][1].read_text() if files[n][1].exists() else "" for n in (1, 2)]
+    return code, texts[0], texts[1]
 
 
 def lead_stream(number: int, to: str | int | None) -> None:
@@ -70,6 +71,7 @@ def lead_stream(number: int, to: str | int | None) -> None:
     name = tuple(streams.STREAMS)[number]
     os.close(number)
     setattr(sys, name, None)
+    setattr(sys, f"__{name}__", None)
     if to is None:
         return
     if isinstance(to, str):
@@ -160,15 +162,18 @@ def test_windows_has_no_signal_for_a_closed_pipe(
             raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(sys, "stdout", Broken())
-    monkeypatch.setattr(streams.os, "name", "nt")
+    monkeypatch.setattr(os, "name", "nt")
     ended = streams.run_guarded(lambda: print("something") or 0)
-    monkeypatch.setattr(streams.os, "name", "posix")
+    monkeypatch.setattr(os, "name", "posix")
     assert ended == CLOSED_PIPE
 
 
-@pytest.mark.parametrize("way", ["terminate", "kill -HUP", "q"])
+@pytest.mark.parametrize("way", ["terminate", "kill -HUP", "q", "q >&-"])
 def test_a_terminal_echoes_again_whatever_ends_a_drive(way: str, place: Path) -> None:
-    line = f"'{sys.executable}' -m acsar_gym drive --link planar; stty -a; echo done"
+    closed = way[1:]  # a redirection
+    closed = closed if closed.startswith(" >") else ""
+    command = f"'{sys.executable}' -m acsar_gym drive --link planar{closed}"
+    line = f"{command}; echo code $?; stty -a; echo done"
     shell, terminal = pty.fork()
     if shell == 0:
         os.execvp("bash", ["bash", "-c", line])  # noqa: S606
@@ -181,12 +186,12 @@ def test_a_terminal_echoes_again_whatever_ends_a_drive(way: str, place: Path) ->
     end: dict[str, Callable[[], object]] = {
         "terminate": program.terminate,
         "kill -HUP": lambda: program.send_signal(1),
-        "q": lambda: os.write(terminal, b"q"),
     }
-    end[way]()
+    end.get(way, lambda: os.write(terminal, b"q"))()
     output = b""
     while b"done\r\n" not in output:
         output += os.read(terminal, 4096)
     os.waitpid(shell, 0)
     os.close(terminal)
     assert b" echo " in output
+    assert (b"code 0\r\n" in output) == way.startswith("q"), output
