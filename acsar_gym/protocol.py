@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from acsar_gym.errors import CommandError
 
-__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "Reading", "Speeds", "encode"]
+__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "EchoDecoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99
@@ -54,6 +54,12 @@ _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
 _MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
+MAX_ECHOES = 100
+"""How many commands may wait for their echo."""
+ECHO_PROBE = b"an00.00,bp00.00,cn00.00,dp00.00"
+"""A zero command unlike any feedback of standing wheels: who sends it back echoes."""
+ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
+"""A zero command to a board that echoes."""
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
@@ -240,6 +246,76 @@ class Decoder:
             self._refused_before = sum(self.refused.values())
         self.refused.update(reasons)
         self.sample = line[:SAMPLE_BYTES]
+
+
+class EchoDecoder(Decoder):
+    """Decodes what a board sends that also sends every command back.
+
+    A line that holds a command which was sent, in the order of sending, is its echo, whatever the
+    board puts before it or does to its end; it is left out, and the rest of such a line is decoded.
+    A line with an invalid part isn't used at all, since it may be a damaged echo.
+
+    Attributes:
+        echoes: number of echoes.
+
+    Args:
+        sent: commands that were sent before, whose echo may still come.
+    """
+
+    def __init__(self, *sent: bytes) -> None:
+        super().__init__()
+        self._sent: deque[bytes] = deque(maxlen=MAX_ECHOES)
+        for line in sent:
+            self.expect(line)
+        self._echoes_before = 0
+        self.echoes = 0
+
+    @property
+    def only_echoes(self) -> bool:
+        """Whether nothing but echoes has come since the newest valid line."""
+        return self.echoes > self._echoes_before
+
+    def mark(self, line: bytes) -> bytes:
+        """Change a command so that its echo is unlike feedback, and expect the echo.
+
+        Zeros get the direction n, which feedback of standing wheels doesn't have. Where the command
+        is the one before, the last digit of one wheel changes: a wheel that turns exactly as fast
+        as commanded then isn't taken for an echo, nor one echo for another.
+
+        Args:
+            line: as of `encode`.
+        """
+        line = line.replace(b"p00.00", b"n00.00")
+        text = line.rstrip(b",\r\n")
+        if self._sent and self._sent[-1] == text != ECHO_ZERO:
+            end = next(k for k in range(7, len(text) + 1, 8) if text[k - 6 : k] != b"n00.00")
+            digit = (int(text[end - 1 : end]) or 2) - 1
+            line = b"%s%d%s" % (line[: end - 1], digit, line[end:])
+        self.expect(line)
+        return line
+
+    def expect(self, line: bytes) -> None:
+        """Expect the echo of a command line that was sent."""
+        self._sent.append(line.strip(b",\r\n"))
+
+    def _read_line(self, line: bytes) -> Reading | None:
+        """Decode one line, less its echo."""
+        for number, text in enumerate(self._sent):
+            if text in line:
+                for _ in range(number + 1):
+                    self._sent.popleft()
+                self.echoes += 1
+                rest = b"".join(line.partition(text)[::2]).strip(b", ")
+                return self._read_line(rest) if _parse_parts(rest.split(b","))[0] else None
+        refused = sum(self.refused.values())
+        reading = super()._read_line(line)
+        if reading is None:
+            return None
+        if sum(self.refused.values()) > refused:
+            self.lines -= 1
+            return None
+        self._echoes_before = self.echoes
+        return reading
 
 
 def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:

@@ -169,12 +169,13 @@ def examine_board(
 class StoppableLink(SerialLink):
     """A link that obeys `acsar-gym estop`, as a Robot does.
 
-    Its zero commands, and those of its watchdog, come without and with a trailing comma, as it
-    isn't known yet which of them the board takes.
+    Its zero commands, and those of its watchdog, come in upper case, then without and with a
+    trailing comma, as it isn't known yet which of them the board takes.
     """
 
     def __init__(self, device: str, config: RobotConfig) -> None:
-        super().__init__(device, config, [encode(ZERO, trailing_comma=c) for c in (False, True)])
+        zeros = [encode(ZERO, trailing_comma=comma) for comma in (False, True)]
+        super().__init__(device, config, [zeros[1].upper(), *zeros])
         self.listener = StopListener(device, config.name)
 
     def read_now(self) -> bytes:

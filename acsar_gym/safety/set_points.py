@@ -1,0 +1,71 @@
+"""Finds boards that send back what was commanded, instead of what their encoders measure."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from acsar_gym.errors import LinkError
+from acsar_gym.protocol import MAX_SPEED, Reading, Speeds
+
+MOST_EQUAL = 12
+"""So many different commands that come back to the last digit, in order, are no measurements: a
+wheel that follows a ramp has its lag, and four of them don't have it to 0.01 rad/s."""
+MOST_SKIPPED = 5
+"""Commands between two that come back; a board may send fewer lines than it gets."""
+MAX_COMMANDS = 100
+"""Commands that are compared, the newest ones."""
+
+
+class SetPointWatch:
+    """Compares feedback with the commands before it.
+
+    Args:
+        echoes: whether the board is known to echo, and its echoes were left out.
+    """
+
+    def __init__(self, *, echoes: bool) -> None:
+        self._echoes = echoes
+        self._sent: deque[tuple[float, ...]] = deque(maxlen=MAX_COMMANDS)
+        self._newest: tuple[float, ...] = ()
+        self._equal = 0
+
+    def note(self, speeds: Speeds) -> None:
+        """Take a new command.
+
+        Args:
+            speeds: of the letters a, b, c, d [rad/s].
+        """
+        a, b, c, d = (round(min(max(speed, -MAX_SPEED), MAX_SPEED), 2) for speed in speeds)
+        if (a, b, c, d) != self._newest:
+            self._newest = a, b, c, d
+            self._sent.append(self._newest)
+
+    def check(self, reading: Reading) -> None:
+        """Take a line of feedback.
+
+        Raises:
+            LinkError: it was the last of so many that were commands that no more are needed.
+        """
+        speeds = reading.speeds
+        if speeds not in self._sent:
+            return
+        skipped = self._sent.index(speeds)
+        if not any(speeds):
+            self._equal = 0
+        elif skipped:
+            self._equal = self._equal + 1 if skipped <= MOST_SKIPPED else 0
+        for _ in range(skipped):
+            self._sent.popleft()
+        if self._equal < MOST_EQUAL:
+            return
+        if self._echoes:
+            raise LinkError(
+                "this board echoes, and its feedback is what was commanded, too, to the last digit",
+                "its program must send the speeds that its encoders measure",
+            )
+        raise LinkError(
+            f"this board echoes, or sends its set points: {MOST_EQUAL} commands in a row came back "
+            "to the last digit",
+            "write echo: true into the robot's file if it also sends the speeds that its encoders "
+            "measure, otherwise mend its program ('acsar-gym doctor DEVICE --spin')",
+        )
