@@ -52,6 +52,8 @@ MAX_NOTES = 8
 """How many different texts are kept."""
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
+_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")
+"""The speed of a wheel that turns."""
 _MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
 MAX_ECHOES = 100
@@ -249,9 +251,9 @@ class Decoder:
 
 
 class EchoDecoder(Decoder):
-    """Decodes what a board sends that also sends every command back.
+    """Decodes what a board sends that also sends commands back, each once or again and again.
 
-    A line that holds a command which was sent, in the order of sending, is its echo, whatever the
+    A line that holds a command which was sent, in the order of sending, is an echo, whatever the
     board puts before it or does to its end; it is left out, and the rest of such a line is decoded.
     A line with an invalid part isn't used at all, since it may be a damaged echo.
 
@@ -264,11 +266,12 @@ class EchoDecoder(Decoder):
 
     def __init__(self, *sent: bytes) -> None:
         super().__init__()
-        self._sent: deque[bytes] = deque(maxlen=MAX_ECHOES)
+        self._waiting: deque[bytes] = deque(maxlen=MAX_ECHOES)
+        self._command = self._newest = b""
+        self._repeats = self._echoes_before = 0
+        self.echoes = 0
         for line in sent:
             self.expect(line)
-        self._echoes_before = 0
-        self.echoes = 0
 
     @property
     def only_echoes(self) -> bool:
@@ -278,35 +281,41 @@ class EchoDecoder(Decoder):
     def mark(self, line: bytes) -> bytes:
         """Change a command so that its echo is unlike feedback, and expect the echo.
 
-        Zeros get the direction n, which feedback of standing wheels doesn't have. Where the command
-        is the one before, the last digit of one wheel changes: a wheel that turns exactly as fast
-        as commanded then isn't taken for an echo, nor one echo for another.
+        Zeros get the direction n, which feedback of standing wheels doesn't have. Where the same is
+        commanded again, one of the wheels that turn gets 0.01 rad/s more and less in turns, so that
+        feedback of wheels that turn exactly as commanded isn't taken for an echo.
 
         Args:
             line: as of `encode`.
         """
         line = line.replace(b"p00.00", b"n00.00")
-        text = line.rstrip(b",\r\n")
-        if self._sent and self._sent[-1] == text != ECHO_ZERO:
-            end = next(k for k in range(7, len(text) + 1, 8) if text[k - 6 : k] != b"n00.00")
-            digit = (int(text[end - 1 : end]) or 2) - 1
-            line = b"%s%d%s" % (line[: end - 1], digit, line[end:])
+        self._repeats = self._repeats + 1 if line == self._command else 0
+        self._command = line
+        turning = _TURNING.search(line)
+        if self._repeats and turning:
+            step = 0.01 if self._repeats % 2 else -0.01
+            number = b"%05.2f" % min(float(turning[0]) + step, MAX_SPEED)
+            line = line[: turning.start()] + number + line[turning.end() :]
         self.expect(line)
         return line
 
     def expect(self, line: bytes) -> None:
         """Expect the echo of a command line that was sent."""
-        self._sent.append(line.strip(b",\r\n"))
+        self._waiting.append(line.strip(b",\r\n"))
 
     def _read_line(self, line: bytes) -> Reading | None:
         """Decode one line, less its echo."""
-        for number, text in enumerate(self._sent):
-            if text in line:
-                for _ in range(number + 1):
-                    self._sent.popleft()
-                self.echoes += 1
-                rest = b"".join(line.partition(text)[::2]).strip(b", ")
-                return self._read_line(rest) if _parse_parts(rest.split(b","))[0] else None
+        echo = next((text for text in self._waiting if text in line), None)
+        if echo is not None:
+            while self._waiting.popleft() != echo:
+                pass
+            self._newest = echo
+        elif self._newest and self._newest in line:
+            echo = self._newest
+        if echo is not None:
+            self.echoes += 1
+            rest = b"".join(line.partition(echo)[::2]).strip(b", ")
+            return self._read_line(rest) if _parse_parts(rest.split(b","))[0] else None
         refused = sum(self.refused.values())
         reading = super()._read_line(line)
         if reading is None:

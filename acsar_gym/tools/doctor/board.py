@@ -326,12 +326,13 @@ STEADY_SHARE = 0.03
 from one window to the next."""
 SETTLING_TIMEOUT = 1.5
 """Longest wait for a steady speed [s]."""
-STALE_TIME = 0.12
-"""A line that is repeated for so long while a wheel changes its speed is an old one [s]."""
-STALE_JUMP = 0.1
-"""A wheel has gone on meanwhile if it then jumps by this share of the commanded speed."""
-STALE_STEPS = 2.5
-"""And by so many of the smallest steps in which its speed is printed."""
+STALE_TIME, STALE_FACTOR, STALE_JUMP = 0.12, 2.2, 0.1
+"""Lines were old ones if they were the same for so long [s], and the next one is further from them
+than a wheel's usual largest change by this factor, and than this share of the commanded speed."""
+FEWEST_CHANGES = 4
+"""Changes of a wheel's speed that are needed to know the usual one."""
+LINE_LOST = 1.8
+"""Factor on the usual gap between lines where one was lost."""
 ODD_SHARES = (0.83, 0.97, 0.89, 0.79)
 """Commands of four wheels that no other feedback is like, as shares of the commanded speed."""
 SET_POINT_TIME = 0.6
@@ -517,33 +518,42 @@ def sends_set_points(probe: BoardProbe, speed: float) -> bool:
     return bool(turning) and all(map(is_command, turning))
 
 
-def find_stale(lines: Sequence[FeedbackLine], speed: float) -> float:
-    """Return for how long a board repeated a line, at most, while a wheel changed its speed [s].
+def find_stale(lines: Sequence[FeedbackLine], speed: float) -> tuple[float, float] | None:
+    """Find out whether a board repeated old lines while a wheel changed its speed.
 
-    Such a wheel changes before, and jumps the same way after: further than it does in other lines
-    where the board prints coarse steps. 0 where there is none.
+    A wheel whose lines were the same for a while then jumps from one line to the next, further than
+    it usually changes at most on its way to a speed.
 
     Args:
         lines: all that came.
         speed: that was commanded [rad/s].
+
+    Returns:
+        The largest such jump, and the wheel's usual one [rad/s]; None where there is none.
     """
     if len(lines) < AGREEING_LINES:
-        return 0.0
-    stamps = np.array([line.stamp for line in lines])
-    speeds = np.array([line.speeds for line in lines])
-    jumps = np.diff(speeds, axis=0)
-    changes = np.abs(jumps)
-    steps = np.where(changes > 0.0, changes, np.inf).min(axis=0)
-    least = np.maximum(STALE_JUMP * speed, STALE_STEPS * steps)
-    places = np.flatnonzero(changes.any(axis=1))  # a line differs from the one before
-    longest = 0.0
-    for before, after in pairwise(places.tolist()):
-        lasted = float(stamps[after] - stamps[before + 1])
-        went_on = jumps[before] * jumps[after] > 0.0
-        moved = changes[before] > 0.5 * least
-        if lasted > STALE_TIME and (went_on & moved & (changes[after] > least)).any():
-            longest = max(longest, lasted)
-    return longest
+        return None
+    gaps = np.diff([line.stamp for line in lines])
+    for speeds in np.array([line.speeds for line in lines]).T:
+        changes = np.abs(np.diff(speeds))
+        places = np.flatnonzero(changes)
+        begins = np.flatnonzero(np.diff(places, prepend=-1) > 1)
+        largest = np.maximum.reduceat(changes[places], begins) if len(begins) else np.zeros(0)
+        largest = largest[largest > STALE_JUMP * speed]
+        if len(largest) < FEWEST_CHANGES:
+            continue
+        usual = float(np.median(largest))
+        for place in places[1:]:
+            before = int(places[np.searchsorted(places, place) - 1])
+            repeated = gaps[before + 1 : place].sum() > STALE_TIME
+            whole = gaps[place] < LINE_LOST * float(np.median(gaps))
+            if (
+                repeated
+                and whole
+                and changes[place] > max(STALE_FACTOR * usual, STALE_JUMP * speed)
+            ):
+                return float(changes[place]), usual
+    return None
 
 
 # All wheels together: from a command to its first effect, and the command time-out

@@ -150,8 +150,6 @@ class Commission:
         if (refusal := _refuse_board(probe, answers, speed)) is not None:
             yield refusal
             return
-        if probe.echoes and not config.echo:
-            self.changes["echo"] = True
         found = infer_wiring(answers, self.eyes, config)
         yield from check_wiring(answers, self.eyes, config, found)
         heard = [answer for answer in answers if answer.encoder is not None]
@@ -162,10 +160,22 @@ class Commission:
             for name in ("line end", DELAY_CHECK, TIMEOUT_CHECK):
                 yield Check(name, "skip", "needs wheels that turn as commanded", "mend them first")
             return
-        yield self._check_line_end(probe, config, heard[-1].letter, speed)
         if found != config.wheels:
             self.changes["wheels"] = found.model_dump()
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
+        if probe.echoes and not config.echo:
+            self.changes["echo"] = True
+        yield from self._measure_board(probe, config, heard, speed)
+
+    def _measure_board(
+        self,
+        probe: BoardProbe,
+        config: RobotConfig,
+        heard: Sequence[WheelAnswer],
+        speed: float,
+    ) -> Iterator[Check]:
+        """Measure how a board answers whose wheels turn as commanded."""
+        yield self._check_line_end(probe, config, heard[-1].letter, speed)
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
         yield report_delays(response.measure_delays(probe.rate))
@@ -176,14 +186,16 @@ class Commission:
         if probe.gaps:
             yield report_resets(probe.gaps)
         stale = find_stale(probe.lines, speed)
-        if stale:
+        if stale is not None:
             yield Check(
                 "stale feedback",
                 "fail",
-                f"the board repeated an old line for {stale:.2f} s while a wheel changed its speed",
-                f"measure anew for each line {IN_PROGRAM}, and send none where that isn't possible",
+                f"the board repeats old lines: after some that were the same a wheel's speed "
+                f"jumped by {stale[0]:.2f} rad/s from one line to the next, where it usually "
+                f"changes by {stale[1]:.2f} at most",
+                f"measure anew for each line {IN_PROGRAM}, or send none",
             )
-        self.finished = agreed and not probe.gaps and not stale
+        self.finished = agreed and not probe.gaps and stale is None
 
     def save(self, config: RobotConfig, path: Path) -> Check:
         """Write a robot with what was found."""
@@ -253,7 +265,9 @@ class Commission:
         """Say how soon the board stops by itself, and whether two measurements agree on it."""
         seen: list[float] = []
         while (found := response.measure_timeout()) is not None:
-            if any(abs(found[0] - other) < SAME_TIMEOUT for other in seen):
+            alike = [other for other in seen if abs(found[0] - other) < SAME_TIMEOUT]
+            if alike:
+                found = 0.5 * (found[0] + alike[0]), found[1]
                 break
             seen.append(found[0])
             if len(seen) == TIMEOUT_TRIALS:
