@@ -326,11 +326,12 @@ STEADY_SHARE = 0.03
 from one window to the next."""
 SETTLING_TIMEOUT = 1.5
 """Longest wait for a steady speed [s]."""
-STALE_TIME, STALE_FACTOR, STALE_JUMP = 0.12, 2.2, 0.1
+STALE_TIME, STALE_FACTOR, STALE_JUMP = 0.12, 2.2, 0.2
 """Lines were old ones if they were the same for so long [s], and the next one is further from them
 than a wheel's usual largest change by this factor, and than this share of the commanded speed."""
-FEWEST_CHANGES = 4
-"""Changes of a wheel's speed that are needed to know the usual one."""
+FEWEST_CHANGES, STALE_CHANGE = 4, 0.5
+"""Changes of a wheel's speed that are needed to know the usual one, each at least by this share of
+the commanded speed."""
 LINE_LOST = 1.8
 """Factor on the usual gap between lines where one was lost."""
 ODD_SHARES = (0.83, 0.97, 0.89, 0.79)
@@ -535,11 +536,14 @@ def find_stale(lines: Sequence[FeedbackLine], speed: float) -> tuple[float, floa
         return None
     gaps = np.diff([line.stamp for line in lines])
     for speeds in np.array([line.speeds for line in lines]).T:
-        changes = np.abs(np.diff(speeds))
+        jumps = np.diff(speeds)
+        changes = np.abs(jumps)
         places = np.flatnonzero(changes)
-        begins = np.flatnonzero(np.diff(places, prepend=-1) > 1)
-        largest = np.maximum.reduceat(changes[places], begins) if len(begins) else np.zeros(0)
-        largest = largest[largest > STALE_JUMP * speed]
+        begins = np.flatnonzero(np.diff(places, prepend=-2) > 1)
+        if not len(begins):
+            continue
+        whole = np.abs(np.add.reduceat(jumps[places], begins)) > STALE_CHANGE * speed
+        largest = np.maximum.reduceat(changes[places], begins)[whole]
         if len(largest) < FEWEST_CHANGES:
             continue
         usual = float(np.median(largest))
