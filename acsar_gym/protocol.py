@@ -58,8 +58,8 @@ _MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
 MAX_ECHOES = 100
 """How many commands may wait for their echo."""
-ECHO_PROBE = b"an00.00,bp00.00,cn00.00,dp00.00"
-"""A zero command unlike any feedback of standing wheels: who sends it back echoes."""
+ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
+"""A zero command in an order that no feedback has: who sends it back echoes."""
 ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
 """A zero command to a board that echoes."""
 

@@ -22,7 +22,7 @@ from acsar_gym.errors import (
     WheelError,
     escape_unprintable,
 )
-from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of, echoes_of
+from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.links.recorded import record_link
 from acsar_gym.odometry import Odometry
@@ -41,10 +41,6 @@ from acsar_gym.worlds import Scene
 NO_TIMEOUT = (
     "this robot's board doesn't stop by itself (firmware.command_timeout: null): its wheels keep "
     "turning where the cable falls out or this computer fails; add a time-out to its program"
-)
-ECHOES = (
-    "this board echoes: it sends each command back, and the echoes don't count as feedback; take "
-    "the echo out of its program, or write echo: true into the robot's file"
 )
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -113,7 +109,7 @@ class Robot:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
         Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot, and where its board
-        has no command time-out, or echoes.
+        has no command time-out.
 
         Args:
             scene: start, goal, world and physics; only simulated links use it.
@@ -143,8 +139,6 @@ class Robot:
         if not self.active:
             self.link.open()
             self.active = True
-            if self.link.truth is None and echoes_of(self.link) and not self.config.echo:
-                warnings.warn(ECHOES, SafetyWarning, 4)
         self.link.reset(scene)
         self.safety.reset()
         self.wire.reset()

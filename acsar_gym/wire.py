@@ -24,6 +24,8 @@ from acsar_gym.safety.set_points import SetPointWatch
 
 STANDSTILL_TIMEOUT = 5.0
 """How long a reset waits for the wheels to stand still [s]."""
+ECHO_SHARE = 0.5
+"""A board that sends echoes alone for this share of `feedback_timeout` is silent."""
 STANDSTILL_TICKS = 2
 """How many fresh readings in a row must show standstill."""
 
@@ -115,9 +117,15 @@ class Wire:
         if self._settled:  # pauses between the reset and the first command don't count
             self.began, self._settled = stamp - self._period, False
         self.age = 0.0 if heard else self.age + lasted
-        if rules.is_silent(self.age, self._rules):
+        if rules.is_silent(self.age, self._rules) or self._hears_only_echoes():
             raise silence_error(self.age, self.decoder)
         return heard, lasted
+
+    def _hears_only_echoes(self) -> bool:
+        """Whether only echoes come; before the robot stops for it, as it would then drive again."""
+        echoes = self._echoes
+        age = self.age / ECHO_SHARE
+        return echoes is not None and echoes.only_echoes and rules.is_silent(age, self._rules)
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
         """Return what odometry integrates: the newest speeds, or after a pause all that were heard.

@@ -7,9 +7,10 @@ from collections import deque
 from acsar_gym.errors import LinkError
 from acsar_gym.protocol import MAX_SPEED, Reading, Speeds
 
-MOST_EQUAL = 12
-"""So many different commands that come back to the last digit, in order, are no measurements: a
-wheel that follows a ramp has its lag, and four of them don't have it to 0.01 rad/s."""
+MOST_EQUAL, MOST_ALONE = 12, 6
+"""So many different commands that come back to the last digit, in order, are no measurements, and
+so many where nothing else comes between: a wheel that follows a ramp has its lag, and four of them
+don't have it to 0.01 rad/s."""
 MOST_SKIPPED = 5
 """Commands between two that come back; a board may send fewer lines than it gets."""
 MAX_COMMANDS = 100
@@ -27,7 +28,7 @@ class SetPointWatch:
         self._echoes = echoes
         self._sent: deque[tuple[float, ...]] = deque(maxlen=MAX_COMMANDS)
         self._newest: tuple[float, ...] = ()
-        self._equal = 0
+        self._equal = self._alone = 0
 
     def note(self, speeds: Speeds) -> None:
         """Take a new command.
@@ -48,15 +49,16 @@ class SetPointWatch:
         """
         speeds = reading.speeds
         if speeds not in self._sent:
+            self._alone = 0
             return
         skipped = self._sent.index(speeds)
-        if not any(speeds):
-            self._equal = 0
-        elif skipped:
-            self._equal = self._equal + 1 if skipped <= MOST_SKIPPED else 0
+        if skipped:
+            going_on = skipped <= MOST_SKIPPED and any(speeds)
+            self._equal = self._equal + 1 if going_on else 0
+            self._alone = self._alone + 1 if going_on else 0
         for _ in range(skipped):
             self._sent.popleft()
-        if self._equal < MOST_EQUAL:
+        if self._equal < MOST_EQUAL and self._alone < MOST_ALONE:
             return
         if self._echoes:
             raise LinkError(
@@ -64,8 +66,8 @@ class SetPointWatch:
                 "its program must send the speeds that its encoders measure",
             )
         raise LinkError(
-            f"this board echoes, or sends its set points: {MOST_EQUAL} commands in a row came back "
-            "to the last digit",
+            f"this board echoes, or sends its set points: {self._equal} commands came back in "
+            "order, to the last digit",
             "write echo: true into the robot's file if it also sends the speeds that its encoders "
             "measure, otherwise mend its program ('acsar-gym doctor DEVICE --spin')",
         )
