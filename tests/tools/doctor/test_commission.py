@@ -322,7 +322,7 @@ def test_an_echo_is_named_and_hides_nothing(
     [
         (("set-points",), "measured speeds", "feedback is what was commanded"),
         (
-            ("set-points", "dead-wheel=a", "echo"),
+            ("set-points", "dead-wheel=a"),
             "measured speeds",
             "feedback is what was commanded",
         ),
@@ -338,6 +338,13 @@ def test_a_board_whose_feedback_tells_nothing_gets_no_file(
     commission = Commission()
     check = commissioned(board(*quirks), commission)[name]
     assert (check.status, said in check.found) == ("fail", True)
+    assert not commission.finished
+
+
+def test_set_points_beside_an_echo_are_no_feedback() -> None:
+    commission = Commission()
+    with pytest.raises(BoardSilentError, match="this board's echo of the commands, or what equals"):
+        commissioned(board("set-points", "echo", "dead-wheel=a"), commission)
     assert not commission.finished
 
 
