@@ -287,6 +287,9 @@ class EchoDecoder(Decoder):
 
         Args:
             line: as of `encode`.
+
+        Returns:
+            The line to send.
         """
         line = line.replace(b"p00.00", b"n00.00")
         self._repeats = self._repeats + 1 if line == self._command else 0
@@ -300,7 +303,11 @@ class EchoDecoder(Decoder):
         return line
 
     def expect(self, line: bytes) -> None:
-        """Expect the echo of a command line that was sent."""
+        """Expect the echo of a command.
+
+        Args:
+            line: as it was sent.
+        """
         self._waiting.append(line.strip(b",\r\n"))
 
     def _read_line(self, line: bytes) -> Reading | None:

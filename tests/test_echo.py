@@ -15,8 +15,9 @@ from serial_tools import RobotFile, StartEmulator, cli
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning, WheelError
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.protocol import ECHO_ZERO, EchoDecoder, encode
+from acsar_gym.protocol import ECHO_ZERO, EchoDecoder, Reading, encode
 from acsar_gym.recording import Recorder, read
+from acsar_gym.safety.set_points import SetPointWatch
 
 ACSAR = RobotConfig.preset("acsar")
 KNOWN = ACSAR.with_(echo=True)
@@ -135,6 +136,19 @@ def test_a_board_that_does_not_echo_is_not_taken_for_one() -> None:
         with Robot(like_a_board(echoes=False, robot=config), ACSAR) as robot:
             drive(robot, 200)
             assert ECHO_ZERO not in robot.wire.decoder.rest
+
+
+def test_wheels_that_follow_slow_commands_are_no_echo() -> None:
+    """They have passed each commanded speed a little later, to the last digit."""
+    fine = ACSAR.with_(encoder={"counts_per_revolution": 1_000_000})
+    with Robot(like_a_board(echoes=False, robot=fine), ACSAR) as robot:
+        for tick in range(600):
+            speed = 2.0 - abs(tick % 400 - 200) / 100.0
+            robot.tick((speed, speed, speed, speed))
+    watch = SetPointWatch(echoes=False)
+    for tick in range(2000):
+        watch.note((0.01 * tick,) * 4)
+        watch.check(Reading((round(0.01 * max(0, tick - 11), 2),) * 4))
 
 
 def test_only_an_echo_is_silence() -> None:

@@ -8,11 +8,12 @@ from acsar_gym.errors import LinkError
 from acsar_gym.protocol import MAX_SPEED, Reading, Speeds
 
 MOST_EQUAL, MOST_ALONE = 12, 6
-"""So many different commands that come back to the last digit, in order, are no measurements, and
-so many where nothing else comes between: a wheel that follows a ramp has its lag, and four of them
-don't have it to 0.01 rad/s."""
-MOST_SKIPPED = 5
-"""Commands between two that come back; a board may send fewer lines than it gets."""
+"""So many commands that come back to the last digit, in order, are no measurements, and so many
+where nothing else comes between: a wheel that follows a ramp has its lag, and four of them don't
+have it to 0.01 rad/s."""
+LEAST_CHANGE, MOST_SKIPPED = 0.2, 5
+"""These commands differ by so much [rad/s], with so few others between: wheels that follow slow
+changes do pass each commanded speed. A board may send fewer lines than it gets."""
 MAX_COMMANDS = 100
 """Commands that are compared, the newest ones."""
 
@@ -26,9 +27,10 @@ class SetPointWatch:
 
     def __init__(self, *, echoes: bool) -> None:
         self._echoes = echoes
-        self._sent: deque[tuple[float, ...]] = deque(maxlen=MAX_COMMANDS)
+        self._sent: deque[tuple[float | None, ...]] = deque(maxlen=MAX_COMMANDS)
         self._newest: tuple[float, ...] = ()
-        self._equal = self._alone = 0
+        self._counted: tuple[float | None, ...] = ()
+        self._equal = self._alone = self._passed = 0
 
     def note(self, speeds: Speeds) -> None:
         """Take a new command.
@@ -52,12 +54,18 @@ class SetPointWatch:
             self._alone = 0
             return
         skipped = self._sent.index(speeds)
-        if skipped:
-            going_on = skipped <= MOST_SKIPPED and any(speeds)
-            self._equal = self._equal + 1 if going_on else 0
-            self._alone = self._alone + 1 if going_on else 0
         for _ in range(skipped):
             self._sent.popleft()
+        self._passed += skipped
+        pairs = zip(speeds, self._counted, strict=False)
+        change = max((abs((now or 0.0) - (then or 0.0)) for now, then in pairs), default=0.0)
+        if change >= LEAST_CHANGE and self._passed <= MOST_SKIPPED:
+            self._equal, self._alone = self._equal + 1, self._alone + 1
+        elif self._passed > MOST_SKIPPED or not self._counted:
+            self._equal = self._alone = 0
+        else:
+            return
+        self._counted, self._passed = speeds, 0
         if self._equal < MOST_EQUAL and self._alone < MOST_ALONE:
             return
         if self._echoes:
