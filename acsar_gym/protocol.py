@@ -58,6 +58,8 @@ _MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
 MAX_ECHOES = 100
 """How many commands may wait for their echo."""
+FEWEST_ECHOES = 4
+"""So many echoes without feedback aren't those before it; a board that is reset sends fewer."""
 ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
 """A zero command in an order that no feedback has: who sends it back echoes."""
 ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
@@ -275,8 +277,8 @@ class EchoDecoder(Decoder):
 
     @property
     def only_echoes(self) -> bool:
-        """Whether nothing but echoes has come since the newest valid line."""
-        return self.echoes > self._echoes_before
+        """Whether several echoes have come since the newest valid line."""
+        return self.echoes >= self._echoes_before + FEWEST_ECHOES
 
     def mark(self, line: bytes) -> bytes:
         """Change a command so that its echo is unlike feedback, and expect the echo.

@@ -15,7 +15,7 @@ from serial_tools import RobotFile, StartEmulator, cli
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning, WheelError
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.protocol import ECHO_ZERO, EchoDecoder, Reading, encode
+from acsar_gym.protocol import ECHO_ZERO, FEWEST_ECHOES, EchoDecoder, Reading, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.safety.set_points import SetPointWatch
 
@@ -58,10 +58,11 @@ def test_an_echo_is_told_from_feedback_by_what_was_sent(before: bytes, end: byte
     echoes = [before + line.rstrip(b",\r\n") + end for line in sent]
     feedback = encode((0.5, 1.5, -2.5, 3.5))
     assert decoder.feed(echoes[0] + feedback + echoes[1]) == [((0.5, 1.5, -2.5, 3.5),)]
-    assert decoder.only_echoes
     assert decoder.feed(echoes[2] + encode((0.0,) * 4)) == [((0.0,) * 4,)]
     assert (decoder.echoes, decoder.lines, decoder.refused) == (3, 2, {})
     assert not decoder.only_echoes
+    assert decoder.feed(echoes[2] * FEWEST_ECHOES) == []
+    assert decoder.only_echoes
 
 
 def test_echoes_come_late_not_at_all_again_and_in_one_line_with_feedback() -> None:
