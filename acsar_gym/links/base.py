@@ -138,6 +138,12 @@ def arrivals_of(link: Link) -> Arrivals:
     return pieces
 
 
+def echoes_of(link: Link) -> bool | None:
+    """Return whether the board behind a link sends every command back; None where none is real."""
+    echoes: bool | None = getattr(link, "echoes", None)
+    return echoes
+
+
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     found: ScannedLink | None = _find_inner(link, ScannedLink)
@@ -207,6 +213,11 @@ class ForwardingLink:
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived, on the link's clock [s]."""
         return arrivals_of(self.link)
+
+    @property
+    def echoes(self) -> bool | None:
+        """Whether the board of the link echoes."""
+        return echoes_of(self.link)
 
     @property
     def truth(self) -> GroundTruth | None:

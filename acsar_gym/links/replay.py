@@ -150,6 +150,11 @@ class ReplayLink:
         return self._tape.truth if self._tape else None
 
     @property
+    def echoes(self) -> bool | None:
+        """Whether the board of this episode echoed; None where it was simulated."""
+        return None if self._tape is None or self.lateness is None else self._tape.echoes
+
+    @property
     def lateness(self) -> float | None:
         """Recorded lateness [s]; None where time was simulated, and before the first period."""
         return self._tape.lateness if self._tape else None

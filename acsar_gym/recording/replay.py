@@ -36,11 +36,13 @@ class Tape:
     Args:
         episode: of a recording.
 
-    Attributes: `now`, the time at the end of the newest period [s].
+    Attributes: `now`, the time at the end of the newest period [s]; `echoes`, whether what arrived
+    has echoes.
     """
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
+        self.echoes = episode.wire.echoes
         self._periods = periods = episode.exchanges
         self._writes, self._pieces = (
             [0, *itertools.accumulate(np.maximum(counts, 0).tolist())]
@@ -198,7 +200,7 @@ def replay_commands(
     track = np.array(poses, np.float64).reshape(-1, 3)
     track[:, 2] = np.unwrap(track[:, 2])
     answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered), track)
+    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered, echoed=False), track)
 
 
 def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
