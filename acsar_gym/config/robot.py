@@ -447,6 +447,13 @@ class RobotConfig(Section):
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
     None: the rectangle around body and wheels."""
+    wheel_joints: tuple[Name, Name, Name, Name] = (
+        "front_right_wheel_joint",
+        "front_left_wheel_joint",
+        "rear_left_wheel_joint",
+        "rear_right_wheel_joint",
+    )
+    """Names of the joints of the wheels a, b, c, d in ROS."""
     wheels: WheelsConfig = WheelsConfig()
     """Letters and signs of motors and encoders, where the board is wired differently."""
     motor: MotorConfig = MotorConfig()
@@ -593,25 +600,33 @@ class RobotConfig(Section):
         files.save_robot(self, files.check_target(path), remarks)
 
     @classmethod
-    def load(cls, path: str | Path) -> RobotConfig:
-        """Return the robot of a `.yaml` file, or of a `.urdf` file's `<ros2_control>` parameters.
+    def load(cls, path: str | Path, *more: str | Path) -> RobotConfig:
+        """Return the robot that a file describes, or several files together.
 
         Args:
-            path: the file. A URDF without a baud_rate means 9600 baud, as for the robot's own
-                driver, and by default a control_rate of 20 Hz.
+            path: a `.yaml` file of this package, a `.urdf` file (its `<ros2_control>` parameters,
+                links and joints), or a file of ROS parameters: those of a diff_drive_controller,
+                "controllers.yaml:base_drive" where it has several, or nav2's footprint. In a URDF
+                of the robot's own driver, no baud_rate means 9600 baud, and by default a
+                control_rate of 20 Hz.
+            *more: further files of the same robot; a later one counts more.
 
         Raises:
-            ConfigError: the file is missing or malformed, or holds a bad value.
+            ConfigError: a file is missing or malformed, holds a bad value, or isn't of a robot with
+                four driven wheels that skid; or they don't say how large it is.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
-        if not isinstance(path, str | Path):
-            raise ConfigError(f"path = {show_value(path)}: must be a file's name")
+        for each in (path, *more):
+            if not isinstance(each, str | Path):
+                raise ConfigError(f"path = {show_value(each)}: must be a file's name")
+        params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
+        fields = files.read_fields((path, *more), params)
         try:
-            params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
-            return cls(**files.read_fields(Path(path), params))
+            return cls(**fields)
         except ConfigError as error:
-            raise ConfigError(f"{Path(path)}: {error}") from None
+            names = ",".join(str(Path(each)) for each in (path, *more))
+            raise ConfigError(f"{names}: {error}") from error
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
@@ -630,7 +645,8 @@ class RobotConfig(Section):
 
         Args:
             robot: a config, a mapping of fields, a file, the name of a preset, the number of a
-                robot drawn at random, such as "drawn:17", or None for acsar.
+                robot drawn at random, such as "drawn:17", or None for acsar. Files of ROS
+                parameters may follow, separated by commas: "robot.urdf,controllers.yaml".
 
         Raises:
             ConfigError: for other types, and see `load` and `preset`.
@@ -648,7 +664,7 @@ class RobotConfig(Section):
                 f"robot = {show_value(robot)}: must be a RobotConfig, its fields, a "
                 "preset or a file"
             )
-        from acsar_gym.config import drawn  # noqa: PLC0415 - needs NumPy
+        from acsar_gym.config import drawn, files  # noqa: PLC0415 - NumPy, and the parsers
 
         numbers = drawn.parse_numbers(robot) if isinstance(robot, str) else None
         if numbers is not None:
@@ -656,9 +672,9 @@ class RobotConfig(Section):
             if len(numbers) > 1:
                 raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}, such as {first!r}")
             return cls.model_validate(drawn.draw_robot(numbers[0]))
-        if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
+        if isinstance(robot, Path):
             return cls.load(robot)
-        return cls.preset(robot)
+        return cls.load(*files.find_parts(robot))
 
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None

@@ -1,0 +1,64 @@
+"""A robot that several files describe together: a URDF, a controller's parameters, nav2's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from acsar_gym.errors import ConfigError
+
+MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
+"""What must be known of a robot that isn't this package's own."""
+
+
+@dataclass
+class RobotPart:
+    """What one file says of a robot.
+
+    Attributes:
+        fields: of `RobotConfig`, not validated.
+        guesses: fields that follow from others; any file that says them counts more.
+        missing: why the file doesn't say one of `MEASURES`; without an entry, the default counts.
+        centre: x and y of the middle between the wheels in the base frame of a URDF [m].
+        base_footprint: corners in that base frame [m], where the file says no wheels' places.
+    """
+
+    fields: dict[str, Any] = field(default_factory=dict)
+    guesses: dict[str, Any] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+    centre: tuple[float, float] | None = None
+    base_footprint: list[tuple[float, float]] = field(default_factory=list)
+
+
+def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
+    """Return the fields of a robot; a later file counts more than one before it.
+
+    Raises:
+        ConfigError: none of the files says one of `MEASURES`.
+    """
+    fields: dict[str, Any] = {}
+    for part in (*(RobotPart(part.guesses) for part in parts), *parts):
+        fields = _update(fields, part.fields)
+    reasons = {
+        name: reason
+        for part in parts
+        for name, reason in part.missing.items()
+        if name not in fields
+    }
+    if reasons:
+        why = "; ".join(dict.fromkeys(reasons.values()))
+        names = [*reasons]
+        told = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        raise ConfigError(f"doesn't say {told}: {why}")
+    return fields
+
+
+def _update(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with others on top; sections are merged."""
+    both = {
+        name: _update(old[name], value)
+        for name, value in new.items()
+        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)
+    }
+    return {**old, **new, **both}
