@@ -1,38 +1,24 @@
-"""Read robots from YAML, URDF and ROS parameter files, and write them as YAML."""
+"""Read robots from YAML, URDF and ROS parameter files."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from acsar_gym import reading
 from acsar_gym.config import ros_parameters, urdf_robot
-from acsar_gym.config.parts import RobotPart, merge_parts
-from acsar_gym.config.section import Section
+from acsar_gym.config.parts import MANY_ROBOTS, RobotPart, merge_parts
 from acsar_gym.config.urdf import UNEXPANDED
 from acsar_gym.errors import AcsarError, ConfigError, show_value, suggest_name
 from acsar_gym.resources import ASSETS
 
 MAX_ROBOT_BYTES = 2_000_000
 """Largest accepted file [bytes]; the largest URDFs, of humanoids, have half of this."""
-MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 YAML_SUFFIXES = (".yaml", ".yml")
 _NAMED_CONTROLLER = re.compile(r"(.+\.ya?ml):([^:]+)", re.DOTALL)
 """A file and the name of a controller in it."""
-GEOMETRY_FIELDS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Fields that are always written."""
-ROBOT_FILE_HEAD = (
-    "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
-)
 
 
 def find_preset(name: str) -> Path:
@@ -71,12 +57,13 @@ def _is_parameter_file(name: str) -> bool:
     if path.suffix not in YAML_SUFFIXES:
         return False
     try:
-        return ros_parameters.is_parameter_file(reading.parse_yaml(_read_text(path)))
+        return ros_parameters.is_parameter_file(reading.parse_yaml(read_text(path)))
     except AcsarError:
         return False
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """Read a robot's file; ConfigError if it can't be. The message doesn't name it."""
     return reading.decode_text(reading.read_content(path, MAX_ROBOT_BYTES))
 
 
@@ -142,52 +129,32 @@ def _read_part(source: str | Path, params: Sequence[str], driven: Sequence[str])
         raise ConfigError(UNEXPANDED)
     if path.suffix not in (*YAML_SUFFIXES, ".urdf"):
         raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
-    text = _read_text(path)
+    text = read_text(path)
     if path.suffix == ".urdf":
         return urdf_robot.read_urdf(text, params, driven)
     data = reading.parse_yaml(text)
-    if data is not None and not isinstance(data, dict):
-        raise ConfigError("must be a mapping of parameter names to values")
     if ros_parameters.is_parameter_file(data):
         return ros_parameters.read_parameters(data, controller)
     if controller:
         raise ConfigError("isn't a file of ROS parameters, so it has no controllers")
-    return RobotPart(data or {})
+    return RobotPart(read_own_fields(text))
 
 
-def check_target(path: str | Path) -> Path:
-    """Return the path of a robot's file that is to be written; ConfigError for other names."""
-    if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
-        name = str(path) if isinstance(path, Path) else path
-        raise ConfigError(f"path = {show_value(name)}: a robot is written to .yaml or .yml")
-    return Path(path)
-
-
-def save_robot(robot: Section, path: Path, remarks: Mapping[str, str] | None = None) -> None:
-    """Write a robot's geometry and what differs from the defaults; ConfigError if it can't be.
+def read_own_fields(text: str) -> dict[str, Any]:
+    """Parse the YAML of this package's own robot files.
 
     Args:
-        robot: to write.
-        path: of the file.
-        remarks: comments to write above fields, by their names.
+        text: the YAML.
+
+    Returns:
+        Field names and values, not validated.
+
+    Raises:
+        ConfigError: it isn't such YAML.
     """
-    geometry = {name: getattr(robot, name) for name in GEOMETRY_FIELDS}
-    text = reading.format_yaml(geometry | find_differences(robot, type(robot)()))
-    for name, remark in (remarks or {}).items():
-        lines = "".join(f"# {line}\n" for line in remark.splitlines())
-        text = re.sub(f"(?m)^(?={name}:)", lines, text)
-    reading.write_atomically(path, (ROBOT_FILE_HEAD + text).encode())
-
-
-def find_differences(section: Section, usual: Section) -> dict[str, Any]:
-    """Return the fields of a section that differ from those of another, as plain YAML values."""
-    plain = section.model_dump(mode="json")
-    found: dict[str, Any] = {}
-    for name, default in usual:
-        value = getattr(section, name)
-        if value != default:
-            nested = isinstance(value, Section)
-            found[name] = (
-                find_differences(value, default or type(value)()) if nested else plain[name]
-            )
-    return found
+    data = reading.parse_yaml(text)
+    if ros_parameters.is_parameter_file(data):
+        raise ConfigError("is a file of ROS parameters")
+    if data is not None and not isinstance(data, dict):
+        raise ConfigError("must be a mapping of parameter names to values")
+    return data or {}

@@ -8,6 +8,7 @@ from typing import Any
 
 from acsar_gym.errors import ConfigError
 
+MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
 """What must be known of a robot that isn't this package's own."""
 

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from acsar_gym.config.footprint import Corners, Outline, make_rectangle
+from acsar_gym.config.footprint import Corners, Outline, make_rectangle, outline_radius
 from acsar_gym.config.limits import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
@@ -29,6 +29,7 @@ from acsar_gym.config.limits import (
     default_acceleration,
 )
 from acsar_gym.config.measured import LogHashes, Measured, validate_measured
+from acsar_gym.config.parts import MANY_ROBOTS
 from acsar_gym.config.section import (
     Delay,
     Length,
@@ -181,7 +182,6 @@ class BodyConfig(Section):
     1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
 
 
-MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 MISFIT = "doesn't fit: "
 """Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
 LEAST_RATE = 0.01
@@ -367,12 +367,34 @@ SIMULATION_SECTIONS = (
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
+MOST_LENGTHS = {
+    "wheel_radius": (0.005, 1.0),
+    "wheel_separation": (0.02, 10.0),
+    "wheelbase": (0.02, 10.0),
+}
+"""Least and largest sizes of robots on four wheels [m]; loaders in mines have the largest."""
+LIDAR_OFFSETS = ("lidar_x_offset", "lidar_y_offset", "lidar_z_offset")
+MOST_RADII = 50.0
+"""Tracks and wheelbases are at most as many wheel radii long."""
+MOST_TRACKS = 20.0
+"""A robot reaches from its middle at most as many times its track or wheelbase."""
+
+
 class RobotConfig(Section):
     """One robot: geometry, serial link, limits, and simulation. Units: m, m/s and rad/s.
 
-    Lengths are at most 100 m, speeds 1,000, rates 10,000 Hz, and times 1 h.
+    Speeds are at most 1,000, rates 10,000 Hz, times 1 h, and lengths those of robots: wheels of 5
+    mm to 1 m in radius, a track and a wheelbase of 2 cm to 10 m.
     """
 
+    hints: ClassVar[Mapping[str, str]] = {
+        "wheel_base": "write wheel_separation for the distance between left and right wheels, or "
+        "wheelbase for that between the axles",
+        "wheel_diameter": "write wheel_radius, half of it",
+        "wheel_track": "write wheel_separation",
+        "track_width": "write wheel_separation",
+        "robot_radius": "write footprint, the corners around it",
+    }
     wheel_radius: Length = 0.05
     """Radius of the wheels [m]."""
     wheel_separation: Length = 0.3
@@ -487,6 +509,30 @@ class RobotConfig(Section):
         return self
 
     @model_validator(mode="after")
+    def _is_as_large_as_robots_are(self) -> Self:
+        """Check lengths, alone and against each other, as some are meant in centimetres."""
+        for name, (least, most) in MOST_LENGTHS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise _not_in_metres(name, value, f"{least:g} to {most:g} m")
+        for name in ("wheel_separation", "wheelbase"):
+            value, most = getattr(self, name), MOST_RADII * self.wheel_radius
+            if value > most:
+                told = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
+                raise _not_in_metres(name, value, told)
+        body, most = self.body, MOST_TRACKS * max(self.wheel_separation, self.wheelbase)
+        lengths = {
+            **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
+            "footprint's reach": outline_radius(self.footprint) if self.footprint else 0.0,
+            **{name: abs(getattr(self, name)) for name in LIDAR_OFFSETS},
+        }
+        for name, value in lengths.items():
+            if value > most:
+                told = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
+                raise _not_in_metres(name, value, told)
+        return self
+
+    @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:
         """Check that the baud rate can carry the lines of the control and feedback rates."""
         line = LINE_BYTES + self.trailing_comma
@@ -585,19 +631,31 @@ class RobotConfig(Section):
             fields[name] = {**fields[name], **value} if nested else value
         return RobotConfig(**fields)
 
-    def save(self, path: str | Path, remarks: Mapping[str, str] | None = None) -> None:
+    def save(
+        self,
+        path: str | Path,
+        remarks: Mapping[str, str] | None = None,
+        *,
+        outdated: Sequence[str] = (),
+        force: bool = False,
+    ) -> None:
         """Write a YAML file that `load` reads back: the geometry, and what isn't the default.
+
+        In a robot's file that exists, only the values that differ are changed: its comments and
+        all other lines stay.
 
         Args:
             path: the file, .yaml or .yml.
             remarks: comments to write above fields, by their names.
+            outdated: remarks of earlier savings to remove from the file.
+            force: replace whatever the file is.
 
         Raises:
-            ConfigError: it can't be written, or has another suffix.
+            ConfigError: it can't be written, has another suffix, or exists and isn't a robot's.
         """
-        from acsar_gym.config import files  # noqa: PLC0415 - only saving needs the YAML writer
+        from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
 
-        files.save_robot(self, files.check_target(path), remarks)
+        saving.save_robot(self, path, remarks or {}, outdated, force=force)
 
     @classmethod
     def load(cls, path: str | Path, *more: str | Path) -> RobotConfig:
@@ -675,6 +733,13 @@ class RobotConfig(Section):
         if isinstance(robot, Path):
             return cls.load(robot)
         return cls.load(*files.find_parts(robot))
+
+
+def _not_in_metres(name: str, value: float, allowed: str) -> ConfigError:
+    """Return the error for a length that no robot has."""
+    return ConfigError(
+        f"{name} = {value:g}: must be {allowed}; lengths are in metres, not cm or mm"
+    )
 
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None

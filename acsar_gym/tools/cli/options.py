@@ -72,20 +72,23 @@ def print_results(*tables: Table, json: Path | None = None, data: Any = None) ->
     report.write_json(json, data)
 
 
-def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
+def check_writable(*paths: Path | None, robot: Path | None = None, force: bool = False) -> None:
     """Check before the work that results can be written.
 
     Args:
         *paths: files; None is accepted.
         robot: file of a robot, likewise.
+        force: whether that may replace a file that isn't a robot's.
 
     Raises:
         ConfigError: one of them can't be written.
     """
-    from acsar_gym.config import files  # noqa: PLC0415
+    from acsar_gym.config import RobotConfig, saving  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    for path in (*paths, None if robot is None else files.check_target(robot)):
+    if robot is not None:
+        saving.check_target(robot, RobotConfig, force=force)
+    for path in (*paths, robot):
         report.check_writable(path)
 
 

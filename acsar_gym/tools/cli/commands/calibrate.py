@@ -68,8 +68,10 @@ class CalibrationOutputs:
     with this file as DEVICE. With --yes nobody waits for a reading between runs: drive one run at
     a time (--repeats 1), measure, then drive the next."""
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot; only where runs have
-    readings."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found. Only where runs have readings."""
+    force: bool = False
+    """Replace the file of --out, even if it isn't a robot's."""
     json: File = None
     """Also write the result and all runs to this file."""
 
@@ -106,7 +108,7 @@ def calibrate_robot(
     from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
-    check_writable(output.json, output.runs, robot=output.out)
+    check_writable(output.json, output.runs, robot=output.out, force=output.force)
     of_file, of_recording = device.endswith(".json"), device.endswith(".mcap")
     kept_in = Path(device) if of_file else output.runs
     if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
@@ -169,7 +171,7 @@ def _finish_calibration(
     )
     print_results(*tables, json=output.json, data=data)
     if output.out is not None:
-        calibration_fit.make_calibrated_config(fit, config).save(output.out)
+        calibration_fit.make_calibrated_config(fit, config).save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
 

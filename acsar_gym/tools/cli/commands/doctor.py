@@ -40,7 +40,9 @@ class SpinOptions(RecordOptions):
     one that turned backward, none if none did. It counts where the robot's file says otherwise:
     --out writes it."""
     out: File = None
-    """Write a robot file with what was found to differ."""
+    """Write what was found to differ into this robot's file; if it exists, its comments stay."""
+    force: bool = False
+    """Replace the file of --out, even if it isn't a robot's."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def _run_checks(
     if spinning.spin:
         if device is None:
             raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
-        check_writable(robot=spinning.out)
+        check_writable(robot=spinning.out, force=spinning.force)
         eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
         what = f"the wheels of the robot on {device} will turn: lift it"
         countdown(what, yes=spinning.yes)
@@ -118,7 +120,7 @@ def _run_checks(
             stop = error
     if turning is not None and spinning.out is not None:
         if turning.finished:
-            found.append(turning.save(config, spinning.out))
+            found.append(turning.save(config, spinning.out, force=spinning.force))
         else:
             said = f"{spinning.out} isn't written: not all was found"
             fix = "mend what failed, and start again"

@@ -50,7 +50,10 @@ class IdentifyOutputs:
     """Results."""
 
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found."""
+    force: bool = False
+    """Replace the file of --out, even if it isn't a robot's."""
     anyway: bool = False
     """Write it even where the model doesn't fit: without intervals, and the file says so."""
     json: File = None
@@ -87,7 +90,7 @@ def identify_robot(
     from acsar_gym.tools.emulation import quirks  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
-    check_writable(output.json, robot=output.out)
+    check_writable(output.json, robot=output.out, force=output.force)
     if not sources:
         raise ConfigError("identify needs a device, or recordings made with --record")
     files = [Path(source).suffix == ".mcap" or Path(source).is_file() for source in sources]
@@ -130,7 +133,7 @@ def identify_robot(
         say(f"{names} never turned: nothing of it was found; check motor and encoder")
     if output.out is not None:
         written = found.robot()
-        written.save(output.out)
+        written.save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
         if written.misfit:
             say(written.misfit)
