@@ -73,7 +73,8 @@ def save_robot(
         text = _change_text(text, _find_changes(old, robot))
     for name, remark in remarks.items():
         if _comment(remark) not in text:
-            text = re.sub(f"(?m)^(?={name}:)", lambda _, remark=remark: _comment(remark), text)
+            lines = _comment(remark).replace("\\", r"\\")
+            text = re.sub(f"(?m)^(?={name}:)", lines, text)
     reading.write_atomically(path, text.encode())
 
 
