@@ -89,7 +89,10 @@ def read_fields(sources: Sequence[str | Path], params: Sequence[str]) -> dict[st
             parts[number] = _read_part(sources[number], params, driven)
         except ConfigError as error:
             raise ConfigError(f"{Path(sources[number])}: {error}") from error
-        driven = parts[number].fields.get("wheel_joints", ())
+        driven = parts[number].driven or driven
+    for source, part in zip(sources, parts, strict=True):
+        if part.drive_problem and not any(map(_is_urdf, sources)):
+            raise ConfigError(f"{Path(source)}: {part.drive_problem}")
     (x, y) = next((part.centre for part in parts if part.centre), (0.0, 0.0))
     for part in parts:
         if part.centre is None and part.base_footprint:

@@ -22,6 +22,8 @@ class RobotPart:
         guesses: fields that follow from others; any file that says them counts more.
         missing: why the file doesn't say one of `MEASURES`; without an entry, the default counts.
         centre: x and y of the middle between the wheels in the base frame of a URDF [m].
+        driven: the wheels' joints that a controller drives.
+        drive_problem: why those alone aren't of a robot with four driven wheels; or empty.
         base_footprint: corners in that base frame [m], where the file says no wheels' places.
     """
 
@@ -29,6 +31,8 @@ class RobotPart:
     guesses: dict[str, Any] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
     centre: tuple[float, float] | None = None
+    driven: list[str] = field(default_factory=list)
+    drive_problem: str = ""
     base_footprint: list[tuple[float, float]] = field(default_factory=list)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from acsar_gym import reading
@@ -177,9 +177,7 @@ def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
         fields["firmware"] = {"command_timeout": timeout}
     for axis, limits, largest in AXES:
         _read_limits(params, axis, limits, largest, fields)
-    names = _read_names(params)
-    if names:
-        fields["wheel_joints"] = names
+    _read_names(params, part)
     part.missing = {
         name: "its controller takes it from the URDF; give that, too: URDF,FILE"
         for name in ("wheel_radius", "wheel_separation")
@@ -232,32 +230,26 @@ def _read_limits(
         fields[limits] = found
 
 
-def _read_names(params: Mapping[str, Any]) -> list[str]:
-    """Names of the wheels' joints a, b, c, d; empty where none are named.
-
-    Raises:
-        ConfigError: there are other than two on each side.
-    """
+def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
+    """Read the names of the wheels' joints; ConfigError for what isn't names."""
     sides = []
     for side in ("right", "left"):
         names = params.get(f"{side}_wheel_names", params.get(f"{side}_wheel", []))
         names = [names] if isinstance(names, str) else names
-        if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise ConfigError(f"{side}_wheel_names = {show_value(names)}: must be a list of names")
-        sides.append(list(names))
-    count = max(len(names) for names in sides)
-    wheels = params.get("wheels_per_side", 0)
-    if count == 0 or (count == 1 and isinstance(wheels, int) and wheels > 1):
-        return []
-    if count != 2 or len(sides[0]) != len(sides[1]):
-        many = "two driven wheels" if count == 1 else f"{len(sides[0]) + len(sides[1])} wheels"
-        names = ", ".join([*sides[1], *sides[0]][:6])
-        raise ConfigError(
-            f"is the controller of a robot with {many} ({names}): only robots with four driven "
-            "wheels that skid are simulated and driven"
+        sides.append(names)
+    right, left = sides
+    part.driven = [*left, *right]
+    if len(right) == len(left) == 2:
+        (front_right, rear_right), (front_left, rear_left) = map(_order_wheels, sides)
+        part.guesses["wheel_joints"] = [front_right, front_left, rear_left, rear_right]
+    elif part.driven and (len(part.driven) > 2 or params.get("wheels_per_side", 1) in (0, 1)):
+        count = "two driven wheels" if len(part.driven) == 2 else f"{len(part.driven)} wheels"
+        part.drive_problem = (
+            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): only "
+            "robots with four driven wheels that skid are simulated and driven"
         )
-    (front_right, rear_right), (front_left, rear_left) = map(_order_wheels, sides)
-    return [front_right, front_left, rear_left, rear_right]
 
 
 def _order_wheels(names: list[str]) -> tuple[str, str]:

@@ -61,6 +61,8 @@ class Joint:
     axis: Floats
     is_endless: bool
     """Whether it turns without end."""
+    problem: str
+    """What is wrong with its origin, which matters only where it carries something; or empty."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,11 @@ class Urdf:
         passed, names = set(through), [link]
         for name in names:  # grows
             joints = self.below.get(name, ())
-            names += [j.child for j in joints if j.kind == "fixed" or j.name in passed]
+            names += [
+                joint.child
+                for joint in joints
+                if not joint.problem and (joint.kind == "fixed" or joint.name in passed)
+            ]
         return names
 
 
@@ -255,9 +261,13 @@ def _read_joint(element: Element) -> Joint:
         except ValueError as error:
             raise ConfigError(f"{where}: its limits must be numbers") from error
     endless = kind == "continuous" or (kind == "revolute" and span >= ENDLESS)
-    origin = _read_origin(element, where)
+    origin, problem = np.eye(4), ""
+    try:
+        origin = _read_origin(element, where)
+    except ConfigError as error:  # as of a sensor whose place an environment variable says
+        problem = str(error)
     ends = parent.get("link", ""), child.get("link", "")
-    return Joint(name, kind, *ends, origin, direction / length, endless)
+    return Joint(name, kind, *ends, origin, direction / length, endless, problem)
 
 
 def _read_block(element: Element) -> Block:

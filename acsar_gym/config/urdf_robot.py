@@ -142,6 +142,9 @@ def _find_wheels(urdf: Urdf, named: set[str]) -> list[_Wheel]:
     """
     wheels = []
     for joint in urdf.joints:
+        problems = [each.problem for each in urdf.find_chain(joint) if each.problem]
+        if problems and (joint.is_endless or joint.name in named):
+            raise ConfigError(problems[0])
         if not joint.is_endless or abs(urdf.find_axis(joint)[1]) < PARALLEL:
             continue
         if any(_is_caster(urdf, each, joint) for each in urdf.find_chain(joint)):
@@ -220,9 +223,10 @@ def _are_alike(one: _Wheel, other: _Wheel) -> bool:
 
 
 def _joints_of_plugins(urdf: Urdf) -> list[str]:
-    """The joints that a plugin of Gazebo drives: left_joint, leftJoint, frontLeftJoint, ..."""
-    side = re.compile(r"(left|right).*joint$", re.IGNORECASE)
-    return [text for plugin in urdf.plugins for tag, text in plugin.values if side.search(tag)]
+    """The joints that a plugin of Gazebo drives: its leftJoint, front_left_joint, right_rear."""
+    joints, side = {joint.name for joint in urdf.joints}, re.compile("left|right", re.IGNORECASE)
+    values = [value for plugin in urdf.plugins for value in plugin.values]
+    return [text for tag, text in values if text in joints and side.search(tag)]
 
 
 # Which drive
@@ -322,14 +326,12 @@ def _measure_robot(urdf: Urdf, wheels: Sequence[_Wheel], part: RobotPart) -> Non
 def _explain_no_wheels(urdf: Urdf) -> str:
     """Say why no joint is a wheel."""
     turning = [joint for joint in urdf.joints if joint.is_endless]
-    sideways = [joint.name for joint in turning if abs(urdf.find_axis(joint)[0]) > PARALLEL]
-    if sideways:
-        return f"the axes of {_list(sideways)} aren't along y of {urdf.base}, as those of wheels"
-    if turning:
-        return f"none of its turning joints ({_list(j.name for j in turning)}) is a wheel"
-    return (
-        "it has no continuous joint that could be a wheel, and no <ros2_control><hardware> params"
-    )
+    names = _list(joint.name for joint in turning)
+    if not turning:
+        return "it has no continuous joint, and no <ros2_control><hardware> params"
+    if all(abs(urdf.find_axis(joint)[1]) < PARALLEL for joint in turning):
+        return f"the axes of its turning joints ({names}) aren't along y of {urdf.base}"
+    return f"none of its turning joints ({names}) has a cylinder about it, a sphere or a mesh"
 
 
 def _find_radius(urdf: Urdf, wheels: Sequence[_Wheel], height: float) -> float | None:

@@ -196,8 +196,18 @@ def test_urdf_and_controller_complete_each_other(write: Write) -> None:
     assert config.serial_port == "/dev/base"
     assert config.body.mass == 42.0
     assert config == RobotConfig.load(urdf, write("controllers.yaml", renamed))
-    with pytest.raises(ConfigError, match="no joint 'fr_joint', which the controller drives"):
+    with pytest.raises(ConfigError, match="no joint 'fl_joint', which the controller drives"):
         RobotConfig.of(f"{urdf},{write('other.yaml', FLAT)}")
+
+
+def test_a_controller_of_one_wheel_on_each_side_may_be_of_four(write: Write) -> None:
+    one = f"{PAIR}, left_wheel_names: [rear_left_wheel_joint], right_wheel_names: "
+    one += "[rear_right_wheel_joint]}"
+    urdf, controllers = write("cart.urdf", CART), write("controllers.yaml", one)
+    with pytest.raises(ConfigError, match="two driven wheels"):
+        RobotConfig.of(controllers)
+    config = RobotConfig.of(f"{urdf},{controllers}")
+    assert (config.wheel_radius, config.wheelbase) == (0.03, 0.36)
 
 
 def test_meshes_have_the_controllers_radius(write: Write) -> None:

@@ -277,6 +277,12 @@ def test_a_lidars_place_is_that_of_its_frame(load: Load) -> None:
     assert config.lidar_frame == "laser"
 
 
+def test_a_sensor_whose_place_isnt_known_doesnt_matter(load: Load) -> None:
+    imu = link("imu", box(9.0, 9.0, 9.0)) + joint("j", "base_link", "imu", "$(optenv IMU 0 0 0)")
+    config = load(robot(PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1)), imu))
+    assert config.body.length == 0.9
+
+
 def test_parameters_count_more_than_links(load: Load) -> None:
     cart = PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1))
     said: dict[str, Any] = {"wheel_radius": 0.11, "wheel_separation": 0.49}
@@ -398,11 +404,25 @@ REFUSED = {
             link("head", tyre(0.04)),
             joint("spin", "base_link", "head", kind="continuous", axis="0 0 1"),
         ),
-        "none of its turning joints (spin) is a wheel",
+        "the axes of its turning joints (spin) aren't along y of base_link",
     ),
     "axes along x": (
         robot(PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1), axis="1 0 0")),
         "aren't along y of base_link",
+    ),
+    "a turned joint with the axis of another": (
+        robot(
+            PLATE,
+            "".join(
+                wheel(name, "base_link", xyz(0.2 * x, 0.2 * y, 0), tyre(0.1), rpy=f"{QUARTER} 0 0")
+                for name, (x, y) in CORNERS.items()
+            ),
+        ),
+        "aren't along y of base_link",
+    ),
+    "a drum across": (
+        robot(PLATE, four_wheels("base_link", 0.2, 0.2, 0.0, tyre(0.1, rpy="0 0 0"))),
+        "has a cylinder about it",
     ),
     "a trapezoid": (
         robot(
