@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +12,8 @@ from acsar_gym.errors import ConfigError
 MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
 """What must be known of a robot that isn't this package's own."""
+MULTIPLIER = "wheel_separation_multiplier"
+"""With equal wheel loads 1 + (wheelbase / wheel_separation)^2; see `RobotConfig`."""
 
 
 @dataclass
@@ -22,6 +25,8 @@ class RobotPart:
         guesses: fields that follow from others; any file that says them counts more.
         missing: why the file doesn't say one of `MEASURES`; without an entry, the default counts.
         centre: x and y of the middle between the wheels in the base frame of a URDF [m].
+        skids: whether wheelbase and separation say how the wheels skid in a turn, where no file has
+            a multiplier.
         driven: the wheels' joints that a controller drives.
         drive_problem: why those alone aren't of a robot with four driven wheels; or empty.
         base_footprint: corners in that base frame [m], where the file says no wheels' places.
@@ -31,6 +36,7 @@ class RobotPart:
     guesses: dict[str, Any] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
     centre: tuple[float, float] | None = None
+    skids: bool = False
     driven: list[str] = field(default_factory=list)
     drive_problem: str = ""
     base_footprint: list[tuple[float, float]] = field(default_factory=list)
@@ -56,6 +62,10 @@ def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
         names = [*reasons]
         told = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
         raise ConfigError(f"doesn't say {told}: {why}")
+    if any(part.skids for part in parts) and MULTIPLIER not in fields:
+        with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
+            ratio = float(fields["wheelbase"]) / float(fields["wheel_separation"])
+            fields[MULTIPLIER] = round(1.0 + ratio**2, 4)
     return fields
 
 

@@ -88,7 +88,9 @@ def read_urdf(text: str, names: Sequence[str], driven: Sequence[str] = ()) -> Ro
     chosen = _choose_wheels(wheels, driven or commanded or _joints_of_plugins(urdf))
     base = _choose_blocks(urdf, {wheel.joint.name for wheel in chosen}, names)
     is_own = any(block.is_own(names) for block in base)
-    part = RobotPart(missing={} if is_own else dict.fromkeys(MEASURES, "no link or parameter does"))
+    part = RobotPart(skids=not is_own)
+    if not is_own:
+        part.missing = dict.fromkeys(MEASURES, "no link or parameter does")
     if not (is_own and len(chosen) != 4):
         _check_drive(urdf, base, chosen, wheels)
         _measure_robot(urdf, chosen, part)

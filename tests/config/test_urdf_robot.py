@@ -228,6 +228,8 @@ def test_radius_track_and_wheelbase_are_those_of_links_and_joints(name: str, loa
     found = config.wheel_radius, config.wheel_separation, config.wheelbase
     assert found == pytest.approx(expected, abs=1e-6)
     assert (config.baud_rate, config.control_rate) == (115200, 100.0)
+    skids = 1.0 + (config.wheelbase / config.wheel_separation) ** 2
+    assert config.wheel_separation_multiplier == pytest.approx(skids, abs=1e-4)
 
 
 def test_wheels_are_named_in_the_order_of_the_wire(load: Load) -> None:
@@ -286,6 +288,7 @@ def test_a_sensor_whose_place_isnt_known_doesnt_matter(load: Load) -> None:
 def test_parameters_count_more_than_links(load: Load) -> None:
     cart = PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1))
     said: dict[str, Any] = {"wheel_radius": 0.11, "wheel_separation": 0.49}
+    said["wheel_separation_multiplier"] = 1.6
     config = load(robot(*cart, control(*FOUR, **said)))
     assert config.model_dump(include=set(said)) == said
     assert config.wheelbase == 0.4
@@ -298,6 +301,7 @@ def test_a_robot_of_the_own_driver_is_measured_too_where_its_parameters_are_sile
     config = load(robot(PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1)), own))
     found = config.wheel_radius, config.wheel_separation, config.wheelbase
     assert found == (0.05, 0.5, 0.4)
+    assert config.wheel_separation_multiplier == 1.0
     assert (config.baud_rate, config.control_rate) == (9600, 20.0)
 
 
