@@ -40,6 +40,8 @@ SQUARE = 0.1
 """Four wheels are a rectangle if its sides differ from it by at most this share."""
 ROLLERS = 3
 """A wheel that carries as many joints has rollers."""
+MAX_WHEELS = 100
+"""Most joints that are looked at as wheels; each is compared with every other one."""
 UNKNOWN_RADIUS = 0.1
 """Stands for the radius of a mesh where heights are compared [m]."""
 CENTRED = 1e-3
@@ -142,33 +144,36 @@ def _find_wheels(urdf: Urdf, named: set[str]) -> list[_Wheel]:
         urdf: the robot.
         named: joints that somebody commands: they need no shape to be wheels.
     """
-    wheels = []
-    for joint in urdf.joints:
-        problems = [each.problem for each in urdf.find_chain(joint) if each.problem]
-        if problems and (joint.is_endless or joint.name in named):
-            raise ConfigError(problems[0])
-        if not joint.is_endless or abs(urdf.find_axis(joint)[1]) < PARALLEL:
-            continue
-        if any(_is_caster(urdf, each, joint) for each in urdf.find_chain(joint)):
-            continue
+    wheels: list[_Wheel] = []
+    for joint in (joint for joint in urdf.joints if joint.is_endless):
         rigid = urdf.find_rigid(joint.child)
         onward = [each for link in rigid for each in urdf.below.get(link, ())]
-        moving = sum(each.kind != "fixed" for each in onward)
-        if 0 < moving < ROLLERS:
+        if 0 < sum(each.kind != "fixed" for each in onward) < ROLLERS:
+            continue
+        chain = list(urdf.find_chain(joint))
+        problem = next((each.problem for each in chain if each.problem), "")
+        if problem and (joint.name in named or "wheel" in joint.name.lower()):
+            raise ConfigError(problem)
+        sideways = abs(urdf.find_axis(joint)[1]) > PARALLEL
+        if problem or not sideways or any(_is_caster(urdf, each, joint) for each in chain):
             continue
         wheel = _measure_wheel(urdf, joint, rigid)
         is_mesh = any(urdf.links[link].meshes for link in rigid)
         if wheel.radius or joint.name in named or (is_mesh and not _shapes(urdf, rigid)):
             wheels.append(wheel)
+        if len(wheels) > MAX_WHEELS:
+            raise ConfigError(f"has more than {MAX_WHEELS} joints that could be wheels")
     return wheels
 
 
 def _is_caster(urdf: Urdf, joint: Joint, wheel: Joint) -> bool:
-    """Whether a joint in the chain of a wheel makes it a caster."""
-    swivels = joint is not wheel and joint.is_endless and _is_vertical(urdf, joint)
-    named = _CASTER.search(f"{joint.name} {joint.child}")
-    steered = _STEERING.search(f"{joint.name} {joint.child}") or _is_commanded(urdf, joint)
-    return bool(named) or (swivels and not steered)
+    """Whether a joint in the chain of a wheel makes it a caster: by name, or as it swivels."""
+    name = f"{joint.name} {joint.child}"
+    if _CASTER.search(name):
+        return True
+    if joint is wheel or not joint.is_endless or not _is_vertical(urdf, joint):
+        return False
+    return not (_STEERING.search(name) or _is_commanded(urdf, joint))
 
 
 def _is_vertical(urdf: Urdf, joint: Joint) -> bool:
