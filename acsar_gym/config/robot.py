@@ -524,10 +524,10 @@ class RobotConfig(Section):
         lengths = {
             **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
             "footprint's reach": outline_radius(self.footprint) if self.footprint else 0.0,
-            **{name: abs(getattr(self, name)) for name in LIDAR_OFFSETS},
+            **{name: getattr(self, name) for name in LIDAR_OFFSETS},
         }
         for name, value in lengths.items():
-            if value > most:
+            if abs(value) > most:
                 told = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
                 raise _not_in_metres(name, value, told)
         return self

@@ -199,7 +199,8 @@ def _measure_wheel(urdf: Urdf, joint: Joint, rigid: Iterable[str]) -> _Wheel:
     tyres = []
     for frame, shape in _shapes(urdf, rigid):
         is_ball = shape.kind == "sphere"
-        if is_ball or (shape.kind == "cylinder" and abs(frame[:3, 2] @ axis) > PARALLEL):
+        is_tyre = shape.kind == "cylinder" and abs(frame[:3, 2] @ axis) > PARALLEL
+        if shape.half[0] > 0.0 and (is_ball or is_tyre):
             along = float((frame[:3, 3] - hub) @ axis)
             tyres.append((shape.half[0], along, 0.0 if is_ball else shape.half[2]))
     if not tyres:
