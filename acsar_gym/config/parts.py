@@ -10,6 +10,15 @@ from typing import Any
 from acsar_gym.errors import ConfigError
 
 MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
+HINTS = {
+    "wheel_base": "write wheel_separation for the distance between left and right wheels, or "
+    "wheelbase for that between the axles",
+    "wheel_diameter": "write wheel_radius, half of it",
+    "wheel_track": "write wheel_separation",
+    "track_width": "write wheel_separation",
+    "robot_radius": "write footprint, the corners around it",
+}
+"""What to write instead of fields of other programs; in some, wheel_base is the track."""
 MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
 """What must be known of a robot that isn't this package's own."""
 MULTIPLIER = "wheel_separation_multiplier"

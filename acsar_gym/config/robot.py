@@ -29,7 +29,7 @@ from acsar_gym.config.limits import (
     default_acceleration,
 )
 from acsar_gym.config.measured import LogHashes, Measured, validate_measured
-from acsar_gym.config.parts import MANY_ROBOTS
+from acsar_gym.config.parts import HINTS, MANY_ROBOTS
 from acsar_gym.config.section import (
     Delay,
     Length,
@@ -387,14 +387,8 @@ class RobotConfig(Section):
     mm to 1 m in radius, a track and a wheelbase of 2 cm to 10 m.
     """
 
-    hints: ClassVar[Mapping[str, str]] = {
-        "wheel_base": "write wheel_separation for the distance between left and right wheels, or "
-        "wheelbase for that between the axles",
-        "wheel_diameter": "write wheel_radius, half of it",
-        "wheel_track": "write wheel_separation",
-        "track_width": "write wheel_separation",
-        "robot_radius": "write footprint, the corners around it",
-    }
+    hints: ClassVar[Mapping[str, str]] = HINTS
+
     wheel_radius: Length = 0.05
     """Radius of the wheels [m]."""
     wheel_separation: Length = 0.3

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acsar_gym.config.parts import MEASURES, RobotPart
+from acsar_gym.config.parts import HINTS, MEASURES, RobotPart
 from acsar_gym.config.urdf import Block, Floats, Joint, Shape, Urdf, parse_urdf
 from acsar_gym.errors import ConfigError, show_value
 
@@ -112,17 +112,18 @@ def _choose_blocks(urdf: Urdf, wheels: set[str], names: Sequence[str]) -> list[B
 
 def _take_params(block: Block, names: Sequence[str], part: RobotPart) -> None:
     """Take the parameters of a hardware block; ConfigError for near misses of our own ones."""
-    if block.is_own(names):
-        for name in (each for each in block.params if each not in names):
-            near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
-            if near:
-                raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
-        given = {name: value for name, value in block.params.items() if name in names}
-        part.fields |= given if "baud_rate" in given else {**DRIVER_DEFAULTS, **given}
-        return
     if DIAMETER in block.params:
         part.fields["wheel_radius"] = _halve(block.params[DIAMETER])
-    part.fields |= {name: block.params[name] for name in SHARED_PARAMS if name in block.params}
+    if not block.is_own(names):
+        part.fields |= {name: block.params[name] for name in SHARED_PARAMS if name in block.params}
+        return
+    for name in (each for each in block.params if each not in names):
+        near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
+        if near:
+            hint = HINTS.get(name, f"did you mean {near[0]!r}?")
+            raise ConfigError(f"unknown param {name!r}; {hint}")
+    given = {name: value for name, value in block.params.items() if name in names}
+    part.fields |= given if "baud_rate" in given else {**DRIVER_DEFAULTS, **given}
 
 
 def _halve(diameter: str) -> float:
