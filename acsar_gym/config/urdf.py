@@ -27,6 +27,8 @@ ENDLESS = 4.0 * math.pi
 """A revolute joint with a wider range than this turns as a wheel does [rad]."""
 DRIVER_PLUGIN = "ACSARInterface"
 """Class of the robot's own driver, whose parameters are this package's, with its defaults."""
+WORLD_LINKS = ("world", "map", "odom")
+"""Links that are no part of a robot."""
 UNEXPANDED = "is xacro that isn't expanded: run 'xacro FILE.urdf.xacro > robot.urdf', and use that"
 
 
@@ -97,6 +99,7 @@ class Urdf:
 
     Attributes:
         base: name of the base link.
+        trunk: names of that link and of those that carry it.
         frames: of the links, in that of the base link.
         above: the joint that carries a link, by the link's name.
         below: the joints on a link, by its name.
@@ -110,6 +113,7 @@ class Urdf:
     plugins: list[Plugin]
     friction: dict[str, list[float]]
     base: str = ""
+    trunk: set[str] = field(default_factory=set)
     frames: dict[str, Floats] = field(default_factory=dict)
     above: dict[str, Joint] = field(default_factory=dict)
     below: dict[str, list[Joint]] = field(default_factory=dict)
@@ -120,11 +124,18 @@ class Urdf:
         return axis
 
     def find_chain(self, joint: Joint) -> Iterator[Joint]:
-        """Yield a joint, and those above it up to the first link."""
+        """Yield a joint and those above it, but for those that carry the base link, too."""
         up: Joint | None = joint
-        while up is not None:
+        while up is not None and up.child not in self.trunk:
             yield up
             up = self.above.get(up.parent)
+
+    def find_body(self, through: Iterable[str] = ()) -> list[str]:
+        """Return the links that are fixed to the base link; see `find_rigid`."""
+        top = self.base
+        while (up := self.above.get(top)) and up.kind == "fixed" and up.parent not in WORLD_LINKS:
+            top = up.parent
+        return self.find_rigid(top, through)
 
     def find_rigid(self, link: str, through: Iterable[str] = ()) -> list[str]:
         """Return the links that are fixed below one, itself included.
@@ -196,16 +207,27 @@ def _place_links(urdf: Urdf) -> None:
             placed.append(joint.child)
     if not all(joint.child in frames for joint in urdf.joints):
         raise ConfigError("its joints form a circle: no link is the first")
-    urdf.base = next(_find_base(frames), first[0])
+    urdf.base = next(_find_base(urdf, frames), first[0])
+    up: str | None = urdf.base
+    while up is not None:
+        urdf.trunk.add(up)
+        up = urdf.above[up].parent if up in urdf.above else None
     back = np.linalg.inv(frames[urdf.base])
     urdf.frames = {name: back @ frame for name, frame in frames.items()}
 
 
-def _find_base(links: Iterable[str]) -> Iterator[str]:
-    """Yield links that are named as base links are, with or without a prefix."""
+def _find_base(urdf: Urdf, links: Collection[str]) -> Iterator[str]:
+    """Yield links that are named as base links are; with a prefix only where none carries them.
+
+    An arm's base has such a name, too.
+    """
     for name in ("base_link", "base_footprint"):
-        for link in sorted(links, key=len):
-            if re.search(rf"(^|[/_]){name}$", link):
+        if name in links:
+            yield name
+        for link in links:
+            parent = urdf.above[link].parent if link in urdf.above else "world"
+            is_first = parent in WORLD_LINKS or parent.endswith("footprint")
+            if is_first and re.search(rf"[/_]{name}$", link):
                 yield link
 
 

@@ -249,7 +249,7 @@ def _check_drive(
         joint.name
         for wheel in wheels
         for joint in list(urdf.find_chain(wheel.joint))[1:]
-        if joint.kind != "fixed" and _is_vertical(urdf, joint)
+        if joint.kind in ("revolute", "continuous") and _is_vertical(urdf, joint)
     ]
     steering += [j.name for j in urdf.joints if j.kind == "revolute" and _STEERING.search(j.name)]
     drives = [f"{plugin.name} {plugin.values}" for plugin in urdf.plugins]
@@ -369,7 +369,7 @@ def _measure_body(
     The height is that of the shape with the largest area, as a mast isn't the chassis.
     """
     carriers = [joint.name for wheel in wheels for joint in list(urdf.find_chain(wheel.joint))[1:]]
-    base = _shapes(urdf, urdf.find_rigid(urdf.base, carriers))
+    base = _shapes(urdf, urdf.find_body(carriers))
     places = np.array([frame[:3, 3] for frame, _ in base] + [wheel.place for wheel in wheels])
     tyres = [(radius, wheel.width / 2.0, radius) for wheel in wheels]
     halves = np.array([_find_extent(frame, shape) for frame, shape in base] + tyres)
@@ -404,7 +404,7 @@ def _find_extent(frame: Floats, shape: Shape) -> Floats:
 
 def _place_lidar(urdf: Urdf, centre: Floats, radius: float, part: RobotPart) -> None:
     """Set the LiDAR's frame and place over the ground; the middle, where no link is named so."""
-    links = [name for name in urdf.find_rigid(urdf.base) if _LIDAR.search(name)]
+    links = [name for name in urdf.find_body() if _LIDAR.search(name)]
     part.fields |= {"lidar_x_offset": 0.0, "lidar_y_offset": 0.0}
     if links:
         name = min(links, key=len)

@@ -194,6 +194,32 @@ RIGHT = {
         ),
         (0.1, 0.4, 0.4),
     ),
+    # Wheels on springs, a chassis above its empty base link, and a world in which that moves.
+    "springs in a world": (
+        robot(
+            link("world"),
+            link("cart"),
+            joint("yaw", "world", "cart", kind="continuous", axis="0 0 1"),
+            link("chassis", box(0.8, 0.4, 0.2)),
+            joint("planar", "cart", "chassis", "1 2 0", kind="planar", axis="0 0 1"),
+            BASE,
+            joint("centre", "chassis", "base_link", "0.1 0 0"),
+            "".join(
+                link(f"{name}_spring")
+                + joint(
+                    f"{name}_slide",
+                    "chassis",
+                    f"{name}_spring",
+                    xyz(0.1 + 0.2 * x, 0.25 * y, 0.0),
+                    kind="prismatic",
+                    axis="0 0 1",
+                )
+                + wheel(name, f"{name}_spring", "0 0 -0.05", tyre(0.1))
+                for name, (x, y) in CORNERS.items()
+            ),
+        ),
+        (0.1, 0.5, 0.4),
+    ),
     # The arm's last joint turns without end about y, too; its block has more parameters.
     "base and arm": (
         robot(
@@ -261,6 +287,25 @@ def test_a_footprint_is_seen_from_the_middle_between_the_wheels(load: Load) -> N
     corners = np.array(config.footprint)
     assert corners.min(axis=0) == pytest.approx((-0.3, -0.22))
     assert corners.max(axis=0) == pytest.approx((0.35, 0.22))
+
+
+def test_a_chassis_above_its_base_link_belongs_to_the_footprint(load: Load) -> None:
+    config = load(RIGHT["springs in a world"][0])
+    assert config.footprint is not None
+    assert min(x for x, _ in config.footprint) == pytest.approx(-0.5)
+    assert config.body.length == pytest.approx(0.8)
+
+
+def test_the_base_of_an_arm_is_not_the_robots(load: Load) -> None:
+    cart = PLATE + four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1))
+    arm = link("arm_base_link") + joint(
+        "mount", "base_link", "arm_base_link", "0.3 0 0.2", f"0 0 {QUARTER}"
+    )
+    config = load(
+        robot(cart.replace("'base_link'", "'chassis'"), arm.replace("'base_link'", "'chassis'"))
+    )
+    assert (config.wheel_separation, config.wheelbase) == (0.5, 0.4)
+    assert config.base_frame == "chassis"
 
 
 def test_the_port_of_the_base_is_taken_not_the_arms(load: Load) -> None:
