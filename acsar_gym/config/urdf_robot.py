@@ -270,7 +270,8 @@ def _check_drive(
             f"carries it besides, a differential drive: {ONLY_FOUR}"
         )
     if chosen and len(chosen) != 4:
-        raise ConfigError(f"is a robot with {len(chosen)} wheels ({names}): {ONLY_FOUR}")
+        count = f"{len(chosen)} wheel{'s' * (len(chosen) > 1)}"
+        raise ConfigError(f"is a robot with {count} about y ({names}): {ONLY_FOUR}")
 
 
 def _has_rollers(urdf: Urdf, wheel: _Wheel) -> bool:
