@@ -420,6 +420,19 @@ def _count_values(node: yaml.Node, depth: int, most: int) -> int:
     return count
 
 
+def format_yaml_line(data: Any) -> str:
+    """Format as `format_yaml`, on one line, to stand anywhere in a document."""
+    line = yaml.dump(
+        [data], Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=math.inf
+    )
+    return line.strip()[1:-1]
+
+
+def compose_yaml(text: str) -> yaml.Node | None:
+    """Return the nodes of a YAML document that `parse_yaml` accepts, with their places in it."""
+    return yaml.compose(text, Loader=yaml.SafeLoader)
+
+
 def format_yaml(data: Any) -> str:
     """Format mappings, lists and scalars as YAML that `parse_yaml` reads back equal."""
     return yaml.dump(

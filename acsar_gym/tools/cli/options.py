@@ -95,14 +95,15 @@ def check_writable(
     Raises:
         ConfigError: one of them can't be written.
     """
-    from acsar_gym.config import files  # noqa: PLC0415
+    from acsar_gym.config import RobotConfig, saving  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
+    if robot is not None:
+        saving.check_target(robot, RobotConfig, force=force)
+        report.check_writable(robot)
     for path in filter(None, paths):
         report.check_writable(path)
         check_replaceable(path, mark, force=force)
-    if robot is not None:
-        report.check_writable(files.check_target(robot))
 
 
 @dataclass(frozen=True)

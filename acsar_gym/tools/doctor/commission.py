@@ -197,14 +197,15 @@ class Commission:
             )
         self.finished = agreed and not probe.gaps and stale is None
 
-    def save(self, config: RobotConfig, path: Path) -> Check:
-        """Write a robot with what was found."""
+    def save(self, config: RobotConfig, path: Path, *, force: bool = False) -> Check:
+        """Write a robot with what was found; `force` replaces a file that isn't a robot's."""
         try:
             robot = config.with_(**self.changes)
         except ConfigError as error:
             return Check("robot file", "fail", f"not written: {error}", "change that field first")
         try:
-            robot.save(path, {"wheels": ASSUMPTION_REMARK} if self.assumed else None)
+            remarks = {"wheels": ASSUMPTION_REMARK} if self.assumed else {}
+            robot.save(path, remarks, outdated=(ASSUMPTION_REMARK,), force=force)
         except ConfigError as error:
             return Check("robot file", "fail", str(error), "give another file with --out")
         names = [name for name in self.changes if name != "firmware"]

@@ -69,8 +69,8 @@ class CalibrationOutputs:
     with this file as DEVICE. With --yes nobody waits for a reading between runs: drive one run at
     a time (--repeats 1), measure, then drive the next."""
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot; only where runs have
-    readings."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found. Only where runs have readings."""
     json: File = None
     """Also write the result and all runs to this file."""
     force: Force = False
@@ -172,7 +172,7 @@ def _finish_calibration(
     )
     print_results(*tables, json=output.json, data=data)
     if output.out is not None:
-        calibration_fit.make_calibrated_config(fit, config).save(output.out)
+        calibration_fit.make_calibrated_config(fit, config).save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
 

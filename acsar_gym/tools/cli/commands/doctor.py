@@ -41,7 +41,7 @@ class SpinOptions(RecordOptions):
     one that turned backward, none if none did. It counts where the robot's file says otherwise:
     --out writes it."""
     out: File = None
-    """Write a robot file with what was found to differ."""
+    """Write what was found to differ into this robot's file; if it exists, its comments stay."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,11 @@ def examine_robot(
         timed = timings.examine_timing(device, config, timing.duration)
         print_results(*timed.tables(), json=output.json, data=timed.as_dict())
         return 0
-    return _run_checks(device, config, output.json, spinning)
+    return _run_checks(device, config, output, spinning)
 
 
 def _run_checks(
-    device: str | None, config: RobotConfig, json: Path | None, spinning: SpinOptions
+    device: str | None, config: RobotConfig, output: ResultOptions, spinning: SpinOptions
 ) -> int:
     """Run the checks of the serial port; returns the exit code."""
     from acsar_gym.tools.doctor import checks, commission, wire  # noqa: PLC0415
@@ -102,7 +102,7 @@ def _run_checks(
     if spinning.spin:
         if device is None:
             raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
-        check_writable(robot=spinning.out)
+        check_writable(robot=spinning.out, force=output.force)
         eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
         what = f"the wheels of the robot on {device} will turn: lift it"
         countdown(what, yes=spinning.yes)
@@ -119,12 +119,12 @@ def _run_checks(
             stop = error
     if turning is not None and spinning.out is not None:
         if turning.finished:
-            found.append(turning.save(config, spinning.out))
+            found.append(turning.save(config, spinning.out, force=output.force))
         else:
             said = f"{spinning.out} isn't written: not all was found"
             fix = "mend what failed, and start again"
             found.append(checks.Check("robot file", "skip", said, fix))
-    print_results(checks.draw_checks(found), json=json, data=checks.checks_as_json(found))
+    print_results(checks.draw_checks(found), json=output.json, data=checks.checks_as_json(found))
     if stop is not None:
         raise stop
     return 1 if any(check.status == "fail" for check in found) else 0

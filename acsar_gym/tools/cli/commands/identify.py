@@ -51,7 +51,8 @@ class IdentifyOutputs:
     """Results."""
 
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found."""
     anyway: bool = False
     """Write it even where the model doesn't fit: without intervals, and the file says so."""
     json: File = None
@@ -133,7 +134,7 @@ def identify_robot(
         say(f"{names} never turned: nothing of it was found; check motor and encoder")
     if output.out is not None:
         written = found.robot()
-        written.save(output.out)
+        written.save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
         if written.misfit:
             say(written.misfit)
