@@ -204,6 +204,7 @@ class SharedOptions(Section):
     difficulty: Any = None
     sensors: Any = ()
     policy_rate: Any = 10.0
+    max_episode_steps: Any = None
     faults: Any = None
     randomization: Any = None
     render_mode: Any = None
@@ -259,6 +260,37 @@ def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]
                 f"unknown reset option {show_value(name)}{suggest_name(str(name)[:40], names)}"
             )
     return options
+
+
+MAX_STEPS = 10**9
+"""Largest time limit of an episode [steps]."""
+NO_LIMIT = -1
+"""What Gymnasium's `make` takes for no time limit, beside None."""
+
+
+def check_count(name: str, value: int, most: int) -> int:
+    """Check that an option is a whole number from 1 to `most`, and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+        most: largest allowed value.
+
+    Raises:
+        ConfigError: for anything else.
+    """
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(
+            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
+        )
+    return int(value)
+
+
+def read_step_limit(value: Any) -> int | None:
+    """Return `max_episode_steps` [steps]; None for no limit. ConfigError where it is no number."""
+    if value is None or (isinstance(value, int | np.integer) and value == NO_LIMIT):
+        return None
+    return check_count("max_episode_steps", value, MAX_STEPS)
 
 
 def check_positive(name: str, value: Any) -> float:

@@ -15,16 +15,19 @@ from numpy.typing import NDArray
 from acsar_gym import jit
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
-from acsar_gym.errors import CommandError, ConfigError, show_value
+from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
+from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
+    check_count,
     check_reset_options,
     make_task,
+    read_step_limit,
     task_spaces,
     validate_task,
 )
@@ -35,8 +38,6 @@ from acsar_gym.worlds.search import footprint_radius
 
 MAX_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
-MAX_STEPS = 10**9
-"""Largest time limit of an episode [steps]."""
 ROBOTS_PER_THREAD = 256
 """A thread more is used for so many robots; with fewer its start costs more than it saves."""
 
@@ -44,28 +45,9 @@ ROBOTS_PER_THREAD = 256
 class BatchOptions(SharedOptions):
     """The options of a batch; `RobotVectorEnv` describes them."""
 
-    max_episode_steps: Any = None
     autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP
     threads: Any = None
     link: Any = "planar"
-
-
-def check_count(name: str, value: int, most: int) -> int:
-    """Check that an option is a whole number from 1 to `most`, and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-        most: largest allowed value.
-
-    Raises:
-        ConfigError: for anything else.
-    """
-    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise ConfigError(
-            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
-        )
-    return int(value)
 
 
 def usable_cores() -> int:
@@ -130,7 +112,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     Arguments besides those of the single env:
 
     - `num_envs`: number of robots.
-    - `max_episode_steps`: time limit; registration gives that of the id.
+    - `max_episode_steps`: time limit; registration gives that of the id, None or -1 is none.
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
@@ -209,9 +191,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
         fleet = make_fleet(robot, self.num_envs)
         self.fleet, self.config = fleet.robots, fleet.robots[0]
-        limit = asked.max_episode_steps
-        if limit is not None:
-            limit = check_count("max_episode_steps", limit, MAX_STEPS)
+        limit = read_step_limit(asked.max_episode_steps)
         self.autoreset_mode = asked.autoreset_mode
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.task = make_task(task, rest, BatchOptions.names())
@@ -331,17 +311,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             Observations (num_envs, numbers), rewards, terminated, truncated (num_envs,), info.
 
         Raises:
-            CommandError: for another shape, NaN or infinity; names the first bad env.
+            CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
+                bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         batch, tables = self.batch, self.batch.tables
-        actions = np.array(actions, np.float64, order="C")  # numba would compile for other types
-        if actions.shape != (self.num_envs, 2):
-            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
-        if not np.isfinite(actions).all():
-            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
-            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
+        actions = read_actions(actions, (self.num_envs, 2))
         if not batch.seeded:
             raise ConfigError("step() before reset(): call reset() first")
         if not self._whole:
