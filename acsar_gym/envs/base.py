@@ -251,7 +251,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
                 raise
             self.robot.deactivate(error)
             (observation, info), self._last_step = self._last_step, None
-            self._has_ended = True
             code = next(code for kind, code in FAULT_CODES if isinstance(error, kind))
             why = {"is_success": 0.0, "fault": float(code), "fault_reason": str(error)}
             ends = False, True, False
