@@ -26,6 +26,7 @@ from acsar_gym.errors import (
     LinkLostError,
     RenderError,
     WheelError,
+    check_extra,
     show_value,
 )
 from acsar_gym.links import Link, open_link
@@ -44,7 +45,7 @@ from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
-from acsar_gym.tasks.episode import Assignment, RunningEpisode, Spawn
+from acsar_gym.tasks.episode import Assignment, ObservationCheck, RunningEpisode, Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
@@ -115,6 +116,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, RenderError, WorldError: for unknown options, or values out of range.
+            TaskError: where a method of the task raises an error, or returns what can't be used.
+            MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
         self._options, rest = EnvOptions.split(options)
@@ -131,6 +134,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
         self._limit = StepLimit(read_step_limit(self._options.max_episode_steps))
+        self._observed = ObservationCheck(self.task)
         self._episode: RunningEpisode | None = None
         self._has_ended = False
         self._sensed: Observation = NOTHING_SENSED
@@ -163,6 +167,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._recorder = Recorder.of(asked.record)
+        if isinstance(asked.record, str | os.PathLike):
+            check_extra("recording", "record", "mcap", "rosbags")
+        if self.render_mode is not None and asked.view == "top" and not own_window:
+            check_extra("pictures", "pictures", "PIL")
         factories = sensor_factories(sensors, asked.lidar, step)
         self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
@@ -192,7 +200,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
-        self._episode = episode = RunningEpisode(self.task, assignment)
+        self._episode = episode = RunningEpisode(self.task, assignment, self._observed)
         self._has_ended = False
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
         scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
