@@ -417,6 +417,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Copies and pickles have a robot of their own and must be reset first."""
         return self.__dict__ | {"_episode": None, "_last_step": None}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy of a recorded env is recorded, too: copies of robots aren't."""
+        self.__dict__.update(state)
+        if self._recorder is not None:
+            robot = self.robot
+            self.robot = Robot(robot.link, robot.config, tuple(robot.sensors), self._recorder)
+
     def __copy__(self) -> Self:
         """Every copy is a deep one, because two environments can't share a robot."""
         return copy.deepcopy(self)

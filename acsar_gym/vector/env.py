@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from acsar_gym import jit
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
-from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.errors import ConfigError, RenderError, show_value
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tasks.actions import read_actions
@@ -32,6 +32,7 @@ from acsar_gym.tasks.factory import (
     validate_task,
 )
 from acsar_gym.vector.batch import Batch
+from acsar_gym.vector.screen import BatchScreen, Image, check_render_mode
 from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
 from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds.search import footprint_radius
@@ -114,6 +115,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     - `num_envs`: number of robots.
     - `max_episode_steps`: time limit; registration gives that of the id, None or -1 is none.
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
+    - `render_mode`: "rgb_array": `render()` returns a picture for each robot, of which the first 16
+      are drawn, for `gymnasium.wrappers.vector.RecordVideo`, which tiles them.
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
     - `faults`: lines that are lost or late, with these fields of `acsar_gym.links.faults.Faults`:
@@ -155,7 +158,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -183,8 +187,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
                 f"link = {show_value(asked.link)}: a batch has planar robots; for others make_vec "
                 "with vectorization_mode='sync' or 'async'"
             )
-        if asked.render_mode is not None:
-            raise ConfigError("render_mode: a batch of robots has no pictures: render a single env")
+        self.render_mode = check_render_mode(asked.render_mode)
         if not jit.COMPILED:
             said = "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'"
             warnings.warn(said, RuntimeWarning, stacklevel=3)
@@ -193,7 +196,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.fleet, self.config = fleet.robots, fleet.robots[0]
         limit = read_step_limit(asked.max_episode_steps)
         self.autoreset_mode = asked.autoreset_mode
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        rate = asked.policy_rate
+        modes = {"autoreset_mode": self.autoreset_mode, "render_fps": rate}
+        self.metadata = type(self).metadata | modes
         self.task = make_task(task, rest, BatchOptions.names())
         given = self.task, asked.worlds, asked.difficulty
         by_radius: dict[float, Spawn] = {}
@@ -203,7 +208,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         spawns = [by_radius[footprint_radius(one)] for one in self.fleet]
         self._spawn = spawns[0]
         self.pool = self._spawn.pool
-        rate = asked.policy_rate
         ticks = whole_ratio("control_rate", self.config.control_rate, "policy_rate", rate)
         self.ticks_per_step, step = ticks, ticks * self.config.period
         sensors = (*self.task.sensors, *asked.sensors)
@@ -233,6 +237,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        drawn = self.fleet, self.num_envs, self.task.goal_tolerance
+        self._screen = BatchScreen(*drawn) if self.render_mode is not None else None
         self._threads = Threads(choose_threads(asked.threads, self.num_envs))
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
@@ -273,6 +279,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
+        if self._screen is not None:
+            self._screen.show(self.batch)
         return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
@@ -337,8 +345,24 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
         self._whole = True
+        if self._screen is not None:
+            self._screen.show(batch)
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return a picture for each robot, (height, width, 3) uint8; None without `render_mode`.
+
+        The first 16 robots are drawn from above, the pictures of others are empty.
+
+        Raises:
+            RenderError: before the first reset.
+        """
+        if self._screen is None:
+            return None
+        if not self.batch.seeded:
+            raise RenderError("there is nothing to see before reset(): call it first")
+        return self._screen.pictures(self.batch)
 
     def go_on(self) -> None:
         """Allow steps without a reset, after all arrays of the batch have been set."""

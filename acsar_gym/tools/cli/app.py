@@ -24,6 +24,7 @@ from acsar_gym.errors import (
     PolicyWarning,
     RecordingWarning,
     SafetyWarning,
+    TaskWarning,
     WorldWarning,
     escape_unprintable,
     show_value,
@@ -118,7 +119,8 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning | WorldWarning):
+    kinds = SafetyWarning | RecordingWarning | PolicyWarning | TaskWarning | WorldWarning
+    if issubclass(category, kinds):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 
@@ -129,6 +131,8 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _format_one_line
+    if "" not in sys.path:
+        sys.path.append("")  # a user's modules are in the current folder
     words, code = sys.argv[1:], 0
     try:
         if words == ["--version"]:
