@@ -305,32 +305,41 @@ class ObservationCheck:
         Raises:
             TaskError: for NaN and infinity; names the numbers.
         """
-        if self._warns and ((numbers >= self._low) & (numbers <= self._high)).all():
-            return
-        name, place = task_name(self._task), method_place(self._task, "observe")
+        if self._warns:
+            if self._low.shape != numbers.shape:  # arrays of one shape are compared much faster
+                self._low, self._high = (
+                    np.broadcast_to(bound, numbers.shape).copy()
+                    for bound in (self._low, self._high)
+                )
+            given = np.ascontiguousarray(numbers)
+            if ((given >= self._low) & (given <= self._high)).all():
+                return
         is_finite = np.isfinite(numbers)
         if not is_finite.all():
             values, robot = self._row_of_first(numbers, ~is_finite)
             wrong = {name: number for name, number in values.items() if not math.isfinite(number)}
             raise TaskError(
-                f"{name}.observe returned {show_value(wrong)}{robot}: must be finite numbers{place}"
+                f"{task_name(self._task)}.observe returned {show_value(wrong)}{robot}: must be "
+                f"finite numbers{method_place(self._task, 'observe')}"
             )
         if self._warns:
             self._warns = False
-            is_beyond = (numbers < self._low) | (numbers > self._high)
-            values, robot = self._row_of_first(numbers, is_beyond)
-            for (key, number), low, high in zip(
-                values.items(), self._low.tolist(), self._high.tolist(), strict=True
-            ):
-                if not low <= number <= high:
-                    warnings.warn(
-                        f"{name}.observe returned {key!r} = {number:g}{robot}: beyond its bounds "
-                        f"({low:g}, {high:g}), and a policy gets it as it is: clip it, or declare "
-                        f"wider bounds in `observation`{place}",
-                        TaskWarning,
-                        stacklevel=2,
-                    )
-                    return
+            self._warn(numbers)
+
+    def _warn(self, numbers: Observation) -> None:
+        """Warn of the first number that is beyond its bounds."""
+        is_beyond = np.atleast_2d((numbers < self._low) | (numbers > self._high))
+        values, robot = self._row_of_first(numbers, is_beyond)
+        column = int(is_beyond[is_beyond.any(axis=1).argmax()].argmax())
+        name, number = list(values.items())[column]
+        low, high = self._task.observation[name]
+        warnings.warn(
+            f"{task_name(self._task)}.observe returned {name!r} = {number:g}{robot}: beyond its "
+            f"bounds ({low:g}, {high:g}), and a policy gets it as it is: clip it, or declare wider "
+            f"bounds in `observation`{method_place(self._task, 'observe')}",
+            TaskWarning,
+            stacklevel=3,
+        )
 
     def _row_of_first(self, numbers: Observation, wrong: Any) -> tuple[dict[str, float], str]:
         """The numbers, by name, of the first robot with a wrong one, and what names the robot."""
