@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import weakref
 from types import FrameType
+from typing import Any
 
 import gymnasium
 from gymnasium.wrappers import TimeLimit
@@ -25,7 +26,7 @@ class StepLimit:
         self._steps = steps
         self._wrappers: list[weakref.ref[TimeLimit]] = []
 
-    def find_wrappers(self, env: gymnasium.Env) -> None:  # type: ignore[type-arg]
+    def find_wrappers(self, env: gymnasium.Env[Any, Any]) -> None:
         """Find the TimeLimit wrappers around an env; to be called in its `reset`."""
         self._wrappers = []
         frame: FrameType | None = sys._getframe(1)  # noqa: SLF001 - Gymnasium has no other way
@@ -46,11 +47,12 @@ class StepLimit:
         """
         if self._steps is not None and step >= self._steps:
             return True
-        for reference in self._wrappers:
-            wrapper = reference()
-            if wrapper is not None and wrapper._elapsed_steps + 1 >= wrapper._max_episode_steps:  # noqa: SLF001
-                return True
-        return False
+        wrappers: list[Any] = [reference() for reference in self._wrappers]
+        return any(
+            one._elapsed_steps + 1 >= one._max_episode_steps  # noqa: SLF001
+            for one in wrappers
+            if one is not None
+        )
 
     def __reduce__(self) -> tuple[type[StepLimit], tuple[int | None]]:
         """Copies find the wrappers of their own env."""

@@ -268,9 +268,10 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
 def _shape_of(numbers: Any) -> tuple[int, ...] | None:
     """Shape of what `observe` returned; None where it has none, as tuples in a tuple."""
     try:
-        return np.shape(numbers)
+        shape: tuple[int, ...] = np.shape(numbers)
     except Exception:  # noqa: BLE001 - of an object of the user's
         return None
+    return shape
 
 
 def _describe_shape(numbers: Any) -> str:

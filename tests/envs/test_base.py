@@ -159,13 +159,14 @@ def test_a_copy_of_a_recorded_env_is_recorded_too(tmp_path: Path) -> None:
     """To a file of its own: the first one's is kept, whether it is open or not."""
     path = tmp_path / "drive.mcap"
     env = PointGoalEnv("planar", record=path)
+    ahead = np.array([0.5, 0.0])
     env.reset(seed=1)
-    env.step([0.5, 0.0])
+    env.step(ahead)
     copies = [how(env) for how in COPIES.values()]
     for seed, copied in enumerate(copies, start=2):
         copied.reset(seed=seed)
         for _ in range(3):
-            copied.step([0.5, 0.0])
+            copied.step(ahead)
         assert len(copied._recorder._queue) < 100  # which a thread empties
         copied.close()
     env.close()

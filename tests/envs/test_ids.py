@@ -236,10 +236,10 @@ def test_videos_can_be_recorded(tmp_path: Path) -> None:
 def test_a_picture_that_cannot_be_drawn_leaves_no_robot_driving(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(sys.modules, "PIL", None)
+    env = make("acsar_gym/PointGoal-v0", render_mode="human")
+    monkeypatch.setitem(sys.modules, "PIL", None)  # it is there, and can't be imported
     monkeypatch.delitem(sys.modules, "acsar_gym.render.top_view", raising=False)
     monkeypatch.delitem(sys.modules, "acsar_gym.render.canvas", raising=False)
-    env = make("acsar_gym/PointGoal-v0", render_mode="human")
     with pytest.raises(MissingExtraError, match="pictures"):
         env.reset(seed=0)
     assert not inner(env).robot.active

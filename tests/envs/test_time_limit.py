@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from env_tools import IDS, inner, make
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit
 from serial_tools import Emulated, wait_until
@@ -27,17 +28,23 @@ from acsar_gym.recording import read
 pytestmark = pytest.mark.xdist_group(__name__)
 ENV_ID = "acsar_gym/PointGoal-v0"
 Env = gymnasium.Env[Any, Any]
+PLANAR: dict[str, Any] = {"link": "planar"}
 
 
 def point_goal(**options: Any) -> PointGoalEnv:
     return PointGoalEnv("planar", **options)
 
 
+def spec_of(env: Env) -> EnvSpec:
+    assert env.spec is not None
+    return env.spec
+
+
 LIMITED: dict[str, Callable[[], Env]] = {
     "of the id": lambda: gymnasium.make(ENV_ID, link="planar"),
     "make, shorter": lambda: gymnasium.make(ENV_ID, link="planar", max_episode_steps=5),
     "make, longer": lambda: gymnasium.make(ENV_ID, link="planar", max_episode_steps=230),
-    "spec": lambda: gymnasium.make(gymnasium.make(ENV_ID, link="planar", max_episode_steps=5).spec),
+    "spec": lambda: gymnasium.make(spec_of(gymnasium.make(ENV_ID, max_episode_steps=5, **PLANAR))),
     "the env's own": lambda: point_goal(max_episode_steps=np.int64(5)),
     "a wrapper": lambda: TimeLimit(ClipAction(point_goal()), 5),
     "the shorter of two": lambda: TimeLimit(point_goal(max_episode_steps=7), 5),

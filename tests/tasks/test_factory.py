@@ -20,6 +20,7 @@ from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 
+register: Any = acsar_gym.register
 KINDS: list[Any] = [RobotEnv, RobotVectorEnv]
 needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 
@@ -104,8 +105,8 @@ def test_a_method_with_another_signature_is_named(kind: Any, method: str, functi
 
 
 def test_signatures_that_fit_may_say_more() -> None:
-    fitting = [
-        lambda self, state, memory, outcome, weight=1.0: 0.0,
+    fitting: list[Any] = [
+        lambda self, state, memory, outcome, weight=1.0: weight,
         lambda self, *given: 0.0,
         lambda self, state, memory, outcome, **more: 0.0,
     ]
@@ -145,7 +146,7 @@ def test_a_forgotten_dataclass_is_said(option: str) -> None:
         with pytest.raises(ConfigError, match=said):
             make(kind, Plain, **{option: 0.2})
     with pytest.raises(ConfigError, match=said.replace(" of Plain", "")):
-        acsar_gym.register("mine/Plain-v0", task=Plain, **{option: 0.2})
+        register("mine/Plain-v0", task=Plain, **{option: 0.2})
 
 
 @dataclass(frozen=True)
@@ -182,7 +183,7 @@ def test_other_unknown_options_are_named(option: str, hint: str) -> None:
 def test_an_option_that_nothing_has_is_not_registered(option: str, hint: str) -> None:
     said = f"mine/Typo-v0: unknown option '{option}'; did you mean '{hint}'"
     with pytest.raises(ConfigError, match=said):
-        acsar_gym.register("mine/Typo-v0", task=WithField, **{option: 5})
+        register("mine/Typo-v0", task=WithField, **{option: 5})
     assert "mine/Typo-v0" not in gymnasium.registry
 
 

@@ -194,7 +194,7 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> 
 @pytest.mark.parametrize("limit", [None, -1, np.int64(-1)])
 def test_no_limit_is_none(limit: Any) -> None:
     env = gymnasium.make_vec(
-        ENV_ID, np.int64(2), "vector_entry_point", max_episode_steps=limit, threads=np.int64(1)
+        ENV_ID, 2, "vector_entry_point", max_episode_steps=limit, threads=np.int64(1)
     )
     env.reset(seed=0)
     assert not any(env.step(np.zeros((2, 2)))[3].any() for _ in range(205))
@@ -238,15 +238,16 @@ def test_bad_actions_and_seeds_are_one_clear_error_and_change_nothing() -> None:
     bad[2, 1] = bad[3, 0] = np.nan
     with pytest.raises(CommandError, match="env 2"):
         env.step(bad)
-    for unreadable in (
+    unreadable: list[Any] = [
         torch.zeros((4, 2), requires_grad=True),
         [["0.5", "0.5"]] * 4,
         None,
         [[0.0, 0.0], [0.0]],
         np.zeros((4, 2), complex),
-    ):
+    ]
+    for actions in unreadable:
         with pytest.raises(CommandError, match=r"^action[^\n]*$"):
-            env.step(unreadable)
+            env.step(actions)
     assert env.batch.read("steps").tolist() == [[0.0] * 4]
     seeds: list[Any] = [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5]
     for seed in seeds:

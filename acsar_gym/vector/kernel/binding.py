@@ -125,7 +125,7 @@ def _loads_self(instruction: Any) -> bool:
     if instruction is None or not instruction.opname.startswith("LOAD_FAST"):
         return False
     loaded = instruction.argval
-    return (loaded[-1] if isinstance(loaded, tuple) else loaded) == "self"
+    return bool((loaded[-1] if isinstance(loaded, tuple) else loaded) == "self")
 
 
 def is_compile_error(error: Exception) -> bool:
