@@ -92,8 +92,10 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
 
 def _explain_option(task: type[Task], name: str, known: Sequence[str]) -> str:
     """End of the message for an option that a task's class doesn't take."""
-    own = [kind for kind in task.__mro__ if not kind.__module__.startswith("acsar_gym.")]
-    is_declared = any(name in vars(kind) or name in inspect.get_annotations(kind) for kind in own)
+    classes = [kind for kind in task.__mro__ if not kind.__module__.startswith("acsar_gym.")]
+    is_declared = any(
+        name in vars(kind) or name in inspect.get_annotations(kind) for kind in classes
+    )
     value = getattr(task, name, None)
     if not is_declared or callable(value):
         return suggest_name(name, known)
@@ -153,12 +155,13 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
     for name in ("reward", "observe"):
         if getattr(type(task), name) is getattr(Task, name):
             raise ConfigError(f"{task_name(task)}: has no method {name}(){class_place(type(task))}")
-    for name, given in METHOD_ARGUMENTS.items():
+    for name, arguments in METHOD_ARGUMENTS.items():
         try:
-            inspect.signature(getattr(task, name)).bind(*given)
+            inspect.signature(getattr(task, name)).bind(*arguments)
         except TypeError as error:
+            wanted = ", ".join(arguments)
             raise TaskError(
-                f"{task_name(task)}: {name}() must take ({', '.join(given)}) after self: {error}"
+                f"{task_name(task)}: {name}() must take ({wanted}) after self: {error}"
                 f"{method_place(task, name)}"
             ) from error
     for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
