@@ -254,6 +254,20 @@ def explain_error(problem: BaseException) -> str:
     return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
 
 
+@contextlib.contextmanager
+def find_modules_here() -> Iterator[None]:
+    """Let imports inside the block find modules in the current folder, as for a script there."""
+    if "" in sys.path:
+        yield
+        return
+    sys.path.append("")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            sys.path.remove("")
+
+
 def import_object(what: str, name: str) -> Any:
     """The object of a module that is named "module:Class".
 

@@ -57,6 +57,10 @@ SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
 """The benchmark's sets of scenes by id and name."""
 
 
+REGISTER_OPTIONS = ("task", "max_episode_steps", "reward_threshold", "scenes")
+"""What `register` itself takes, for messages."""
+
+
 def register(
     id: str,  # noqa: A002 - Gymnasium's own name
     *,
@@ -81,10 +85,16 @@ def register(
             those that only a batch has (autoreset_mode, threads) not in a single env.
 
     Raises:
-        ConfigError: where `task` isn't a class of tasks, or `scenes` has other fields.
+        ConfigError: where `task` isn't a class of tasks, `scenes` has other fields, or nothing has
+            such an option.
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
-    from acsar_gym.tasks.factory import importable_task, split_by_mode  # noqa: PLC0415
+    from acsar_gym.reading import import_object  # noqa: PLC0415
+    from acsar_gym.tasks.factory import (  # noqa: PLC0415
+        check_register_options,
+        importable_task,
+        split_by_mode,
+    )
 
     chosen = {}
     for name, given in (scenes or {}).items():
@@ -94,6 +104,9 @@ def register(
             )
         except (TypeError, AttributeError) as error:
             raise ConfigError(f"{id}: scenes {name!r}: {error}") from None
+    kind = import_object("task", task) if isinstance(task, str) else task
+    named = importable_task(kind)
+    check_register_options(id, kind, options, REGISTER_OPTIONS)
     SCENE_CHOICES[id] = chosen or {"test": SceneChoice()}
     gymnasium.register(
         id=id,
@@ -101,7 +114,7 @@ def register(
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,
-        kwargs={"task": importable_task(task), **split_by_mode(options)},
+        kwargs={"task": named, **split_by_mode(options)},
     )
 
 

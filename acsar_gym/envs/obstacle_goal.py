@@ -86,8 +86,8 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view`, `faults`,
-      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`,
+      `faults`, `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
     - `worlds`: "clutter:train" by default, the 400 worlds to train in; "clutter:test" are the 200
       that `acsar-gym evaluate` tests in. "clutter:50" means the first 50, "clutter:100-149" those
       with these numbers, "clutter" alone the training split; so with the other kinds ("open",

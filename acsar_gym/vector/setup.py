@@ -51,7 +51,7 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
         asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
         for robot in np.flatnonzero(asked):
             x, y = goals[robot].tolist()
-            if not np.isfinite(x + y):
+            if not np.isfinite([x, y]).all():
                 raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
             if spawn.pool is None:
                 spawn.check_goal((x, y))

@@ -28,6 +28,7 @@ from acsar_gym.errors import (
     PolicyWarning,
     RecordingWarning,
     SafetyWarning,
+    TaskWarning,
     WorldWarning,
     escape_unprintable,
     show_value,
@@ -124,7 +125,8 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning | WorldWarning):
+    kinds = SafetyWarning | RecordingWarning | PolicyWarning | TaskWarning | WorldWarning
+    if issubclass(category, kinds):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 
@@ -136,6 +138,8 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _format_one_line
+    if "" not in sys.path:
+        sys.path.append("")  # a user's modules are in the current folder
     words = sys.argv[1:]
     COMMAND.set(_find_name(words))
     with _kept_terminal() if _drives(words) else contextlib.nullcontext():

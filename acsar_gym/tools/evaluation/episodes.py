@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import math
@@ -23,7 +22,7 @@ from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
+from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.safety.rules import Reason
@@ -248,8 +247,6 @@ def _run_episode(
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         done = terminated or truncated
-    with contextlib.suppress(LinkError):  # the next reset reports it
-        robot.stop()  # the TimeLimit wrapper doesn't stop the robot
     odom, true = stack_poses(steps, "odom"), stack_poses(steps, "true")
     timing, meter = robot.timing, meter_of(robot.link)
     fault = info.get("fault_reason", "")

@@ -374,9 +374,8 @@ class CallablePolicy(FilePolicy):
             self._name = getattr(policy, "__name__", type(policy).__name__)
             self.path = Path(self._name)
         elif _MODULE_NAME.fullmatch(policy) and not policy.rpartition(":")[0].endswith(".py"):
-            if "" not in sys.path:
-                sys.path.append("")  # modules in the current folder
-            found = reading.import_object("policy", policy)
+            with reading.find_modules_here():
+                found = reading.import_object("policy", policy)
             self.path, self._name = Path(policy), policy.rpartition(":")[2]
             module = sys.modules[policy.partition(":")[0]]
             self._source = str(getattr(module, "__file__", None) or "")

@@ -12,7 +12,6 @@ import importlib
 import inspect
 import math
 import re
-import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -156,10 +155,9 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     """
     check_class(place, name, modules)
     module, _, kind = name.rpartition(".")
-    if name not in KNOWN_CLASSES[place] and "" not in sys.path:
-        sys.path.append("")
     try:
-        return getattr(importlib.import_module(module), kind)
+        with reading.find_modules_here():
+            return getattr(importlib.import_module(module), kind)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
         raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from None
 
