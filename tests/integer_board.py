@@ -1,0 +1,259 @@
+"""A board that isn't ours: the program of an 8-bit microcontroller, in integers and milliseconds.
+
+Speeds are whole hundredths of rad/s, a loop of 10 ms moves them by a twelfth of what is missing
+(cut towards zero, as C divides), the newest command counts for 500 ms, and 1.5 s pass after a reset
+before the first line. So the lag is -10 ms / ln(1 - 1/12) = 114.9 ms, and a wheel never comes nearer
+to its target than 0.11 rad/s.
+
+`IntegerLink` runs it in simulated time, with 1 ms of resolution and the time that bytes take on the
+wire; as a program it serves a pseudo-terminal:
+
+python tests/integer_board.py --divisor 24 --deadband 90 --quantum 12
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from acsar_gym.links.base import Arrivals
+from acsar_gym.worlds import Scene
+
+BYTES_PER_MILLISECOND = 11.52
+"""Of a wire at 115200 baud."""
+LOOP = 10
+"""Period of the board's loop [ms]."""
+
+
+@dataclass(frozen=True)
+class BoardProgram:
+    """What its constants are; speeds in hundredths of rad/s, times in ms."""
+
+    divisor: int = 12
+    """A loop moves a wheel's speed by this part of what is missing."""
+    fraction: int = 1
+    """Parts of a hundredth that speeds are kept in."""
+    ramp: int = 0
+    """Change of the set point in a loop, at most; 0 for no ramp."""
+    gain: tuple[int, ...] = (100, 100, 100, 100)
+    """Of each wheel, in percent."""
+    backward: int = 100
+    """Further percent backward."""
+    top: int = 9999
+    """Largest speed."""
+    hold: int = 0
+    """A wheel stands for this time where its command changes sign."""
+    deadband: int = 0
+    """Smaller targets don't turn a wheel."""
+    quantum: int = 1
+    """Speeds are printed in whole multiples of this."""
+    noise: int = 0
+    """Printed speeds are off by up to this."""
+    delay: int = 0
+    """From a command's arrival until it counts."""
+    stale: int = 0
+    """From a measurement until it is printed."""
+    feedback: int = 20
+    """From one line to the next."""
+    timeout: int = 500
+    """From the newest command to the time-out; 0 for none."""
+    boot: int = 1500
+    """Silence after a reset."""
+
+    @property
+    def lag(self) -> float:
+        """Time constant of its arithmetic [s]."""
+        return -1e-3 * LOOP / math.log(1.0 - 1.0 / self.divisor)
+
+
+SLOWER = BoardProgram(divisor=24, deadband=90, quantum=12)
+"""Its lag is 234.9 ms."""
+
+
+def divide(a: int, b: int) -> int:
+    """Divide as C does, towards zero."""
+    return abs(a) // b if a >= 0 else -(abs(a) // b)
+
+
+class IntegerBoard:
+    """The board: bytes in, a millisecond, bytes out."""
+
+    def __init__(self, program: BoardProgram) -> None:
+        self.program = program
+        self.time = 0
+        """Since the reset [ms]."""
+        self._text = b""
+        self._commands: deque[tuple[int, int, int]] = deque()
+        """When each counts, its wheel, its target."""
+        self._heard = -(10**6)
+        self._targets, self._set_points, self._speeds = [0] * 4, [0] * 4, [0] * 4
+        self._signs, self._held = [0] * 4, [10**6] * 4
+        self._random = 1
+        self._measured: deque[tuple[int, ...]] = deque(maxlen=1 + program.stale // LOOP)
+
+    def run_millisecond(self, data: bytes) -> bytes:
+        """Let a millisecond pass, in which these bytes arrive; returns what the board prints."""
+        self.time += 1
+        if self.time < self.program.boot:
+            return b""
+        for byte in data:
+            self._take_byte(byte)
+        if self.time % LOOP == 0:
+            self._run_loop()
+        return b"" if self.time % self.program.feedback else self._print_line()
+
+    def _take_byte(self, byte: int) -> None:
+        """Take a number at its comma, or at the end of a line."""
+        if byte not in b",\r\n":
+            self._text = (self._text + bytes([byte]))[-16:]
+            return
+        text, self._text = self._text, b""
+        digits = text[2:].replace(b".", b"")
+        if len(text) == 7 and text[:1] in b"abcd" and text[1:2] in b"pn" and digits.isdigit():
+            self._heard = self.time
+            target = -int(digits) if text[1:2] == b"n" else int(digits)
+            self._commands.append((self.time + self.program.delay, b"abcd".index(text[:1]), target))
+
+    def _run_loop(self) -> None:
+        """Move the wheels."""
+        own = self.program
+        while self._commands and self._commands[0][0] <= self.time:
+            _, wheel, target = self._commands.popleft()
+            self._targets[wheel] = target
+        if own.timeout and self.time - self._heard > own.timeout:
+            self._targets = [0] * 4
+        for wheel, target in enumerate(self._targets):
+            self._held[wheel] += LOOP
+            if target * self._signs[wheel] < 0:
+                self._held[wheel] = 0
+            self._signs[wheel] = (target > 0) - (target < 0) or self._signs[wheel]
+            aim = 0 if self._held[wheel] < own.hold else target
+            if own.ramp:
+                missing = aim - self._set_points[wheel]
+                aim = self._set_points[wheel] + max(-own.ramp, min(own.ramp, missing))
+                self._set_points[wheel] = aim
+            aim = divide(aim * own.gain[wheel], 100)
+            aim = divide(aim * own.backward, 100) if aim < 0 else aim
+            aim = 0 if abs(aim) < own.deadband else max(-own.top, min(own.top, aim))
+            speed = self._speeds[wheel]
+            self._speeds[wheel] = speed + divide(aim * own.fraction - speed, own.divisor)
+        self._measured.append(tuple(divide(speed, own.fraction) for speed in self._speeds))
+
+    def _print_line(self) -> bytes:
+        """Print what was measured, as integers and their hundredths."""
+        parts = []
+        for letter, speed in zip("abcd", self._measured[0] if self._measured else (), strict=False):
+            self._random = (self._random * 25173 + 13849) & 0xFFFF
+            off = divide(self._random >> 4, 4096 // (2 * self.program.noise + 1) + 1)
+            speed += off - self.program.noise if self.program.noise else 0
+            size = abs(divide(speed, self.program.quantum) * self.program.quantum)
+            size = min(size, 9999)
+            parts.append(f"{letter}{'n' if speed < 0 else 'p'}{size // 100:02d}.{size % 100:02d},")
+        return ("".join(parts) + "\r\n").encode() if parts else b""
+
+
+class IntegerLink:
+    """The board at the end of a wire, in simulated time: a `Link`.
+
+    Args:
+        program: of the board.
+        phase: by which the host's clock is ahead of the board's [ms].
+    """
+
+    truth = None
+    lateness = None
+
+    def __init__(self, program: BoardProgram, phase: float = 0.0) -> None:
+        self._program, self._phase = program, phase
+        self.reset(Scene())
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def reset(self, _: Scene) -> None:
+        """Reset the board, and wait until it has booted."""
+        self._board = IntegerBoard(self._program)
+        self._now = self._phase
+        self._inbound: deque[tuple[float, int]] = deque()
+        self._outbound: deque[tuple[float, int]] = deque()
+        self._free = [0.0, 0.0]  # when each direction of the wire is free [ms]
+        self.arrivals: Arrivals = []
+        self.advance(1e-3 * self._program.boot)
+
+    def now(self) -> float:
+        """Return the host's time [s]."""
+        return 1e-3 * self._now
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the board."""
+        self._send(0, self._inbound, data, self._now)
+
+    def advance(self, period: float) -> bytes:
+        """Let a period pass, and return what arrived."""
+        self._now += 1e3 * period
+        while self._board.time + 1 <= self._now:
+            time, heard = self._board.time + 1, []
+            while self._inbound and self._inbound[0][0] <= time:
+                heard.append(self._inbound.popleft()[1])
+            self._send(1, self._outbound, self._board.run_millisecond(bytes(heard)), time)
+        self.arrivals, piece = [], bytearray()
+        while self._outbound and self._outbound[0][0] <= self._now:
+            stamp, byte = self._outbound.popleft()
+            piece.append(byte)
+            if byte == ord("\n") or not self._outbound or self._outbound[0][0] > self._now:
+                self.arrivals.append((1e-3 * stamp, bytes(piece)))
+                piece.clear()
+        return b"".join(data for _, data in self.arrivals)
+
+    def _send(self, way: int, queue: deque[tuple[float, int]], data: bytes, begin: float) -> None:
+        """Put bytes on the wire, each of which takes its time."""
+        for byte in data:
+            self._free[way] = max(self._free[way], begin) + 1.0 / BYTES_PER_MILLISECOND
+            queue.append((self._free[way], byte))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The program's options: the board's constants, and a name for its device."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for field in fields(BoardProgram):
+        many = field.name == "gain"
+        parser.add_argument(
+            f"--{field.name}",
+            type=int,
+            nargs=4 if many else None,
+            default=field.default,
+            help="of each wheel" if many else None,
+        )
+    parser.add_argument("--name", type=Path, help="symbolic link to its device")
+    return parser
+
+
+def main() -> None:
+    """Serve a pseudo-terminal until the process is ended; standard output says which."""
+    from acsar_gym.tools.emulation.cable import EmulatedCable  # noqa: PLC0415
+
+    arguments = vars(make_parser().parse_args())
+    cable = EmulatedCable(115200, arguments.pop("name"))
+    board = IntegerBoard(replace(BoardProgram(), **arguments | {"gain": tuple(arguments["gain"])}))
+    print("device:", cable.device, flush=True)
+    begin = time.monotonic()
+    try:
+        while True:
+            time.sleep(max(0.0, begin + 1e-3 * (board.time + 1) - time.monotonic()))
+            cable.write(board.run_millisecond(cable.read()))
+    except KeyboardInterrupt:
+        sys.exit(0)
+    finally:
+        cable.pull()
+
+
+if __name__ == "__main__":
+    main()
