@@ -58,6 +58,8 @@ class BoardProgram:
     """From a command's arrival until it counts."""
     stale: int = 0
     """From a measurement until it is printed."""
+    fresh: int = 0
+    """1: a line shows what the loop of its own millisecond did; 0: the loop before."""
     feedback: int = 20
     """From one line to the next."""
     timeout: int = 500
@@ -103,9 +105,11 @@ class IntegerBoard:
             return b""
         for byte in data:
             self._take_byte(byte)
+        due = self.time % self.program.feedback == 0
+        line = self._print_line() if due and not self.program.fresh else b""
         if self.time % LOOP == 0:
             self._run_loop()
-        return b"" if self.time % self.program.feedback else self._print_line()
+        return self._print_line() if due and self.program.fresh else line
 
     def _take_byte(self, byte: int) -> None:
         """Take a number at its comma, or at the end of a line."""
@@ -115,7 +119,6 @@ class IntegerBoard:
         text, self._text = self._text, b""
         digits = text[2:].replace(b".", b"")
         if len(text) == 7 and text[:1] in b"abcd" and text[1:2] in b"pn" and digits.isdigit():
-            self._heard = self.time
             target = -int(digits) if text[1:2] == b"n" else int(digits)
             self._commands.append((self.time + self.program.delay, b"abcd".index(text[:1]), target))
 
@@ -123,7 +126,7 @@ class IntegerBoard:
         """Move the wheels."""
         own = self.program
         while self._commands and self._commands[0][0] <= self.time:
-            _, wheel, target = self._commands.popleft()
+            self._heard, wheel, target = self._commands.popleft()
             self._targets[wheel] = target
         if own.timeout and self.time - self._heard > own.timeout:
             self._targets = [0] * 4
