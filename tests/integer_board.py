@@ -1,9 +1,9 @@
 """A board that isn't ours: the program of an 8-bit microcontroller, in integers and milliseconds.
 
 Speeds are whole hundredths of rad/s, a loop of 10 ms moves them by a twelfth of what is missing
-(cut towards zero, as C divides), the newest command counts for 500 ms, and 1.5 s pass after a reset
-before the first line. So the lag is -10 ms / ln(1 - 1/12) = 114.9 ms, and a wheel never comes nearer
-to its target than 0.11 rad/s.
+(cut towards zero, as C divides), the newest command counts for 500 ms, and 1.5 s pass after a
+reset before the first line. So the lag is -10 ms / ln(1 - 1/12) = 114.9 ms, and a wheel never comes
+nearer to its target than 0.11 rad/s.
 
 `IntegerLink` runs it in simulated time, with 1 ms of resolution and the time that bytes take on the
 wire; as a program it serves a pseudo-terminal:
@@ -152,11 +152,11 @@ class IntegerBoard:
         parts = []
         for letter, speed in zip("abcd", self._measured[0] if self._measured else (), strict=False):
             self._random = (self._random * 25173 + 13849) & 0xFFFF
-            off = divide(self._random >> 4, 4096 // (2 * self.program.noise + 1) + 1)
-            speed += off - self.program.noise if self.program.noise else 0
-            size = abs(divide(speed, self.program.quantum) * self.program.quantum)
-            size = min(size, 9999)
-            parts.append(f"{letter}{'n' if speed < 0 else 'p'}{size // 100:02d}.{size % 100:02d},")
+            noise, quantum = self.program.noise, self.program.quantum
+            off = divide(self._random >> 4, 4096 // (2 * noise + 1) + 1) - noise if noise else 0
+            size = min(abs(divide(speed + off, quantum) * quantum), 9999)
+            sign = "n" if speed + off < 0 else "p"
+            parts.append(f"{letter}{sign}{size // 100:02d}.{size % 100:02d},")
         return ("".join(parts) + "\r\n").encode() if parts else b""
 
 
@@ -171,8 +171,8 @@ class IntegerLink:
     truth = None
     lateness = None
 
-    def __init__(self, program: BoardProgram, phase: float = 0.0) -> None:
-        self._program, self._phase = program, phase
+    def __init__(self, program: BoardProgram, phase: float = 0.0, wire=True) -> None:
+        self._program, self._phase, self.wire = program, phase, wire
         self.reset(Scene())
 
     def open(self) -> None:
@@ -219,7 +219,7 @@ class IntegerLink:
     def _send(self, way: int, queue: deque[tuple[float, int]], data: bytes, begin: float) -> None:
         """Put bytes on the wire, each of which takes its time."""
         for byte in data:
-            self._free[way] = max(self._free[way], begin) + 1.0 / BYTES_PER_MILLISECOND
+            self._free[way] = max(self._free[way], begin) + self.wire / BYTES_PER_MILLISECOND
             queue.append((self._free[way], byte))
 
 
@@ -241,7 +241,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     """Serve a pseudo-terminal until the process is ended; standard output says which."""
-    from acsar_gym.tools.emulation.cable import EmulatedCable  # noqa: PLC0415
+    from acsar_gym.tools.emulation.cable import EmulatedCable
 
     arguments = vars(make_parser().parse_args())
     cable = EmulatedCable(115200, arguments.pop("name"))

@@ -22,7 +22,7 @@ FINEST_QUANTUM = 0.025
 LARGEST_QUANTUM = 2.0
 """Largest step that is looked for [rad/s]."""
 FEWEST_SPEEDS = 20
-"""Different speeds that are needed."""
+"""Different speeds that are needed, unless fewer can't be multiples of a step by chance."""
 ROUNDING_SLACK = 0.001
 """Tolerance on top of the rounding to two decimals [rad/s]."""
 SAME_QUANTUM = 0.01
@@ -77,11 +77,11 @@ def find_quantum(speeds: Floats) -> Quantum | None:
         speeds: printed [rad/s], any shape.
 
     Returns:
-        The step; None where too few different speeds were seen.
+        The step; None where too few different speeds were seen to tell.
     """
     printed: Floats = np.asarray(np.round(np.abs(speeds[np.isfinite(speeds)]), 2), np.float64)
     values, counts = np.unique(printed[printed > 0.0], return_counts=True)
-    if len(values) < FEWEST_SPEEDS:
+    if len(values) < 2:
         return None
     shares = counts / counts.sum()
     largest = min(LARGEST_QUANTUM, values.max() / 5.0)
@@ -94,9 +94,14 @@ def find_quantum(speeds: Floats) -> Quantum | None:
         misfits = _find_misfits(values, steps[hopeful], low, high)
         fits[hopeful] |= misfits @ shares <= OUTLIER_SHARE
     fitting = steps[fits]
-    if not len(fitting) or fitting[-1] < FINEST_QUANTUM:
+    step = float(fitting[-1]) if len(fitting) else PRINTED_STEP
+    if len(values) < FEWEST_SPEEDS:
+        chance = (PRINTED_STEP + 2.0 * ROUNDING_SLACK) / step  # that a number is a multiple
+        if 2.0 * len(steps) * chance ** len(values) > CHANCE_LIMIT:
+            return None
+    if step < FINEST_QUANTUM:
         return Quantum(PRINTED_STEP, 0.0, FINEST_QUANTUM)
-    near = fitting[fitting > 0.98 * fitting[-1]]
+    near = fitting[fitting > 0.98 * step]
     half = ROUNDING_SLACK / 2.0
     return Quantum(float(near.mean()), float(near[0]) - half, float(near[-1]) + half)
 

@@ -131,6 +131,8 @@ class MotorFit:
     rounding: SpeedRounding
     counted: bool
     """Whether whole encoder counts tell the window, better than the fit."""
+    bounded: bool
+    """Whether the window is the longest with which the delay isn't negative."""
 
     @property
     def wheels(self) -> list[WheelModel]:
@@ -197,6 +199,11 @@ def fit_motors(
         tracks = [replace(one, speeds=add_cut_half(one.speeds, rounding.cut)) for one in tracks]
         problem = FitProblem.of(tracks, wheels, config)
     solution = solve_problem(problem, x, solution.deadbands, free)
+    bounded = bool(free[-2]) and problem.split(solution.x, solution.deadbands)[1].delay < 0.0
+    if bounded:  # middle and window are hardly told apart: no board answers before its command
+        x, free = solution.x.copy(), free.copy()
+        x[-2], free[-2] = max(problem.dt, 2.0 * x[-3]), False
+        solution = solve_problem(problem, x, solution.deadbands, free)
     found: list[DeadbandEstimate] = []
     for _ in range(2):  # deadbands with the rest given, and the rest with the deadbands given
         models, times = problem.split(solution.x, solution.deadbands)
@@ -214,6 +221,7 @@ def fit_motors(
         quantum,
         rounding,
         counted,
+        bounded,
     )
 
 

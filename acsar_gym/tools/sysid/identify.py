@@ -23,7 +23,7 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import identifiability, parameter_findings
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel, fit_motors
-from acsar_gym.tools.sysid.model_check import ModelCheck, check_model
+from acsar_gym.tools.sysid.model_check import ModelCheck, check_model, measure_parts
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 from acsar_gym.tools.sysid.tracks import decode_track
 
@@ -96,16 +96,17 @@ def identify_logs(
     identifiability.check_wheel_order(tracks)
     known = identifiability.check_identifiability(tracks)
     fit = fit_motors(tracks, config, known)
+    parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
     delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)
     return Identification(
         config,
-        (*parameter_findings.find_wheels(fit, config, known), *board),
+        (*parameter_findings.find_wheels(fit, config, known, parts), *board),
         None if fit is None else _validate(fit, config),
         parameter_findings.sample_delays(fit) if fit and delayed else (),
         sum(one.duration for one in tracks),
         tuple(hashes),
-        None if fit is None else check_model(fit, config),
+        None if fit is None else check_model(fit, config, parts),
     )
 
 

@@ -2,14 +2,16 @@
 
 The error is compared with the noise (the steps of the printed numbers, and what the phases of the
 board's loops do to the time of an answer): on lines that the fit didn't see, and by direction,
-speed and time since a step. Where it is larger, freer models are fitted to the wheel that is missed
-most, each with one habit more (another gain backward, a hold at reversals, an overshoot ...). The
-habit that explains most of the error is named.
+speed and time since a step. Where it is larger, and larger than what `gap` sees of a drive that is
+repeated, freer models are fitted to the wheel that is missed most, each with one habit more
+(another gain backward, a hold at reversals, an overshoot ...). The habit that explains most of the
+error is named.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -37,6 +39,12 @@ FITS = "fits"
 HELD_OUT_LIMIT, PART_LIMIT = 2.2, 1.7
 """A model doesn't fit where its error is larger, in noises: on the held-out lines, or on any part
 of a log. For simulated robots that it describes these were at most 1.6 and 1.3."""
+GAP_NOISE = 0.1
+"""By how much wheel speeds differ if one drive is repeated, RMS [rad/s]: what `gap` can't see.
+
+The same commands, with other phases of the board's clocks: 0.04 to 0.06, 0.1 at most (median and
+maximum of 45 pairs of each of four drives; simulated robots and tests/integer_board.py). A pattern
+counts as a misfit only if it is larger than this noise, too."""
 FEWEST_LINES = 40
 """Fewest lines of a wheel in a part that is judged."""
 WORST_SHARE = 0.03
@@ -53,6 +61,7 @@ lines scatter less from one to the next."""
 SLOW_SPEED = 1.5
 """Below it a speed is low [rad/s]; the excitation's staircase ends there."""
 HELD_OUT = "on what the fit didn't see"
+STEADY_SLOW, STEADY_FAST = "at a steady low speed", "at a steady high speed"
 EXPLAINED_SHARE = 0.4
 """A habit is named that explains this share of the loss."""
 LEAST_CHANGE = 0.02
@@ -65,6 +74,32 @@ STEP_TIME = 0.5
 """Lines so soon after a jump of the command are of its answer [s]."""
 STEP_JUMP = 1.0
 """Smallest change of a command from line to line that counts as a jump [rad/s]."""
+
+
+class PartError(NamedTuple):
+    """The error of a model on a part of the lines of one wheel, and what it may be."""
+
+    index: int
+    """Of the wheel in the problem."""
+    part: str
+    """What the wheel did."""
+    error: float
+    """RMS [rad/s]."""
+    noise: float
+    """That is expected of the same lines, RMS [rad/s]."""
+    speed: float
+    """Of the wheel, RMS [rad/s]."""
+
+    @property
+    def excess(self) -> float:
+        """Error that isn't noise, RMS [rad/s]."""
+        return math.sqrt(max(0.0, self.error**2 - self.noise**2))
+
+    @property
+    def severity(self) -> float:
+        """Error as a share of what it may be."""
+        limit = HELD_OUT_LIMIT if self.part == HELD_OUT else PART_LIMIT
+        return self.error / (limit * max(self.noise, GAP_NOISE))
 
 
 class ModelCheck(NamedTuple):
@@ -171,34 +206,42 @@ def simulate_habits(targets: Floats, dt: float, own: Habits) -> Floats:
     return speeds
 
 
-def check_model(fit: MotorFit, config: RobotConfig) -> ModelCheck | None:
+def measure_parts(fit: MotorFit) -> list[PartError]:
+    """Measure the error of a fitted model, for each wheel by what it did."""
+    parts = []
+    for index in range(len(fit.problem.wheels)):
+        lines = _collect_lines(fit, index)
+        for name, chosen in _split_lines(lines).items():
+            rest, noise, answer = lines.rest[chosen], lines.noise[chosen], lines.answer[chosen]
+            if len(rest) >= FEWEST_LINES:
+                kept = math.ceil((1.0 - WORST_SHARE) * len(rest))
+                usual = np.argsort(np.abs(rest) / noise)[:kept]
+                sizes = [math.sqrt(np.mean(one[usual] ** 2)) for one in (rest, noise, answer)]
+                parts.append(PartError(index, name, *sizes))
+    return parts
+
+
+def check_model(
+    fit: MotorFit, config: RobotConfig, parts: Sequence[PartError]
+) -> ModelCheck | None:
     """Check whether a fitted model describes the board.
 
     Args:
         fit: of the motors.
         config: of the robot, as it was.
+        parts: its errors.
 
     Returns:
         The check; None where there are too few lines.
     """
-    found = []
-    for index, wheel in enumerate(fit.problem.wheels):
-        lines = _collect_lines(fit, index)
-        for name, chosen in _split_lines(lines).items():
-            rest, noise = lines.rest[chosen], lines.noise[chosen]
-            if len(rest) < FEWEST_LINES:
-                continue
-            usual = np.argsort(np.abs(rest) / noise)[: math.ceil((1.0 - WORST_SHARE) * len(rest))]
-            error, least = (math.sqrt(np.mean(part[usual] ** 2)) for part in (rest, noise))
-            limit = HELD_OUT_LIMIT if name == HELD_OUT else PART_LIMIT
-            place = f"wheel {MOTORS[wheel]} {name}"
-            found.append((error / least / limit, index, ModelCheck(error, least, place)))
-    if not found:
+    if not parts:
         return None
-    excess, worst, check = max(found)
+    worst = max(parts, key=lambda part: part.severity)
+    place = f"wheel {MOTORS[fit.problem.wheels[worst.index]]} {worst.part}"
+    check = ModelCheck(worst.error, worst.noise, place)
     pattern = _describe_scale(fit, config)
-    if not pattern and excess > 1.0:
-        pattern = _find_habit(fit, worst) or (
+    if not pattern and worst.severity > 1.0:
+        pattern = _find_habit(fit, worst.index) or (
             f"{check.place} is missed by {check.error:.2f} rad/s, where the noise is "
             f"{check.noise:.2f}"
         )
@@ -227,8 +270,8 @@ def _split_lines(lines: WheelLines) -> dict[str, NDArray[np.bool_]]:
         "forward": lines.answer > SLOW_SPEED / 2.0,
         "backward": lines.answer < -SLOW_SPEED / 2.0,
         "soon after a step": ~settled,
-        "at a steady low speed": settled & ~fast,
-        "at a steady high speed": settled & fast,
+        STEADY_SLOW: settled & ~fast,
+        STEADY_FAST: settled & fast,
     }
 
 

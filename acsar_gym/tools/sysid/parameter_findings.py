@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from acsar_gym.tools.sysid.fit import (
     MotorFit,
 )
 from acsar_gym.tools.sysid.identifiability import Identifiability
+from acsar_gym.tools.sysid.model_check import STEADY_FAST, STEADY_SLOW, PartError
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
@@ -112,37 +114,125 @@ class ParameterFinding:
         return replace(self, value=value, low=low, high=high, note=note, told=True)
 
 
+class WheelEstimate(NamedTuple):
+    """A parameter of a wheel as it was fitted, with its 95 % interval; of a ramp, the slowness."""
+
+    value: float
+    low: float
+    high: float
+
+
 def find_wheels(
-    fit: MotorFit | None, config: RobotConfig, known: Identifiability
+    fit: MotorFit | None,
+    config: RobotConfig,
+    known: Identifiability,
+    parts: Sequence[PartError] = (),
 ) -> list[ParameterFinding]:
-    """Findings of the four motors; one for all wheels where they don't differ."""
-    unlike: dict[str, list[ParameterFinding]] = {
-        name: [] for name in identifiability.WHEEL_PARAMETERS
-    }
-    for wheel, letter in enumerate(MOTORS):
-        lag_told = False
-        for name, four in unlike.items():
-            own = config.motor.of_wheel(wheel)
-            before = float(getattr(own, name.removeprefix("motor.")))
-            one = ParameterFinding(name, letter, before=before)
+    """Findings of the four motors; wheels that can't be told apart have one value.
+
+    Args:
+        fit: of the motors; None where the log tells nothing of any wheel.
+        config: of the robot, as it was.
+        known: what the log can tell.
+        parts: errors of the fit, which widen the intervals.
+    """
+    found: list[ParameterFinding] = []
+    lags_told = [False] * 4
+    for name in identifiability.WHEEL_PARAMETERS:
+        before = [getattr(config.motor.of_wheel(w), name.removeprefix("motor.")) for w in range(4)]
+        four = [
+            ParameterFinding(name, letter, before=float(value))
+            for letter, value in zip(MOTORS, before, strict=True)
+        ]
+        estimates = {}
+        for wheel, letter in enumerate(MOTORS):
             if fit is None or not known.can(name, letter):
-                one = one.explain(known.missing[name, letter])
-            elif name == "motor.deadband":
-                index, slowest = fit.problem.wheels.index(wheel), known.slowest[wheel]
-                one = _find_deadband(one, fit, index, slowest, lag_told=lag_told)
+                four[wheel] = four[wheel].explain(known.missing[name, letter])
             else:
-                one = _find_smooth(one, fit, fit.problem.wheels.index(wheel))
-                lag_told = lag_told or (name == SMOOTH_PARAMETERS[0] and one.told)
-            four.append(one)
-    found = []
-    for name, four in unlike.items():
-        spread = None
-        if fit is not None and name in SMOOTH_PARAMETERS:
-            rows = np.arange(len(fit.problem.wheels)) * PARAMETERS_PER_WHEEL
-            rows += SMOOTH_PARAMETERS.index(name)
-            spread = np.asarray(fit.spread[np.ix_(rows, rows)])
-        found += [_widen(one) for one in _merge_wheels(four, spread)]
+                estimates[wheel] = _estimate(name, fit, wheel, parts)
+        for wheels in _group_wheels(name, fit, estimates):
+            estimate = _merge_wheels(name, fit, {w: estimates[w] for w in wheels})
+            slowest = max(known.slowest[wheel] for wheel in wheels)
+            for wheel in wheels:
+                if name != "motor.deadband":
+                    four[wheel] = _find_smooth(four[wheel], estimate)
+                elif any(lags_told[wheel] for wheel in wheels):
+                    finest = max(fit.rounding)
+                    four[wheel] = _find_deadband(four[wheel], estimate, slowest, finest)
+                else:
+                    four[wheel] = four[wheel].explain(identifiability.HANGS_ON_LAG)
+        alike = len({replace(one, wheel="", before=None) for one in four}) == 1
+        found += [_widen(one) for one in ([replace(four[0], wheel="")] if alike else four)]
+        if fit is not None and name == "motor.time_constant":
+            instant = [wheel.lag < WHEEL_LOW[0] * (1.0 + BOUND_EDGE) for wheel in fit.wheels]
+            short = {w for w, lag in zip(fit.problem.wheels, instant, strict=True) if lag}
+            lags_told = [one.told or wheel in short for wheel, one in enumerate(four)]
     return found
+
+
+def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) -> WheelEstimate:
+    """A parameter of one wheel, with its interval.
+
+    What the model misses at steady speeds may be hidden in it: all of it in a deadband, and as a
+    share of the speed in a gain.
+    """
+    index = fit.problem.wheels.index(wheel)
+    excess = {one.part: one for one in parts if one.index == index}
+    if name == "motor.deadband":
+        value, low, high = fit.deadbands[index] or (0.0, 0.0, math.inf)
+        missed = excess[STEADY_SLOW].excess if STEADY_SLOW in excess else 0.0
+        return WheelEstimate(value, max(0.0, low - missed), high + missed)
+    row = PARAMETERS_PER_WHEEL * index + SMOOTH_PARAMETERS.index(name)
+    value = float(fit.solution.x[row])
+    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
+    half += float(fit.slack[row])
+    if name == "motor.gain" and STEADY_FAST in excess:
+        half += value * excess[STEADY_FAST].excess / max(excess[STEADY_FAST].speed, 1e-9)
+    return WheelEstimate(value, value - half, value + half)
+
+
+def _group_wheels(
+    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
+) -> list[list[int]]:
+    """Share out wheels into groups that can't be told apart."""
+    wheels = sorted(estimates, key=lambda wheel: estimates[wheel].value)
+    if len(wheels) < 2:
+        return [wheels] if wheels else []
+    values, sigmas, weights = _weigh_wheels(estimates)
+    away = float((((values - weights @ values) / sigmas * LIKENESS_FACTOR) ** 2).sum())
+    if away <= stats.chi2.ppf(1.0 - UNLIKE_PROBABILITY, len(wheels) - 1):
+        return [wheels]
+    ordered = [estimates[wheel].value for wheel in wheels]
+    cut = 1 + int(np.argmax(np.diff(ordered)))
+    halves = ({wheel: estimates[wheel] for wheel in half} for half in (wheels[:cut], wheels[cut:]))
+    return [group for half in halves for group in _group_wheels(name, fit, half)]
+
+
+def _weigh_wheels(estimates: dict[int, WheelEstimate]) -> tuple[Floats, Floats, Floats]:
+    """Values of wheels, their standard deviations, and weights for a mean."""
+    values, lows, highs = np.array(list(estimates.values())).T
+    sigmas = np.clip((highs - lows) / 2.0 / NORMAL_QUANTILE, 1e-9, 1e9)
+    return values, sigmas, sigmas**-2 / (sigmas**-2).sum()
+
+
+def _merge_wheels(
+    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
+) -> WheelEstimate:
+    """One estimate for wheels that can't be told apart; its interval has room for each."""
+    if len(estimates) == 1:
+        (one,) = estimates.values()
+        return one
+    values, sigmas, weights = _weigh_wheels(estimates)
+    half = NORMAL_QUANTILE * float(weights @ sigmas)  # of errors that wheels have in common
+    if fit is not None and name in SMOOTH_PARAMETERS:
+        rows = [PARAMETERS_PER_WHEEL * fit.problem.wheels.index(wheel) for wheel in estimates]
+        places = np.array(rows) + SMOOTH_PARAMETERS.index(name)
+        spread = fit.spread[np.ix_(places, places)]
+        shares = np.sqrt(np.maximum(np.diag(spread), 1e-18))
+        common = spread / np.outer(shares, shares)
+        half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
+    low, high = float(values.min()) - half, float(values.max()) + half
+    return WheelEstimate(float(weights @ values), low, high)
 
 
 def _widen(one: ParameterFinding) -> ParameterFinding:
@@ -156,71 +246,47 @@ def _widen(one: ParameterFinding) -> ParameterFinding:
     return replace(one, low=low, high=high, note=note)
 
 
-def _find_smooth(unknown: ParameterFinding, fit: MotorFit, index: int) -> ParameterFinding:
-    """Lag, gain or ramp of one wheel; a ramp from the time that it needs for 1 rad/s."""
+def _find_smooth(unknown: ParameterFinding, estimate: WheelEstimate) -> ParameterFinding:
+    """Lag, gain or ramp of wheels; a ramp from the time that it needs for 1 rad/s."""
     p = SMOOTH_PARAMETERS.index(unknown.name)
-    row = PARAMETERS_PER_WHEEL * index + p
-    value = float(fit.solution.x[row])
-    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
-    half += float(fit.slack[row])
+    value, low, high = estimate
     at_bound = value > WHEEL_HIGH[p] * (1.0 - BOUND_EDGE)
-    vague = half > VAGUE_WHEEL[unknown.name] * value
+    before = unknown.before or 0.0
     if unknown.name == "motor.acceleration":
-        if value + half < LEAST_SLOWNESS and (value - half <= 0.0 or value < 1e-3):
-            fastest = 1.0 / max(value + half, 1e-6)
+        before = 1.0 / max(before, 1e-9)
+    # What was configured is kept where the log tells no more, but not where it can't be true.
+    vague = high - low > 2.0 * VAGUE_WHEEL[unknown.name] * value and low <= before <= high
+    if unknown.name == "motor.acceleration":
+        sure = high < LEAST_SLOWNESS and (low <= 0.0 or value < 1e-3)
+        if sure or (low <= 0.0 and not vague and not at_bound):
+            fastest = 1.0 / max(high, 1e-6)
             note = f"no ramp, or one faster than {fastest:.0f} rad/s^2"
             return unknown.tell(NO_RAMP, fastest, NO_RAMP, note)
         if at_bound or vague:
             why = "too vague: record more large steps"
             return unknown.explain("the fit ended at its bound" if at_bound else why)
-        high = min(NO_RAMP, 1.0 / (value - half))
-        return unknown.tell(1.0 / value, 1.0 / (value + half), high)
+        return unknown.tell(1.0 / value, 1.0 / high, min(NO_RAMP, 1.0 / low))
     if at_bound or value < WHEEL_LOW[p] * (1.0 + BOUND_EDGE):
         return unknown.explain(f"the fit ended at its bound of {value:.3g}")
     if vague:
-        return unknown.explain(f"too vague, +-{half / value:.0%}: record more steps")
-    return unknown.tell(value, max(0.0, value - half), value + half)
+        half = (high - low) / 2.0 / value
+        return unknown.explain(f"too vague, +-{half:.0%}: record more steps")
+    return unknown.tell(value, max(0.0, low), high)
 
 
 def _find_deadband(
-    unknown: ParameterFinding, fit: MotorFit, index: int, slowest: float, *, lag_told: bool
+    unknown: ParameterFinding, estimate: WheelEstimate, slowest: float, finest: float
 ) -> ParameterFinding:
-    """The deadband of one wheel."""
-    one = fit.deadbands[index]
-    if one is None:
-        return unknown.explain("the wheel never turned")
-    if not lag_told and fit.wheels[index].lag > WHEEL_LOW[0] * (1.0 + BOUND_EDGE):
-        return unknown.explain(identifiability.HANGS_ON_LAG)
-    if one.high > slowest:
+    """The deadband of wheels, from slow commands and the step of printed speeds [rad/s]."""
+    value, low, high = estimate.value, max(0.0, estimate.low), estimate.high
+    if value < finest:  # such speeds are printed as zero, deadband or not
+        low, high = 0.0, max(high, finest)
+    if high > slowest:
         why = f"slow commands up to {slowest:.1f} rad/s don't show it"
         return unknown.explain(f"ended at its bound: {why}")
-    if one.high - one.low > 2.0 * VAGUE_WHEEL[unknown.name]:
+    if high - low > 2.0 * VAGUE_WHEEL[unknown.name] and low <= (unknown.before or 0.0) <= high:
         return unknown.explain("too vague: command a slower staircase")
-    return unknown.tell(*one)
-
-
-def _merge_wheels(four: list[ParameterFinding], spread: Floats | None) -> list[ParameterFinding]:
-    """One finding for all wheels, where all are told and they don't differ."""
-    every = replace(four[0], wheel="")
-    if any(one.value is None for one in four):
-        return [every] if len({(one.note, one.value) for one in four}) == 1 else four
-    values = np.array([one.value for one in four], float)
-    ends = np.array([[one.low, one.high] for one in four], float)
-    if (values == NO_RAMP).all():
-        return [replace(every, low=float(ends[:, 0].min()))]
-    sigmas = np.maximum((ends[:, 1] - ends[:, 0]) / 2.0 / NORMAL_QUANTILE, 1e-9)
-    weights = sigmas**-2 / (sigmas**-2).sum()
-    mean = float(weights @ values)
-    away = float((((values - mean) / sigmas * LIKENESS_FACTOR) ** 2).sum())
-    if away > stats.chi2.ppf(1.0 - UNLIKE_PROBABILITY, len(four) - 1):
-        return four
-    half = NORMAL_QUANTILE * float(weights @ sigmas)  # of errors that wheels have in common
-    if spread is not None and len(spread) == len(four):
-        shares = np.sqrt(np.maximum(np.diag(spread), 1e-18))
-        common = spread / np.outer(shares, shares)
-        half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
-    low, high = float(values.min()) - half, float(values.max()) + half
-    return [replace(every, value=mean, low=max(0.0, low), high=high)]
+    return unknown.tell(value, low, high)
 
 
 def find_board(
@@ -269,15 +335,15 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     value = fit.times.delay
     half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
     half += 0.0 if fit.counted else LEAST_WINDOW_INTERVAL / 2.0
+    low, high = max(0.0, value - half), max(half, value + half)
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
         return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
         why = "less than the wire alone takes: check baud_rate and firmware.processing_time"
         return unknown.explain(why)
-    if half > VAGUE_TIME:
+    if half > VAGUE_TIME and low <= (unknown.before or 0.0) <= high:
         return unknown.explain("too vague: record more steps")
     note = "on top of wire and processing_time; the board's loops blur it"
-    low, high = max(0.0, value - half), max(half, value + half)
     return unknown.tell(max(0.0, value), low, high, note)
 
 
@@ -310,8 +376,10 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     dt, value, half = fit.problem.dt, fit.times.window, _half_width(fit, (-2, 1.0))
     if value > 0.95 * LONGEST_WINDOW:
         return unknown.explain("the fit ended at its bound")
-    if not fit.solution.free[-2] and not fit.counted:
+    if not fit.solution.free[-2] and not fit.counted and not fit.bounded:
         return unknown.explain("too vague: record more steps at a higher line rate")
+    if fit.bounded:  # the delay to its middle tells it, as the delay to its begin isn't negative
+        half = 2.0 * _half_width(fit, (-3, 1.0))
     whole = max(1, round(value / dt)) * dt
     if fit.counted:
         return unknown.tell(whole, max(dt, whole - dt), whole + dt, "by encoder counts")

@@ -36,10 +36,8 @@ def make_fit(place: int, value: float, half: float) -> MotorFit:
     x[place] = value
     spread[place, place] = (half / parameter_findings.NORMAL_QUANTILE / INTERVAL_FACTOR) ** 2
     solution = FitSolution(x, (0.0,), np.ones(len(x), bool), 0.1)
-    rounding = SpeedRounding(0.0, 0.0)
-    return MotorFit(
-        problem, solution, spread, np.zeros(len(x)), (None,), None, rounding, counted=False
-    )
+    rest = (np.zeros(len(x)), (None,), None, SpeedRounding(0.0, 0.0))
+    return MotorFit(problem, solution, spread, *rest, counted=False, bounded=False)
 
 
 @pytest.mark.parametrize(
