@@ -166,12 +166,13 @@ class IntegerLink:
     Args:
         program: of the board.
         phase: by which the host's clock is ahead of the board's [ms].
+        wire: whether bytes take their time.
     """
 
     truth = None
     lateness = None
 
-    def __init__(self, program: BoardProgram, phase: float = 0.0, wire=True) -> None:
+    def __init__(self, program: BoardProgram, phase: float = 0.0, wire: bool = True) -> None:
         self._program, self._phase, self.wire = program, phase, wire
         self.reset(Scene())
 

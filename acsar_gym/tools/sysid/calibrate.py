@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.errors import ConfigError, LinkError, show_value
 from acsar_gym.links import open_link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.reading import decode_text, read_file
@@ -97,6 +98,18 @@ class GivenReadings:
         if manoeuvre == "turn":
             return [(one,) for one in self.degrees]
         return [*self.clockwise, *self.counter]
+
+    def of_first(self, runs: Sequence[CalibrationRun]) -> GivenReadings:
+        """Return those of the first runs that were to be driven, where no more were finished."""
+        clockwise = sum(run.name.startswith(calibration_drive.CLOCKWISE_NAME) for run in runs)
+        counts = Counter(run.manoeuvre for run in runs)
+        return GivenReadings(
+            self.measured[: counts["straight"]],
+            self.aside[: counts["straight"]],
+            self.degrees[: counts["turn"]],
+            self.clockwise[:clockwise],
+            self.counter[: counts["square"] - clockwise],
+        )
 
 
 def read_corners(path: Path) -> list[tuple[float, ...]]:
@@ -302,7 +315,8 @@ class DrivenRobot:
 class CalibrationJob:
     """Collects runs and their readings.
 
-    Attributes: `found`, all runs so far; `notes`, lines to be told.
+    Attributes: `config`, of the robot; `found`, all runs so far; `driven`, how many of them the
+    newest `drive` finished; `notes`, lines to be told.
 
     Args:
         config: of the robot.
@@ -324,8 +338,9 @@ class CalibrationJob:
         known: bool = False,
     ) -> None:
         self.found: list[CalibrationRun] = []
+        self.driven = 0
         self.notes: list[str] = []
-        self._config, self._given, self._scales = config, given, scales
+        self.config, self._given, self._scales = config, given, scales
         self._kept_in, self._ask = kept_in, ask
         if kept_in is not None and (known or kept_in.exists()):
             self.found = calibration_runs.read_runs(kept_in, config)
@@ -351,17 +366,9 @@ class CalibrationJob:
 
         Raises:
             ConfigError: the space is too small or not stated, or nobody would measure.
-            LinkError: the robot can't be driven, or was stopped.
+            LinkError: the robot can't be driven, or was stopped; the runs before that are kept.
         """
-        given = False
-        for manoeuvre in ASKED_READINGS:
-            count = sum(plan.manoeuvre == manoeuvre for plan in plans)
-            rows = len(self._given.rows(manoeuvre))
-            given = given or rows > 0
-            if rows not in (0, count):
-                raise ConfigError(
-                    f"{rows} readings for {count} {manoeuvre} runs: must be one for each run"
-                )
+        given = self._count_readings(plans) > 0
         observer: calibration_drive.RunObserver | None = None
         if wire.lidar is not None:
             observer = LidarObserver(with_fine_scans(wire.config))
@@ -380,6 +387,7 @@ class CalibrationJob:
             )
         space = calibration_drive.check_space(wire.config, plans, space)
         scene, robot = wire.make_scene(), wire.make_robot()
+        self.driven = 0
         try:
             for plan in plans:
                 own = plan.ahead() if wire.simulated else plan  # begins at its start anyway
@@ -389,10 +397,27 @@ class CalibrationJob:
                 if any(run.name == one.name for one in self.found):
                     run = replace(run, name=f"{run.name} ({len(self.found) + 1})")
                 self.add([run])
+                self.driven += 1
                 if observer is None and not given:
                     self._ask_readings(len(self.found) - 1)
+        except LinkError:
+            self._given = self._given.of_first(self.found[len(self.found) - self.driven :])
+            raise
         finally:
             robot.close()
+
+    def _count_readings(self, plans: Sequence[calibration_drive.RunPlan]) -> int:
+        """Count the readings of the options; ConfigError unless each run of a kind has one."""
+        counted = 0
+        for manoeuvre in ASKED_READINGS:
+            count = sum(plan.manoeuvre == manoeuvre for plan in plans)
+            rows = len(self._given.rows(manoeuvre))
+            counted += rows
+            if rows not in (0, count):
+                raise ConfigError(
+                    f"{rows} readings for {count} {manoeuvre} runs: must be one for each run"
+                )
+        return counted
 
     def add(self, new: Sequence[CalibrationRun]) -> None:
         """Add runs, such as those of a recording, and keep them in the file."""
@@ -406,7 +431,7 @@ class CalibrationJob:
             ConfigError: their number is another one, or a reading contradicts the odometry.
         """
         self.found = assign_readings(self.found, self._given, self._scales)
-        lines = [check_readings(run, self._config) for run in self.found]
+        lines = [check_readings(run, self.config) for run in self.found]
         self.notes = [line for line in lines if line]
         self._keep()
         for i, run in enumerate(self.found):
@@ -417,7 +442,7 @@ class CalibrationJob:
         """Fit all runs; None where none has a reading. ConfigError as for `fit_geometry`."""
         if not any(run.readings for run in self.found):
             return None
-        return fit_geometry(self.found, self._config)
+        return fit_geometry(self.found, self.config)
 
     def _ask_readings(self, i: int) -> None:
         """Ask until the answer is a reading of this run, or empty; not where nobody is there."""
@@ -426,7 +451,7 @@ class CalibrationJob:
         while self._ask is not None:
             try:
                 read = parse_readings(run, self._ask(question), self._scales)
-                self.notes += [line for line in [check_readings(read, self._config)] if line]
+                self.notes += [line for line in [check_readings(read, self.config)] if line]
             except ConfigError as error:
                 question = f"{error}; again"
             else:
@@ -437,4 +462,4 @@ class CalibrationJob:
     def _keep(self) -> None:
         """Write the runs to their file."""
         if self._kept_in is not None:
-            calibration_runs.write_runs(self._kept_in, self.found, self._config)
+            calibration_runs.write_runs(self._kept_in, self.found, self.config)

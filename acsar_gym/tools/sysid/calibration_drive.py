@@ -25,6 +25,7 @@ calibrated."""
 SPACE_MARGIN = 0.1
 """Distance to be kept from the edge of the space [m]."""
 BACKWARDS_NAME = ", backwards"
+CLOCKWISE_NAME = "square cw"
 SLOWER_SHARE = 0.07
 """How much slower the second and third of three runs are, as a share of the speed."""
 MAX_RUNS = 200
@@ -138,9 +139,9 @@ def plan_squares(
     """
     _check_size("--size", size, 100.0, clockwise + counter)
     found = []
-    for name, side, count in (("cw", -1.0, clockwise), ("ccw", 1.0, counter)):
+    for name, side, count in ((CLOCKWISE_NAME, -1.0, clockwise), ("square ccw", 1.0, counter)):
         legs = (RunLeg(size, 0.0), RunLeg(0.0, side * math.pi / 2.0)) * 4
-        names = [f"square {name} {number}" for number in range(1, count + 1)]
+        names = [f"{name} {number}" for number in range(1, count + 1)]
         found += [RunPlan(own, "square", legs, linear, angular) for own in names]
     return found
 

@@ -282,7 +282,8 @@ def identification_table(found: Identification) -> Table:
     if (model := found.model) is not None:
         caption += (
             f"\nthe model {model.verdict} ({model.place}: {model.error:.3f} rad/s RMS, where the "
-            f"noise is {model.noise:.3f})"
+            f"noise is {model.noise:.3f}"
+            f"{', less than a repeated drive differs by' if model.harmless else ''})"
         )
     drawn = Table(title="acsar-gym identify", title_justify="left", caption=caption)
     drawn.caption_justify = "left"

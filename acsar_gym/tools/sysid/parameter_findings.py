@@ -23,7 +23,7 @@ from acsar_gym.tools.sysid.fit import (
     MotorFit,
 )
 from acsar_gym.tools.sysid.identifiability import Identifiability
-from acsar_gym.tools.sysid.model_check import STEADY_FAST, STEADY_SLOW, PartError
+from acsar_gym.tools.sysid.model_check import FAST_PARTS, STEADY_SLOW, PartError
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
@@ -36,7 +36,7 @@ INTERVAL_FACTOR = 2.5
 twin's answer is a mean over phases."""
 LEAST_INTERVALS = {
     "motor.time_constant": (0.0, 3e-3),
-    "motor.gain": (0.008, 0.0),
+    "motor.gain": (0.01, 0.0),
     "motor.acceleration": (0.025, 0.0),
     "motor.deadband": (0.0, 0.02),
 }
@@ -177,17 +177,17 @@ def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) 
     share of the speed in a gain.
     """
     index = fit.problem.wheels.index(wheel)
-    excess = {one.part: one for one in parts if one.index == index}
+    own = [one for one in parts if one.index == index]
     if name == "motor.deadband":
         value, low, high = fit.deadbands[index] or (0.0, 0.0, math.inf)
-        missed = excess[STEADY_SLOW].excess if STEADY_SLOW in excess else 0.0
+        missed = max((one.excess for one in own if one.part == STEADY_SLOW), default=0.0)
         return WheelEstimate(value, max(0.0, low - missed), high + missed)
     row = PARAMETERS_PER_WHEEL * index + SMOOTH_PARAMETERS.index(name)
     value = float(fit.solution.x[row])
     half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
     half += float(fit.slack[row])
-    if name == "motor.gain" and STEADY_FAST in excess:
-        half += value * excess[STEADY_FAST].excess / max(excess[STEADY_FAST].speed, 1e-9)
+    if name == "motor.gain":
+        half += value * max((one.share for one in own if one.part in FAST_PARTS), default=0.0)
     return WheelEstimate(value, value - half, value + half)
 
 

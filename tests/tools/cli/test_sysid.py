@@ -16,6 +16,8 @@ from serial_tools import TRIALS, RobotFile, StartEmulator, cli
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.recording import Recorder
+from acsar_gym.tools.emulation.quirks import make_link, parse_quirks
+from acsar_gym.tools.sysid.calibrate import DrivenRobot
 from acsar_gym.worlds import World
 from acsar_gym.worlds.files import save_world
 
@@ -151,6 +153,25 @@ def test_in_simulation_truth_measures_and_the_result_is_a_robot_file(
     told = json.loads(result.read_text(encoding="utf-8"))
     assert told["not_told"] == []
     assert len(told["runs"]) == 5
+
+
+def test_runs_that_were_finished_before_a_stall_are_used(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that hangs 8 s after it began: in the turn, which takes longer."""
+
+    def make_robot(robot: DrivenRobot) -> Robot:
+        quirks = parse_quirks(["frozen=8"])
+        return Robot(make_link("planar", robot.twin, quirks), robot.config)
+
+    monkeypatch.setattr(DrivenRobot, "make_robot", make_robot)
+    out, drive = tmp_path / "my.yaml", ("--distance", "0.6", "--repeats", "1")
+    code, said, error = call("calibrate", "planar", "all", *drive, "--out", out)
+    assert code == 3
+    assert "1 finished runs are used" in said
+    assert "wheel_radius" in said
+    assert_one_line(error, "no feedback")
+    assert set(RobotConfig.load(out).measured) >= {"wheel_radius"}
 
 
 def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call, tmp_path: Path) -> None:

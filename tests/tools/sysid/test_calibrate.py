@@ -184,6 +184,16 @@ def test_runs_are_kept_as_they_end_and_the_next_call_adds_its_own(tmp_path: Path
     assert all(run.readings for run in found)
 
 
+def test_readings_for_runs_that_were_not_finished_are_left_out() -> None:
+    given = GivenReadings((2.0, 2.1), (), (1712.0,), ((0.0, 0.1),), ((0.2, 0.3), (0.4, 0.5)))
+    assert given.of_first([]) == GivenReadings()
+    assert given.of_first([LINE]) == GivenReadings((2.0,))
+    finished = [LINE, LINE, LEFT, CW, CCW]
+    assert given.of_first(finished) == GivenReadings(
+        (2.0, 2.1), (), (1712.0,), ((0.0, 0.1),), ((0.2, 0.3),)
+    )
+
+
 def test_truth_is_not_read_where_somebody_measures() -> None:
     job = CalibrationJob(ACSAR, GivenReadings(measured=(0.5, 0.5)), SCALES)
     job.drive(ROBOT, PLANS, None, lambda _: None)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, escape_unprintable
+from acsar_gym.errors import ConfigError, LinkError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
@@ -139,17 +141,34 @@ def calibrate_robot(
             if value is not None and not robot.simulated:
                 raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")
         plans = what.plans(manoeuvre, config, run, given)
-        job.drive(robot, plans, run.space, lambda plan: _announce_run(robot, run, plan))
-    job.read(manoeuvre)
-    return _finish_calibration(job, config, kept_in, output)
+        with _using_finished(job, manoeuvre, kept_in, output):
+            job.drive(robot, plans, run.space, lambda plan: _announce_run(robot, run, plan))
+    return _finish_calibration(job, manoeuvre, kept_in, output)
+
+
+@contextlib.contextmanager
+def _using_finished(
+    job: CalibrationJob, manoeuvre: Manoeuvre, kept_in: Path | None, output: CalibrationOutputs
+) -> Iterator[None]:
+    """Use the runs that were finished where the link fails in a later one."""
+    try:
+        yield
+    except LinkError:
+        if job.driven:
+            say(f"{job.driven} finished runs are used")
+            with contextlib.suppress(ConfigError):  # too few; what ended them counts more
+                _finish_calibration(job, manoeuvre, kept_in, output)
+        raise
 
 
 def _finish_calibration(
-    job: CalibrationJob, config: RobotConfig, kept_in: Path | None, output: CalibrationOutputs
+    job: CalibrationJob, manoeuvre: Manoeuvre, kept_in: Path | None, output: CalibrationOutputs
 ) -> int:
-    """Fit, print and write; returns the exit code."""
+    """Read, fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
 
+    config = job.config
+    job.read(manoeuvre)
     for line in job.notes:
         say(line)
     fit = job.fit()
