@@ -28,6 +28,8 @@ BYTES_PER_MILLISECOND = 11.52
 """Of a wire at 115200 baud."""
 LOOP = 10
 """Period of the board's loop [ms]."""
+REPEAT_PERIOD = 3000
+"""How often old measurements are printed, if they are [ms]."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class BoardProgram:
     """From a command's arrival until it counts."""
     stale: int = 0
     """From a measurement until it is printed."""
+    repeat: int = 0
+    """Every 3 s it goes on printing what it measured last for this long."""
     fresh: int = 0
     """1: a line shows what the loop of its own millisecond did; 0: the loop before."""
     feedback: int = 20
@@ -145,7 +149,9 @@ class IntegerBoard:
             aim = 0 if abs(aim) < own.deadband else max(-own.top, min(own.top, aim))
             speed = self._speeds[wheel]
             self._speeds[wheel] = speed + divide(aim * own.fraction - speed, own.divisor)
-        self._measured.append(tuple(divide(speed, own.fraction) for speed in self._speeds))
+        if self.time % REPEAT_PERIOD >= own.repeat or not self._measured:
+            self._newest = tuple(divide(speed, own.fraction) for speed in self._speeds)
+        self._measured.append(self._newest)
 
     def _print_line(self) -> bytes:
         """Print what was measured, as integers and their hundredths."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,6 +71,8 @@ and 0.14 to 0.17 rad/s in its slower form; the boards of tests/tools/sysid/check
 don't fit are off by 0.24 rad/s or more elsewhere."""
 EXPLAINED_SHARE = 0.4
 """A habit is named that explains this share of the loss."""
+STALE_TIME, STALE_CHANGE = 0.1, 1.0
+"""Lines that are the same for longer than this [s], while the model changes by more [rad/s]."""
 LEAST_CHANGE = 0.02
 """Wheels whose backward gain differs by less than this are alike forward and backward."""
 EVALUATIONS = 400
@@ -261,7 +263,8 @@ def check_model(
     missed = f"{place} is missed by {worst.error:.2f} rad/s"
     pattern = _describe_scale(fit, config)
     if not pattern and worst.severity > 1.0:
-        pattern = _find_habit(fit, worst.index) or f"{missed}, where the noise is {worst.noise:.2f}"
+        pattern = _describe_stale_lines(fit) or _find_habit(fit, worst.index)
+        pattern = pattern or f"{missed}, where the noise is {worst.noise:.2f}"
     pattern = pattern or _describe_odd_wheel(fit, config)
     harmless = not pattern and worst.error > worst.limit * worst.noise
     return ModelCheck(worst.error, worst.noise, place, pattern, harmless)
@@ -352,6 +355,30 @@ def _describe_odd_wheel(fit: MotorFit, config: RobotConfig) -> str:
         if not LOWEST_RATIO <= ratio <= HIGHEST_RATIO:
             return f"wheel {MOTORS[wheel]} turns at {ratio:.2f} of what it should"
     return ""
+
+
+def _describe_stale_lines(fit: MotorFit) -> str:
+    """Say that lines repeat old speeds, if most of the error lies there."""
+    whole = stale = longest = 0.0
+    for track in fit.problem.tracks:
+        answers = np.column_stack(
+            [
+                fit.problem.answer(track, wheel, model, fit.times)
+                for wheel, model in zip(fit.problem.wheels, fit.wheels, strict=True)
+            ]
+        )
+        speeds = track.speeds[:, list(fit.problem.wheels)]
+        squares = ((answers - speeds) ** 2).sum(axis=1)
+        whole += float(squares.sum())
+        begins = np.flatnonzero(np.append(True, (np.diff(speeds, axis=0) != 0.0).any(axis=1)))
+        for begin, end in pairwise([*begins.tolist(), len(speeds)]):
+            lasted = float(track.stamps[end - 1] - track.stamps[begin])
+            if lasted > STALE_TIME and np.ptp(answers[begin:end], axis=0).max() > STALE_CHANGE:
+                stale += float(squares[begin:end].sum())
+                longest = max(longest, lasted)
+    if stale < EXPLAINED_SHARE * whole:
+        return ""
+    return f"feedback stands still for up to {longest:.2g} s while wheels change their speeds"
 
 
 def _find_habit(fit: MotorFit, worst: int) -> str:

@@ -1,0 +1,177 @@
+"""A board that isn't ours is identified: its integers are no misfit, and what is one is named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import integer_board
+import numpy as np
+import pytest
+from integer_board import SLOWER, BoardProgram, IntegerBoard, IntegerLink
+from sysid_tools import ACSAR, find_missed_truths
+
+from acsar_gym import RobotConfig
+from acsar_gym.links import open_link
+from acsar_gym.protocol import Decoder, encode
+from acsar_gym.recording import read
+from acsar_gym.tools.sysid.identify import Identification, identification_table, identify_device
+from acsar_gym.tools.sysid.model_check import GAP_NOISE
+from acsar_gym.tools.sysid.parameter_findings import NO_RAMP
+from acsar_gym.tools.sysid.twin_gap import measure_gap
+
+WHEEL_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration", "motor.deadband")
+
+
+def identify(program: BoardProgram, phase: float = 3.0) -> Identification:
+    return identify_device(IntegerLink(program, phase), ACSAR, 20.0)
+
+
+def describe(program: BoardProgram) -> RobotConfig:
+    """The robot that has this board; what its intervals have to hold."""
+    return ACSAR.with_(
+        motor={
+            "time_constant": program.lag,
+            "gain": tuple(percent / 100.0 for percent in program.gain),
+            "acceleration": float(program.ramp) or NO_RAMP,
+            "deadband": program.deadband / 100.0,
+        },
+        firmware={
+            "command_delay": 1e-3 * program.delay,
+            "feedback_rate": 1e3 / program.feedback,
+            "command_timeout": 1e-3 * program.timeout or None,
+        },
+        encoder={"quantum": program.quantum / 100.0, "window": 0.005},
+    )
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    return identify(BoardProgram())
+
+
+def read_speeds(data: bytes) -> list[tuple[float, ...]]:
+    return [tuple(s or 0.0 for s in reading.speeds) for reading in Decoder().feed(data)]
+
+
+def test_the_board_answers_in_integers_and_milliseconds() -> None:
+    board, lines = IntegerBoard(BoardProgram(fresh=1)), []
+    for time in range(2500):
+        line = board.run_millisecond(encode((3.0, -3.0, 0.1, 0.0)) if time == 1600 else b"")
+        lines += [(board.time, speeds) for speeds in read_speeds(line)]
+    assert lines[0][0] == 1500
+    assert {time % 20 for time, _ in lines} == {0}
+    after = dict(lines)
+    assert after[1600] == (0.0, 0.0, 0.0, 0.0)
+    assert after[1620] == (0.47, -0.47, 0.0, 0.0)  # two loops: 25, then 22 of 275
+    assert after[2100] == (2.89, -2.89, 0.0, 0.0)  # and never nearer
+    assert after[2200][0] < 2.0  # the time-out
+
+
+def test_it_is_identified(found: Identification) -> None:
+    found.check()
+    assert find_missed_truths(found, describe(BoardProgram())) == []
+    assert {one.wheel for one in found.findings} == {""}
+    assert found.model is not None
+    assert found.model.harmless
+    assert found.model.noise < found.model.error < GAP_NOISE
+    assert found.robot().motor_fit == "fits"
+    assert "less than a repeated drive" in str(identification_table(found).caption)
+
+
+def drive_goals(program: BoardProgram, path: Path) -> None:
+    """Record drives to three goals."""
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0", link=IntegerLink(program, 1.0), robot=ACSAR, record=path
+    )
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        done = False
+        while not done:
+            ahead, aside = observation[1], observation[2]  # as policies do: at full speed
+            action = np.clip(np.array([3.0 * ahead, 3.0 * aside], np.float32), -1.0, 1.0)
+            observation, _, terminated, truncated, _ = env.step(action)
+            done = terminated or truncated
+    env.close()
+
+
+def test_its_gap_is_at_most_half_of_the_presets(found: Identification, tmp_path: Path) -> None:
+    drive_goals(BoardProgram(), tmp_path / "drives.mcap")
+    logs = [("drives", read(tmp_path / "drives.mcap"))]
+    gap = measure_gap(logs, ("identified", found.robot()), ("acsar", ACSAR))
+    before, after = gap.figures("before"), gap.figures("after")
+    assert after["wheel_speed_rms"] < 0.5 * before["wheel_speed_rms"]
+    assert abs(after["time_shift"]) < 0.002
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        BoardProgram(feedback=100, noise=10),
+        pytest.param(SLOWER, marks=pytest.mark.slow),
+        pytest.param(BoardProgram(ramp=40, feedback=10), marks=pytest.mark.slow),
+        pytest.param(BoardProgram(gain=(95, 100, 104, 98)), marks=pytest.mark.slow),
+        pytest.param(BoardProgram(gain=(100, 100, 85, 100)), marks=pytest.mark.slow),
+        pytest.param(BoardProgram(delay=40, timeout=0), marks=pytest.mark.slow),
+        pytest.param(BoardProgram(noise=10), marks=pytest.mark.slow),
+        pytest.param(BoardProgram(deadband=60, fraction=64), marks=pytest.mark.slow),
+    ],
+)
+def test_its_variants_are_identified(program: BoardProgram) -> None:
+    found = identify(program)
+    found.check()
+    assert find_missed_truths(found, describe(program)) == []
+    unlike = {one.name for one in found.findings if one.wheel}
+    assert unlike == ({"motor.gain"} if len(set(program.gain)) > 1 else set())
+    assert all(one.told for one in found.findings if one.name in WHEEL_NAMES)
+
+
+@pytest.mark.slow
+def test_a_delay_that_is_vague_is_told_where_none_is_wrong() -> None:
+    findings = {one.name: one for one in identify(BoardProgram(stale=300)).findings}
+    delay = findings["firmware.command_delay"]
+    assert delay.told
+    assert delay.value == pytest.approx(0.3, abs=0.02)
+
+
+def test_whole_numbers_are_a_step_of_one() -> None:
+    found = identify(BoardProgram(quantum=100))
+    quantum = next(one for one in found.findings if one.name == "encoder.quantum")
+    assert quantum.told
+    assert quantum.value == pytest.approx(1.0, abs=1e-3)
+    assert find_missed_truths(found, describe(BoardProgram(quantum=100))) == []
+
+
+@pytest.mark.parametrize(
+    ("program", "said"),
+    [
+        (BoardProgram(repeat=300), "feedback stands still for up to 0.3 s"),
+        pytest.param(BoardProgram(backward=85), "backward weaker", marks=pytest.mark.slow),
+        pytest.param(BoardProgram(top=600), "saturates at 5.", marks=pytest.mark.slow),
+        pytest.param(BoardProgram(hold=200), "at reversals", marks=pytest.mark.slow),
+    ],
+)
+def test_what_changes_a_drive_is_refused_by_name(program: BoardProgram, said: str) -> None:
+    found = identify(program)
+    assert found.model is not None
+    assert said in found.model.pattern
+    assert found.robot().motor_fit.startswith("doesn't fit")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("deadline")
+def test_it_is_identified_over_a_pseudo_terminal() -> None:
+    patient = ACSAR.with_(watchdog_timeout=5.0, feedback_timeout=10.0)
+    program = [sys.executable, integer_board.__file__]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as board:
+        try:
+            assert board.stdout is not None
+            device = board.stdout.readline().split()[-1]
+            found = identify_device(open_link(device, patient), patient, 20.0)
+        finally:
+            board.terminate()
+    found.check()
+    lag = next(one for one in found.findings if one.name == "motor.time_constant")
+    assert lag.value == pytest.approx(BoardProgram().lag, rel=0.05)
