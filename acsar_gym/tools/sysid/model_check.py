@@ -256,13 +256,12 @@ def check_model(
     """
     if not parts:
         return None
-    worst = max(parts, key=lambda part: part.severity)
-    if worst.severity <= 1.0:
-        worst = max(parts, key=lambda part: part.error / part.noise / part.limit)
+    misfits = [part for part in parts if part.severity > 1.0]
+    worst = max(misfits or parts, key=lambda part: part.error / part.noise / part.limit)
     place = f"wheel {MOTORS[fit.problem.wheels[worst.index]]} {worst.part}"
     missed = f"{place} is missed by {worst.error:.2f} rad/s"
     pattern = _describe_scale(fit, config)
-    if not pattern and worst.severity > 1.0:
+    if not pattern and misfits:
         pattern = _describe_stale_lines(fit) or _find_habit(fit, worst.index)
         pattern = pattern or f"{missed}, where the noise is {worst.noise:.2f}"
     pattern = pattern or _describe_odd_wheel(fit, config)

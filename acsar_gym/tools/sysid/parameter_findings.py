@@ -78,6 +78,7 @@ TIMEOUT_NAME = "firmware.command_timeout"
 RATE_NAME = "firmware.feedback_rate"
 WINDOW_NAME = "encoder.window"
 QUANTUM_NAME = "encoder.quantum"
+NO_WHEEL = "no wheel turned"
 COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
 
 
@@ -296,18 +297,19 @@ def find_board(
     tracks: Sequence[BoardTrack],
 ) -> list[ParameterFinding]:
     """Findings of the board, in the order of the table."""
-    found = []
-    for name, before, find in (
-        (DELAY_NAME, config.firmware.command_delay, _find_delay),
-        (TIMEOUT_NAME, config.firmware.command_timeout, _find_timeout),
-        (WINDOW_NAME, config.encoder.window, _find_window),
-    ):
-        one = ParameterFinding(name, before=before)
-        hidden = name == WINDOW_NAME and not known.can(DELAY_NAME)
-        if fit is None or hidden or not known.can(name):
-            found.append(one.explain(known.missing.get((name, ""), "no wheel turned")))
-        else:
-            found.append(find(one, fit))
+    delay = ParameterFinding(DELAY_NAME, before=config.firmware.command_delay)
+    timeout = ParameterFinding(TIMEOUT_NAME, before=config.firmware.command_timeout)
+    window = ParameterFinding(WINDOW_NAME, before=config.encoder.window)
+    if fit is None or not known.can(DELAY_NAME):
+        why = known.missing.get((DELAY_NAME, ""), NO_WHEEL)
+        delay, window = delay.explain(why), window.explain(why)
+    else:
+        window = _find_window(window, fit)
+        delay = _find_delay(delay, fit, window.value or config.encoder.window)
+    if fit is None or not known.can(TIMEOUT_NAME):
+        timeout = timeout.explain(known.missing.get((TIMEOUT_NAME, ""), NO_WHEEL))
+    else:
+        timeout = _find_timeout(timeout, fit)
     rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
     if not known.can(RATE_NAME):
         rate = rate.explain(known.missing[RATE_NAME, ""])
@@ -318,7 +320,7 @@ def find_board(
         note = f"jitter {1e3 * lines.jitter:.1f} ms"
         rate = rate.tell(lines.rate, low, lines.rate + lines.half, note)
     quantum = _find_quantum(fit, config, np.concatenate([track.speeds for track in tracks]))
-    return [*found[:2], rate, found[2], quantum]
+    return [delay, timeout, rate, window, quantum]
 
 
 def _half_width(fit: MotorFit, *weights: tuple[int, float]) -> float:
@@ -330,21 +332,25 @@ def _half_width(fit: MotorFit, *weights: tuple[int, float]) -> float:
     return NORMAL_QUANTILE * INTERVAL_FACTOR * sigma + float(np.abs(row) @ fit.slack)
 
 
-def _find_delay(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
-    """The delay of commands; the phase of the board's loops adds up to one to its interval."""
+def _find_delay(unknown: ParameterFinding, fit: MotorFit, window: float) -> ParameterFinding:
+    """The delay of commands, of a twin whose encoders average for `window` [s].
+
+    The phase of the board's loops adds up to one to its interval.
+    """
     value = fit.times.delay
     half = _half_width(fit, (-3, 1.0), (-2, -0.5)) + fit.problem.dt
     half += 0.0 if fit.counted else LEAST_WINDOW_INTERVAL / 2.0
-    low, high = max(0.0, value - half), max(half, value + half)
     if not DELAY_BOUNDS[0] * 0.9 < value < DELAY_BOUNDS[1] * 0.9:
         return unknown.explain("the fit ended at its bound")
     if value + half < -NEGATIVE_DELAY:
         why = "less than the wire alone takes: check baud_rate and firmware.processing_time"
         return unknown.explain(why)
+    low, high = max(0.0, value - half), max(half, value + half)
     if half > VAGUE_TIME and low <= (unknown.before or 0.0) <= high:
         return unknown.explain("too vague: record more steps")
     note = "on top of wire and processing_time; the board's loops blur it"
-    return unknown.tell(max(0.0, value), low, high, note)
+    value = max(0.0, value + (fit.times.window - window) / 2.0)  # what both add up to is told best
+    return unknown.tell(value, min(low, value), max(high, value), note)
 
 
 def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:

@@ -81,6 +81,16 @@ def test_numbers_without_steps_are_finer_than_two_decimals_show() -> None:
     assert find_quantum(np.round(SPEEDS[:10], 2)) is None
 
 
+@pytest.mark.parametrize(("step", "fastest"), [(1.0, 8.0), (0.5, 6.0), (2.0, 12.0)])
+def test_few_speeds_show_a_step_that_is_no_chance(step: float, fastest: float) -> None:
+    speeds = SPEEDS[np.abs(SPEEDS) < fastest]
+    found = find_quantum(step * np.trunc(speeds / step))
+    assert found is not None
+    assert found.step == pytest.approx(step, abs=1e-3)
+    assert found.low <= step <= found.high
+    assert find_quantum(np.array([2.94, 3.04, 3.13, 5.98, 6.07])) is None
+
+
 def test_encoder_counts_are_recognized_below_a_coarser_rounding() -> None:
     count = count_speed(ACSAR, 0.05)
     printed = np.round(0.05 * np.round(count * np.round(SPEEDS / count) / 0.05), 2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from sysid_tools import ACSAR
@@ -19,25 +21,89 @@ from acsar_gym.tools.sysid.fit import (
     fit_deadband,
 )
 from acsar_gym.tools.sysid.identifiability import Identifiability
+from acsar_gym.tools.sysid.model_check import STEADY_FAST, PartError
 from acsar_gym.tools.sysid.parameter_findings import INTERVAL_FACTOR, NO_RAMP, ParameterFinding
-from acsar_gym.tools.sysid.response import FitProblem
+from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL, FitProblem
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
 DT = 1.0 / ACSAR.firmware.loop_rate
-SLOWNESS, WINDOW = 2, -2
+GAIN, SLOWNESS, MIDDLE, WINDOW = 1, 2, -3, -2
 """Places of these among a fit's numbers, of one wheel and the board."""
 
 
-def make_fit(place: int, value: float, half: float) -> MotorFit:
-    """A fit of wheel a, one number of which has an error."""
-    problem = FitProblem((), (0,), DT, ACSAR.motor.max_speed)
-    x = problem.join([configured_wheel(ACSAR, 0)], configured_times(ACSAR))
+def make_fit(
+    place: int, value: float | Sequence[float], half: float | Sequence[float], wheels: int = 1
+) -> MotorFit:
+    """A fit of the first wheels, one number of which has an error."""
+    problem = FitProblem((), tuple(range(wheels)), DT, ACSAR.motor.max_speed)
+    models = [configured_wheel(ACSAR, wheel) for wheel in range(wheels)]
+    x = problem.join(models, configured_times(ACSAR))
     spread: Floats = np.zeros((len(x), len(x)))
-    x[place] = value
-    spread[place, place] = (half / parameter_findings.NORMAL_QUANTILE / INTERVAL_FACTOR) ** 2
-    solution = FitSolution(x, (0.0,), np.ones(len(x), bool), 0.1)
-    rest = (np.zeros(len(x)), (None,), None, SpeedRounding(0.0, 0.0))
+    places = place + PARAMETERS_PER_WHEEL * np.arange(wheels) if place >= 0 else place
+    x[places] = value
+    sigmas = np.asarray(half) / parameter_findings.NORMAL_QUANTILE / INTERVAL_FACTOR
+    spread[places, places] = sigmas**2
+    solution = FitSolution(x, (0.0,) * wheels, np.ones(len(x), bool), 0.1)
+    rest = (np.zeros(len(x)), (None,) * wheels, None, SpeedRounding(0.0, 0.0))
     return MotorFit(problem, solution, spread, *rest, counted=False, bounded=False)
+
+
+def find_all(fit: MotorFit, name: str) -> list[ParameterFinding]:
+    """Findings of one parameter where the log tells it of four wheels."""
+    unknown = Identifiability({("motor.deadband", wheel): "" for wheel in "abcd"})
+    found = parameter_findings.find_wheels(fit, ACSAR, unknown)
+    return [one for one in found if one.name == name]
+
+
+@pytest.mark.parametrize(
+    ("slowness", "halves"),
+    [
+        ((0.001, 0.0005, 0.002, 0.012), (0.003, 0.003, 0.003, 0.014)),
+        ((0.0, 0.0, 0.0, 0.0008), (0.0005, 0.002, 0.009, 0.012)),
+    ],
+)
+def test_a_wheel_with_a_vaguer_ramp_has_that_of_the_others(
+    slowness: Sequence[float], halves: Sequence[float]
+) -> None:
+    (ramp,) = find_all(make_fit(SLOWNESS, slowness, halves, 4), "motor.acceleration")
+    assert (ramp.wheel, ramp.value, ramp.told) == ("", NO_RAMP, True)
+
+
+def test_wheels_that_cannot_be_told_apart_have_one_value() -> None:
+    gains = find_all(make_fit(GAIN, (0.991, 0.998, 0.85, 1.003), (0.01,) * 4, 4), "motor.gain")
+    assert [one.wheel for one in gains] == ["a", "b", "c", "d"]
+    a, b, c, d = gains
+    assert a.value == b.value == d.value == pytest.approx(0.997, abs=1e-3)
+    assert a.low is not None
+    assert a.high is not None
+    assert a.low < 0.991 - 0.005
+    assert a.high > 1.003 + 0.005
+    assert c.value == pytest.approx(0.85)
+
+
+def test_what_the_model_misses_widens_the_intervals_of_gains() -> None:
+    fit = make_fit(GAIN, 1.0, 0.005)
+    unknown = Identifiability({("motor.deadband", wheel): "" for wheel in "abcd"})
+    for name in ("motor.time_constant", "motor.gain", "motor.acceleration"):
+        unknown.missing |= {(name, wheel): "" for wheel in "bcd"}
+    parts = [PartError(0, STEADY_FAST, 0.13, 0.05, 6.0)]  # 0.12 rad/s beyond the noise
+    found = parameter_findings.find_wheels(fit, ACSAR, unknown, parts)
+    gain = next(one for one in found if (one.name, one.wheel) == ("motor.gain", "a"))
+    assert (gain.low, gain.high) == (pytest.approx(0.975), pytest.approx(1.025))
+
+
+@pytest.mark.parametrize(("value", "told"), [(1.0, False), (1.2, True)])
+def test_a_vague_value_is_kept_only_where_it_can_be_right(value: float, told: bool) -> None:
+    (gain,) = find_all(make_fit(GAIN, (value,) * 4, (0.15,) * 4, 4), "motor.gain")
+    assert gain.told == told
+
+
+def test_delay_and_window_add_up_to_what_was_fitted() -> None:
+    """Whatever window the robot's file has: their sum is told best."""
+    fit = make_fit(MIDDLE, 0.06, 0.001)
+    for window in (0.05, 0.1):
+        found = parameter_findings._find_delay(ParameterFinding("", before=0.0), fit, window)
+        assert found.value == pytest.approx(0.06 - window / 2.0)
 
 
 @pytest.mark.parametrize(
