@@ -88,7 +88,7 @@ STEP_JUMP = 1.0
 class PartError(NamedTuple):
     """The error of a model on a part of the lines of one wheel, and what it may be."""
 
-    index: int
+    place: int
     """Of the wheel in the problem."""
     part: str
     """What the wheel did."""
@@ -258,11 +258,11 @@ def check_model(
         return None
     misfits = [part for part in parts if part.severity > 1.0]
     worst = max(misfits or parts, key=lambda part: part.error / part.noise / part.limit)
-    place = f"wheel {MOTORS[fit.problem.wheels[worst.index]]} {worst.part}"
+    place = f"wheel {MOTORS[fit.problem.wheels[worst.place]]} {worst.part}"
     missed = f"{place} is missed by {worst.error:.2f} rad/s"
     pattern = _describe_scale(fit, config)
     if not pattern and misfits:
-        pattern = _describe_stale_lines(fit) or _find_habit(fit, worst.index)
+        pattern = _describe_stale_lines(fit) or _find_habit(fit, worst.place)
         pattern = pattern or f"{missed}, where the noise is {worst.noise:.2f}"
     pattern = pattern or _describe_odd_wheel(fit, config)
     harmless = not pattern and worst.error > worst.limit * worst.noise

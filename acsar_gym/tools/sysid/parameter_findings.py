@@ -158,7 +158,7 @@ def find_wheels(
                 if name != "motor.deadband":
                     four[wheel] = _find_smooth(four[wheel], estimate)
                 elif any(lags_told[wheel] for wheel in wheels):
-                    finest = max(fit.rounding)
+                    finest = max(fit.rounding) if fit else 0.0
                     four[wheel] = _find_deadband(four[wheel], estimate, slowest, finest)
                 else:
                     four[wheel] = four[wheel].explain(identifiability.HANGS_ON_LAG)
@@ -178,7 +178,7 @@ def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) 
     share of the speed in a gain.
     """
     index = fit.problem.wheels.index(wheel)
-    own = [one for one in parts if one.index == index]
+    own = [one for one in parts if one.place == index]
     if name == "motor.deadband":
         value, low, high = fit.deadbands[index] or (0.0, 0.0, math.inf)
         missed = max((one.excess for one in own if one.part == STEADY_SLOW), default=0.0)
