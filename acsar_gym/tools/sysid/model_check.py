@@ -40,7 +40,8 @@ GAP_NOISE = 0.1
 """By how much wheel speeds differ if one drive is repeated, RMS [rad/s]: what `gap` can't see.
 
 The same commands, with other phases of the board's clocks: 0.04 to 0.06, 0.1 at most (median and
-maximum of 45 pairs of each of four drives; simulated robots and tests/integer_board.py)."""
+maximum of pairs; simulated robots and tests/integer_board.py; `pytest -s -m slow
+tests/tools/sysid/test_integer_board.py -k repeated` prints some)."""
 FEWEST_LINES = 40
 """Fewest lines of a wheel in a part that is judged."""
 WORST_SHARE = 0.03

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -14,13 +15,17 @@ from integer_board import SLOWER, BoardProgram, IntegerBoard, IntegerLink
 from sysid_tools import ACSAR, find_missed_truths
 
 from acsar_gym import RobotConfig
-from acsar_gym.links import open_link
+from acsar_gym.links import Link, open_link
+from acsar_gym.links.base import arrivals_of
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import read
+from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.identify import Identification, identification_table, identify_device
 from acsar_gym.tools.sysid.model_check import GAP_NOISE
 from acsar_gym.tools.sysid.parameter_findings import NO_RAMP
 from acsar_gym.tools.sysid.twin_gap import measure_gap
+from acsar_gym.worlds import Scene
 
 WHEEL_NAMES = ("motor.time_constant", "motor.gain", "motor.acceleration", "motor.deadband")
 
@@ -104,6 +109,39 @@ def test_its_gap_is_at_most_half_of_the_presets(found: Identification, tmp_path:
     before, after = gap.figures("before"), gap.figures("after")
     assert after["wheel_speed_rms"] < 0.5 * before["wheel_speed_rms"]
     assert abs(after["time_shift"]) < 0.002
+
+
+def replay(wire: WireLog, link: Link, shift: float) -> tuple[Floats, Floats]:
+    """Feedback to recorded commands that come `shift` later by the board's clock [s]."""
+    link.open()
+    link.reset(Scene())
+    link.advance(0.1 + shift)
+    begin, got = link.now() - float(wire.sent_stamps[0]), []
+    for stamp, data in zip(wire.sent_stamps.tolist(), wire.sent, strict=True):
+        link.advance(max(0.0, begin + stamp - link.now()))
+        got += arrivals_of(link)
+        link.write(data)
+    stamps, pieces = zip(*got, strict=True)
+    return WireLog(wire.sent_stamps, wire.sent, np.array(stamps) - begin, pieces).feedback(ACSAR)
+
+
+@pytest.mark.slow
+def test_a_repeated_drive_differs_by_the_noise_of_gap(tmp_path: Path) -> None:
+    """With other phases of the board's clocks. `pytest -s` prints it."""
+    drive_goals(BoardProgram(), tmp_path / "drives.mcap")
+    episode = read(tmp_path / "drives.mcap").episodes[0]
+    for name, make in (
+        ("integer board", lambda: IntegerLink(BoardProgram())),
+        ("slower", lambda: IntegerLink(SLOWER)),
+        ("acsar", lambda: open_link("planar", ACSAR)),
+    ):
+        sides = [replay(episode.wire, make(), 0.0021 * k) for k in range(10)]
+        apart = []
+        for (stamps, speeds), (others, theirs) in itertools.combinations(sides, 2):
+            near = np.column_stack([np.interp(stamps, others, column) for column in theirs.T])
+            apart.append(float(np.sqrt(np.mean((speeds - near) ** 2))))
+        print(f"{name}: {np.median(apart):.3f} rad/s, at most {max(apart):.3f}")
+        assert 0.2 * GAP_NOISE < max(apart) < 1.1 * GAP_NOISE
 
 
 @pytest.mark.parametrize(
