@@ -79,6 +79,7 @@ RATE_NAME = "firmware.feedback_rate"
 WINDOW_NAME = "encoder.window"
 QUANTUM_NAME = "encoder.quantum"
 NO_WHEEL = "no wheel turned"
+CUT_NOTE = "speeds are cut to it; a twin rounds them, so it reads half a step more"
 COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
 
 
@@ -410,7 +411,8 @@ def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> 
     if found.step <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"
         return replace(unknown.tell(*found, note), told=False)
-    return unknown.tell(*found)
+    cut = fit is not None and fit.rounding.cut > 0.0
+    return unknown.tell(*found, CUT_NOTE if cut else "")
 
 
 def sample_delays(fit: MotorFit) -> tuple[float, ...]:

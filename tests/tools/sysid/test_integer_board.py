@@ -23,7 +23,7 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.identify import Identification, identification_table, identify_device
 from acsar_gym.tools.sysid.model_check import GAP_NOISE
-from acsar_gym.tools.sysid.parameter_findings import NO_RAMP
+from acsar_gym.tools.sysid.parameter_findings import CUT_NOTE, NO_RAMP
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 from acsar_gym.worlds import Scene
 
@@ -179,6 +179,7 @@ def test_whole_numbers_are_a_step_of_one() -> None:
     quantum = next(one for one in found.findings if one.name == "encoder.quantum")
     assert quantum.told
     assert quantum.value == pytest.approx(1.0, abs=1e-3)
+    assert quantum.note == CUT_NOTE
     assert find_missed_truths(found, describe(BoardProgram(quantum=100))) == []
 
 
