@@ -159,9 +159,8 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
         try:
             inspect.signature(getattr(task, name)).bind(*arguments)
         except TypeError as error:
-            wanted = ", ".join(arguments)
             raise TaskError(
-                f"{task_name(task)}: {name}() must take ({wanted}) after self: {error}"
+                f"{task_name(task)}: {name}() must take ({', '.join(arguments)}) after self: {error}"
                 f"{method_place(task, name)}"
             ) from error
     for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
