@@ -159,8 +159,9 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
         try:
             inspect.signature(getattr(task, name)).bind(*arguments)
         except TypeError as error:
+            signature = f"{name}({', '.join(arguments)})"
             raise TaskError(
-                f"{task_name(task)}: {name}() must take ({', '.join(arguments)}) after self: {error}"
+                f"{task_name(task)}: must have {signature}, after self: {error}"
                 f"{method_place(task, name)}"
             ) from error
     for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
