@@ -59,7 +59,8 @@ class SerialLink:
         self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
         self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
         ends = [line_end(trailing_comma=comma) for comma in (False, True)]
-        self._zeros += tuple(zero + end for zero in (ECHO_PROBE, ECHO_ZERO) for end in ends)
+        echoed = tuple(zero + end for zero in (ECHO_PROBE, ECHO_ZERO) for end in ends)
+        self._stops = self._zeros + echoed  # what stops the wheels, when it is written
         self.echoes = config.echo
         self.watchdog = Watchdog(self._stop_line, config.watchdog_timeout)
         self._wants_arrivals = False
@@ -157,7 +158,7 @@ class SerialLink:
             port = self._require_port()
             if not data:
                 port.write(data)
-            elif data.endswith(self._zeros):
+            elif data.endswith(self._stops):
                 port.write(data)
                 self.watchdog.note_stop()
             else:
