@@ -108,7 +108,7 @@ def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path:
     assert written.motor_fit.startswith("doesn't fit: feedback is 1.50")
     assert not written.measured
     again = "mine.yaml: this robot's simulation doesn't fit: "
-    page = tmp_path / "gap.html"
+    page, figures = tmp_path / "gap.html", tmp_path / "gap.json"
     gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out, "--json", figures)
     assert again + "feedback is 1.50 times" in call(*gap, "--html", page)[1]
     assert any(note.startswith(again) for note in json.loads(figures.read_text())["notes"])
