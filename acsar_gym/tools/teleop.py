@@ -76,11 +76,14 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
 
 def drive_keyboard(robot: Robot) -> None:
     """Drive from the keyboard, until q or Ctrl-C."""
-    if not sys.stdin.isatty():
+    # Keys are read where the output, or at least the errors, go to a terminal.
+    screens = [stream for stream in (sys.__stdout__, sys.__stderr__) if stream and stream.isatty()]
+    if not (screens and sys.stdin.isatty()):
         raise CommandError(
             "no keyboard here: give a fixed twist with --linear and --angular, or --gamepad"
         )
-    terminal = Terminal(force_styling=None)  # only read keys; don't query the terminal
+    # Only read keys; don't query the terminal.
+    terminal = Terminal(stream=screens[0], force_styling=None)
     config, keys = robot.config, DriveKeys()
     print(KEY_HELP)
     with robot, terminal.cbreak():
