@@ -110,9 +110,11 @@ class ReplayLink:
                 "was it made with this goal and policy?",
             )
         if tape.has_gap:
+            damaged = self._recording is not None and bool(self._recording.damages)
+            why = "the file is damaged" if damaged else "its writer couldn't keep up"
             raise LinkLostError(
                 f"{self.replays}: the recording has a gap, {tape.place}",
-                "its writer couldn't keep up: it can't be replayed from here on",
+                f"{why}: it can't be replayed from here on",
             )
         recorded, got = tape.next()
         self._sent = b""

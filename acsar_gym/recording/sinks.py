@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -100,6 +99,9 @@ def _open_locked(path: str, flags: int) -> int:
 class McapFile:
     """A file that is being written. Errors are OSError, except in the constructor.
 
+    Messages tell their episode in their field `sequence`, and the header stands at both ends: what
+    is whole of a damaged file can be told apart.
+
     Args:
         path: of the file; an older recording that is there is kept under a number.
         header: of the recording.
@@ -118,7 +120,9 @@ class McapFile:
             self._file = UnbufferedFile(path)
             self._writer: Any = Writer(self._file, chunk_size=CHUNK_SIZE)  # type: ignore[arg-type]
             self._writer.start("ros2", f"acsar_gym {messages.package_version()}")
-            self._writer.add_metadata(messages.HEADER_RECORD, {"header": json.dumps(header)})
+            self._header = messages.seal_text("header", header)
+            self._episode = 0
+            self._writer.add_metadata(messages.HEADER_RECORD, self._header)
             schemas = {
                 kind: self._writer.register_schema(
                     kind, SCHEMA_ENCODING, messages.type_definition(kind)
@@ -138,8 +142,10 @@ class McapFile:
 
     def add(self, message: Message) -> None:
         """Add a message; it is in the file after the next `flush`."""
+        self._episode += message.topic is messages.EPISODE
         channel = self._channels[message.topic.name]
-        self._writer.add_message(channel, message.time, message.data, message.time)
+        time = message.time
+        self._writer.add_message(channel, time, message.data, time, self._episode)
 
     def flush(self) -> None:
         """Write what was added, so that it survives a crash of the program or the computer."""
@@ -152,7 +158,8 @@ class McapFile:
         """Finish the file with its index, and what is only known at the end."""
         try:
             self._writer.flush()
-            self._writer.add_metadata(messages.END_RECORD, {"end": json.dumps(end)})
+            self._writer.add_metadata(messages.HEADER_RECORD, self._header)
+            self._writer.add_metadata(messages.END_RECORD, messages.seal_text("end", end))
             self._writer.finish()
         finally:
             self.abandon()

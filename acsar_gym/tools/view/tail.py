@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.reading import open_file
 from acsar_gym.recording import messages
+from acsar_gym.recording.episodes import EpisodeCollector, EpisodeParts
 from acsar_gym.recording.messages import (
     DIAGNOSTICS,
     EXCHANGES,
@@ -26,13 +27,7 @@ from acsar_gym.recording.messages import (
     WIRE_SENT,
     Topic,
 )
-from acsar_gym.recording.reader import (
-    MAX_FILE,
-    EpisodeCollector,
-    EpisodeParts,
-    FileCut,
-    RecordStream,
-)
+from acsar_gym.recording.stream import FileCut, RecordStream
 from acsar_gym.recording.types import Floats, WireLog
 
 WRITING_TIMEOUT = 10.0
@@ -285,7 +280,7 @@ class RecordingTail:
         Raises:
             ConfigError: as for the constructor.
         """
-        with open_file(self.path, MAX_FILE) as file:
+        with open_file(self.path, None) as file:
             status = os.fstat(file.fileno())
             same = status.st_dev, status.st_ino
             is_other = self._file not in (None, same)
@@ -305,15 +300,15 @@ class RecordingTail:
     def _read(self, file: Any) -> bool:
         """Read complete records from where the last call has ended; whether there was anything."""
         collector = self._collector
+        records = RecordStream(file, collector.topics)
+        records.place = self._place or records.place
         try:
-            records = RecordStream(file, collector.topics)
-            file.seek(self._place or file.tell())
             for opcode, content in records:
                 collector.take(opcode, content)
-                self._place = file.tell()
-        except FileCut:  # the rest of the record isn't written yet
-            pass
-        collector.kept = 0
+        except FileCut as cut:  # the rest of the record isn't written yet
+            if cut.damaged:
+                raise ConfigError("is damaged: what follows is no record") from None
+        self._place = records.place
         if collector.header is None:
             raise ConfigError("isn't a recording of acsar_gym")
         if not self.header:
