@@ -40,9 +40,9 @@ class Tape:
     """
 
     def __init__(self, episode: Episode) -> None:
+        self._first_tick = float(episode.stamps[0]) if len(episode.stamps) else math.inf
         self._periods = periods = episode.exchanges
         self._wire, self._turns = episode.wire, episode.revolutions
-        self._first_tick = float(episode.stamps[0]) if len(episode.stamps) else math.inf
         self._writes, self._pieces = (
             np.concatenate([[0], np.cumsum(np.maximum(counts, 0))])
             for counts in (periods.writes, periods.pieces)

@@ -104,6 +104,7 @@ class RecordStream:
             if opcode == CHUNK:
                 yield from self.read_chunk(content)
             elif opcode == DATA_END:
+                self.place = self.at  # it is read again where the index isn't written yet
                 break
             else:
                 if opcode == MESSAGE and len(content) > 1:
