@@ -87,9 +87,7 @@ def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
 
 
 @contextlib.contextmanager
-def _open_checked(
-    path: Path, limit: int | None, error: type[AcsarError]
-) -> Iterator[IO[bytes]]:
+def _open_checked(path: Path, limit: int | None, error: type[AcsarError]) -> Iterator[IO[bytes]]:
     """Open a regular file within the limit; raises `error`, also for OSErrors inside the block."""
     try:
         status = os.stat(path)  # noqa: PTH116 - before opening, too: that resets some boards

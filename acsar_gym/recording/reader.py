@@ -115,7 +115,7 @@ def _read_counted(
             make_episode(one) if kept else source.make_lazy(number, one)
             for number, one in zip(numbers, parts, strict=True)
         )
-        digest = _hash_file(file, stream.at if cut is not None else None)
+        digest = hash_file(file, stream.at if cut is not None else None)
     missing = sum(one.missing for one in parts)
     dropped = (collector.end or {}).get("dropped", 0)
     dropped = dropped if isinstance(dropped, int) and dropped > 0 else 0
@@ -161,7 +161,7 @@ def _take(
     collector.take(opcode, content, at)
 
 
-def _hash_file(file: IO[bytes], end: int | None) -> str:
+def hash_file(file: IO[bytes], end: int | None) -> str:
     """First 16 hex digits of the SHA-256 of a file, up to a place."""
     digest, place = hashlib.sha256(), 0
     file.seek(0)

@@ -36,7 +36,8 @@ class Tape:
     Args:
         episode: of a recording.
 
-    Attributes: `now`, the time at the end of the newest period [s].
+    Attributes: `now`, the time at the end of the newest period [s]; `first_period`, how long the
+    first one lasts [s].
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -51,6 +52,7 @@ class Tape:
         self._written = 0
         self._revolution = -1
         self.now = episode.start
+        self.first_period = float(periods.stamps[0]) - self.now if len(periods.stamps) else 0.0
 
     @property
     def place(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, overload
 
 import numpy as np
@@ -214,6 +214,28 @@ class Episode:
     """What the LiDAR measured; empty unless they were asked for."""
     success: bool | None = None
     """Whether the task was solved; None where no env was recorded."""
+
+
+def begin_at_part(episode: Episode) -> Episode:
+    """Return an episode whose odometry begins with it, as after a reset.
+
+    Args:
+        episode: the poses and the goal of a part of an episode are moved; others stay as they are.
+    """
+    part = episode.info.get("part")
+    pose = part.get("pose") if isinstance(part, Mapping) else None
+    if not isinstance(pose, list) or len(pose) != 3 or not np.isfinite(pose).all():
+        return episode
+    x, y, theta = (float(number) for number in pose)
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    poses = np.array(episode.poses)
+    poses[:, :2] = (poses[:, :2] - (x, y)) @ turn
+    poses[:, 2] -= theta
+    info = {key: value for key, value in episode.info.items() if key != "start"}
+    goal = info.get("goal")
+    if isinstance(goal, list) and len(goal) == 2:
+        info["goal"] = ((np.array(goal, np.float64) - (x, y)) @ turn).tolist()
+    return replace(episode, poses=poses, info=info)
 
 
 @dataclass(frozen=True, eq=False)

@@ -144,7 +144,7 @@ def _read_logs(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
     logs = [(path.name, read(path)) for path in paths]
     seen: dict[str, str] = {}
     for name, log in logs:
-        begun = str(log.header["created"])  # tells a cut copy, too
+        begun = str((log.header["created"], log.header.get("cut")))  # tells a cut copy, too
         if begun in seen:
             raise ConfigError(f"{name}: is the same recording as {seen[begun]}")
         seen[begun] = name
