@@ -101,7 +101,7 @@ def cut_recording(path: Path, begin: float, end: float, target: Path) -> CutResu
     if target.exists():
         raise ConfigError(f"{target}: is there already: name another file with --out")
     with open_file(path, None) as file:
-        survey = Survey(file)
+        survey = Survey(file, begin)
         lasts = (survey.last - survey.first) / 1e9
         if begin > lasts:
             raise ConfigError(f"lasts {lasts:.1f} s: nothing is there from {begin:g} s on")
@@ -125,44 +125,60 @@ class Survey:
     """What an MCAP file holds.
 
     Attributes: `first` and `last`, times [ns]; `is_ours`, whether it is a recording of this
-    package; `digest`, its hash; `damages`, a line for each damaged place.
+    package; `digest`, its hash; `damages`, a line for each damaged place; `pose` and `revolution`,
+    by odometry and with its channel, the newest of the episode when the part begins.
 
     Args:
         file: the file.
+        begin: of the part [s].
 
     Raises:
         ConfigError: it holds no message.
     """
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes], begin: float) -> None:
         stream = RecordStream(file)
-        self.is_ours, opening = False, -1
-        first, last, openings = 2**64, -1, set[int]()
-        self._has_channels = False
+        self.is_ours = False
+        self.pose = [0.0, 0.0, 0.0]
+        self.revolution: tuple[int, bytes] | None = None
+        self._topics: dict[int, str] = {}
+        self._opened = -1
+        self._begin = round(begin * 1e9)
+        first, self.last = 2**64, -1
         with contextlib.suppress(FileCut):
             for opcode, content in stream:
                 if opcode == MESSAGE:
                     channel, _, time, _ = MESSAGE_HEAD.unpack_from(content)
-                    first, last = min(first, time), max(last, time)
-                    if channel in openings and opening < 0:
-                        opening = time
+                    first, self.last = min(first, time), max(self.last, time)
+                    self._note(self._topics.get(channel, ""), channel, time, content)
                 elif opcode == METADATA:
                     self.is_ours |= parse_record("Metadata", content).name == HEADER_RECORD
                 elif opcode == CHANNEL:
                     record = parse_record("Channel", content)
-                    self._has_channels = True
-                    if record.topic == EPISODE.name:
-                        openings.add(record.id)
-        if last < 0:
+                    self._topics[record.id] = record.topic
+        if self.last < 0:
             raise ConfigError("holds no messages")
-        self.first, self.last = (opening if opening >= 0 else first), last
+        self.first = self._opened if self._opened >= 0 else first
         self.damages = tuple(stream.damages)
         self.digest = hash_file(file, None)
+
+    def _note(self, name: str, channel: int, time: int, content: bytes) -> None:
+        """Note what an episode has when the part begins."""
+        if name == EPISODE.name and self._opened < 0:
+            self._opened = time
+        if self._opened < 0 or time >= self._opened + self._begin:
+            return
+        if name == EPISODE.name:
+            self.pose, self.revolution = [0.0, 0.0, 0.0], None
+        elif name == TICKS.name and len(content) >= 22 + NUMBER_PLACE + 40:
+            self.pose = list(struct.unpack_from("<3d", content, 22 + NUMBER_PLACE + 16))
+        elif name == REVOLUTIONS.name:
+            self.revolution = channel, content[22:]
 
     def read_all(self, file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         """Yield all records once more."""
         stream = RecordStream(file)
-        if not self._has_channels:
+        if not self._topics:
             yield from stream.read_summary()
         with contextlib.suppress(FileCut):
             yield from stream
@@ -175,7 +191,7 @@ def make_cutter(
     if not survey.is_ours:
         return FileCutter(output, span)
     told = {"of": survey.digest, "from": begin, "to": None if math.isinf(end) else end}
-    return RecordingCutter(output, span, told)
+    return RecordingCutter(output, span, survey, told)
 
 
 class FileCutter:
@@ -279,11 +295,13 @@ class RecordingCutter(FileCutter):
     Args:
         output: the new file.
         span: what is copied.
+        survey: of the file.
         told: what the header says about it.
     """
 
-    def __init__(self, output: IO[bytes], span: Span, told: dict[str, Any]) -> None:
+    def __init__(self, output: IO[bytes], span: Span, survey: Survey, told: dict[str, Any]) -> None:
         super().__init__(output, span)
+        self._survey = survey
         self._told = told
         self._header: dict[str, str] | None = None
         self._begin_episode(None, 0)
@@ -294,12 +312,10 @@ class RecordingCutter(FileCutter):
         self._is_open = self._has_stepped = False
         self._first_exchange = self._first_step = 0
         self._stamp: float | None = None
-        self._pose = [0.0, 0.0, 0.0]
         self._pieces: dict[str, deque[tuple[int, int, bytes]]] = {
             WIRE_SENT.name: deque(),
             WIRE_RECEIVED.name: deque(),
         }
-        self._revolution: tuple[int, bytes] | None = None
         self._reset_time = -1
 
     def _take_metadata(self, record: Any) -> None:
@@ -330,11 +346,6 @@ class RecordingCutter(FileCutter):
             self._kept_before[channel] = data
         elif self._span.holds(time) and self._is_open:
             self._copy_message(name, channel, time, data)
-        elif time < self._span.first:
-            if name == TICKS.name:
-                self._pose = list(struct.unpack_from("<3d", data, NUMBER_PLACE + 16))
-            elif name == REVOLUTIONS.name:
-                self._revolution = channel, data
 
     def _copy_message(self, name: str, channel: int, time: int, data: bytes) -> None:
         """Copy a message of the part; rows tell the new numbers of exchange and step."""
@@ -382,14 +393,14 @@ class RecordingCutter(FileCutter):
         """Write what begins a part of an episode."""
         self._first_exchange = first_exchange
         if self._opening is not None and self._stamp is not None:
-            self._opening = begin_anew(self._opening, self._stamp, self._pose)
+            self._opening = begin_anew(self._opening, self._stamp, self._survey.pose)
         self._open_episode()
         if self._is_open:
             for channel, data in self._kept_before.items():
                 if data is not None and self._topics[channel] == TF_STATIC.name:
                     self._put(channel, self._span.first, data)
-            if self._revolution is not None:
-                channel, data = self._revolution
+            if self._survey.revolution is not None:
+                channel, data = self._survey.revolution
                 self._put(channel, self._span.first, write_number(data, -1.0))
 
     def _flush_pieces(self) -> None:

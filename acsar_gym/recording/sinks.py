@@ -36,6 +36,9 @@ class Sink(Protocol):
     def flush(self) -> None:
         """Pass on what was added."""
 
+    def begin_file(self, dropped: int) -> None:
+        """Go on in a new file; `dropped` events until now."""
+
     def close(self, end: Mapping[str, Any]) -> None:
         """End; `end` has the number of dropped events."""
 
@@ -174,6 +177,46 @@ class McapFile:
                 self._file.raw.close()
 
 
+class SplitFile:
+    """A recording in several files: FILE.mcap, FILE-2.mcap, FILE-3.mcap and so on.
+
+    Args:
+        path: of the first one.
+        header: of the recording.
+
+    Raises:
+        ConfigError, MissingExtraError: as for `McapFile`.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        self._path, self._header = path, header
+        self._number, self._dropped = 1, 0
+        self._file = McapFile(path, header)
+
+    def add(self, message: Message) -> None:
+        """Add a message to the newest file."""
+        self._file.add(message)
+
+    def flush(self) -> None:
+        """Write what was added."""
+        self._file.flush()
+
+    def begin_file(self, dropped: int) -> None:
+        """Finish the file and begin the next one; ConfigError where it can't be written."""
+        self.close({"dropped": dropped})
+        self._number, self._dropped = self._number + 1, dropped
+        path = self._path.with_stem(f"{self._path.stem}-{self._number}")
+        self._file = McapFile(path, {**self._header, "cut": {"file": self._number}})
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """Finish the newest file."""
+        self._file.close({"dropped": end["dropped"] - self._dropped})
+
+    def abandon(self) -> None:
+        """Close the newest file as it is."""
+        self._file.abandon()
+
+
 class UnbufferedFile:
     """A file without a buffer, which a forked process would write a second time.
 
@@ -249,6 +292,9 @@ class LiveView:
         if message.topic.latched:
             self._latched[message.topic.name] = message
         self._channels[message.topic.name].log(message.data, log_time=message.time)
+
+    def begin_file(self, dropped: int) -> None:
+        """Do nothing: viewers don't see files."""
 
     def flush(self) -> None:
         """Send again what viewers need that connected later."""

@@ -1,7 +1,9 @@
-"""Look into recordings, or convert them: acsar-gym record info|export FILE."""
+"""Look into recordings, cut or convert them: acsar-gym record info|cut|export FILE."""
 
 from __future__ import annotations
 
+import math
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,6 +36,35 @@ def describe_recording(file: Recorded, json: File = None) -> int:
     for line in summary_lines(found):
         say(line)
     print_results(json=json, data=found)
+    return 0
+
+
+@command("record cut", "recordings")
+def cut_recording(
+    file: Recorded,
+    begin: Annotated[str, tyro.conf.arg(name="from", metavar="TIME")] = "0",
+    end: Annotated[str, tyro.conf.arg(name="to", metavar="TIME")] = "",
+    out: File = None,
+) -> int:
+    """Write a part of a recording, or of a ROS 2 bag in MCAP, to a new file.
+
+    Times are since the beginning of the recording, such as 90s, 20min, 1.5h or 1:02:30.
+
+    Args:
+        file: the recording.
+        begin: of the part.
+        end: of the part; default: the end of the recording.
+        out: the new file; default: FILE.part.mcap.
+    """
+    from acsar_gym.recording import cut  # noqa: PLC0415
+
+    target = out or file.with_suffix(f".part{file.suffix}")
+    first, last = cut.parse_duration(begin), cut.parse_duration(end) if end else math.inf
+    found = cut.cut_recording(file, first, last, target)
+    for damage in found.damages:
+        print(f"acsar-gym: {file}: left out, damaged: {damage}", file=sys.stderr)
+    count = f"{found.episodes} episode{'s' * (found.episodes != 1)}, " if found.episodes else ""
+    say(f"written: {target}: {count}{found.seconds:.1f} s")
     return 0
 
 
