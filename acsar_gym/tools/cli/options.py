@@ -176,6 +176,21 @@ class RecordOptions:
         return made
 
 
+@dataclass(frozen=True)
+class BagOptions:
+    """Where a recording is a ROS 2 bag: an MCAP file, a .db3 file, or a folder of rosbag2."""
+
+    topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC [TOPIC ...]")] = ()
+    """Topics of the bag that are used, or namespaces, such as /robot1; default: all."""
+
+    def open(self, path: Path, robot: str | None) -> Path:
+        """Return the recording, made of the bag where it is one; see `recording.bags`."""
+        from acsar_gym.config import RobotConfig  # noqa: PLC0415
+        from acsar_gym.recording.bags import open_recording  # noqa: PLC0415
+
+        return open_recording(path, None if robot is None else RobotConfig.of(robot), self.topics)
+
+
 def check_not_given(options: Iterable[tuple[str, Any]]) -> None:
     """Check options that are only for driving, where recordings are read.
 

@@ -12,7 +12,9 @@ import tyro
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
+    BagOptions,
     File,
+    RobotArg,
     check_writable,
     print_results,
     say,
@@ -22,21 +24,30 @@ Recorded = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
 @command("record info", "recordings")
-def describe_recording(file: Recorded, json: File = None) -> int:
+def describe_recording(
+    file: Recorded, bag: BagOptions, robot: RobotArg = None, json: File = None
+) -> int:
     """Tell what a recording holds.
 
     Args:
-        file: the recording.
+        file: the recording, or a ROS 2 bag.
+        bag: of ROS 2.
+        robot: ROS 2 bags: preset or file of the robot that it is of.
         json: also write it to this file.
     """
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
     check_writable(json)
-    found = summarize(file)
+    found = summarize(bag.open(file, robot))
     for line in summary_lines(found):
         say(line)
     print_results(json=json, data=found)
     return 0
+
+
+def make_folder_name(file: Path) -> Path:
+    """Return the folder beside a recording, with its name."""
+    return file.with_name(f"{file.name}.tables") if file.is_dir() else file.with_suffix("")
 
 
 @command("record cut", "recordings")
@@ -74,25 +85,30 @@ def export_recording(
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")
     ],
     to: Literal["parquet", "csv", "minari", "lerobot"],
+    bag: BagOptions,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     env: str = "",
     goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
+    robot: RobotArg = None,
 ) -> int:
     """Convert a recording to tables, or recordings to a data set for offline learning.
 
     Args:
-        files: the recording; a data set may be made of several.
+        files: the recording, or a ROS 2 bag; a data set may be made of several.
         to: parquet or csv, one table for each kind of data; or minari or lerobot, a data set of
             what an agent would have seen and done.
+        bag: of ROS 2.
         out: folder to write; default: beside the first recording, with its name.
         env: data sets: the env whose observations are wanted; default: the one that recorded, or
             point_goal where a person drove.
         goal: data sets: x and y in the odometry frame [m]; default: the recorded goal, or the place
             where the drive ended.
+        robot: ROS 2 bags: preset or file of the robot that it is of.
     """
     if not files:
         raise ConfigError("record export needs a recording")
-    folder = out or files[0].with_suffix("")
+    folder = out or make_folder_name(files[0])
+    files = tuple(bag.open(file, robot) for file in files)
     if to in ("minari", "lerobot"):
         from acsar_gym.tools import datasets  # noqa: PLC0415
 
