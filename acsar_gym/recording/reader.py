@@ -185,6 +185,9 @@ class RecordedEpisode(Episode):
         self._source.load(self, self._number, group)
         return self.__dict__[name]
 
+    def __repr__(self) -> str:
+        return f"<episode {self._number}, read when it is asked for>"
+
     def iterate_blocks(self) -> Iterator[Episode]:
         """Yield ticks, truth and wire in blocks."""
         return self._source.iterate_blocks(self._number)
