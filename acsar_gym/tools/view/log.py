@@ -116,6 +116,9 @@ def _list_tick_lines(episode: GrowingEpisode, late_tick: float) -> Iterator[LogL
 
 def describe_end(tail: RecordingTail, time: float) -> LogLine:
     """Tell how a recording that isn't written any more has ended, at a time since the reset [s]."""
+    if tail.damages:
+        text = f"the recording ends; left out, damaged: {', '.join(tail.damages[:2])}"
+        return LogLine(time, WARNING, text)
     if not tail.is_complete:
         return LogLine(time, WARNING, "the recording's end is missing")
     if tail.dropped:

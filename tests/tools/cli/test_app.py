@@ -176,7 +176,7 @@ def test_a_drive_goes_on_in_new_files_and_parts_are_cut_out(call: Call, tmp_path
     code, out, error = call("record", "cut", tape, "--from", "0.5s", "--to", "0:01.5")
     assert (code, error) == (0, "")
     assert f"written: {part}: 1 episode, 1.0 s" in out
-    code, _, error = call("record", "cut", tape, "--from", "1h")
+    code, _, error = call("record", "cut", tape, "--from", "1h", "--out", tmp_path / "x.mcap")
     assert code == 2
     assert_one_line(error, f"{tape}: lasts 2.0 s: nothing is there from 3600 s on")
     code, _, error = call("record", "cut", tape)
