@@ -115,8 +115,8 @@ def _read_one(path: Path, env: str, goal: Goal | None) -> Demonstrations:
     if recording.cut:
         last = "the last episode is left out" if is_incomplete(recording) else "its end is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=4)
-    count = len(recording.episodes) - is_incomplete(recording)
-    whole = tuple(map(begin_at_part, recording.episodes[:count]))
+    episodes = tuple(map(begin_at_part, recording.episodes))
+    whole = episodes[: len(episodes) - is_incomplete(recording)]
     about = recording.header["about"]
     named = about.get("env")
     named = str(named.get("id", "")) if isinstance(named, Mapping) else ""
@@ -136,7 +136,7 @@ def _read_one(path: Path, env: str, goal: Goal | None) -> Demonstrations:
         return Demonstrations(named, names, rate, **told, episodes=made)
     # Only the user, not the file, may name an env of another package, which is imported.
     env_id = find_id(env or strip_module(named) or DEFAULT_ENV)
-    made_env = _make_replay_env(env_id, path, recording.config, whole, goal)
+    made_env = _make_replay_env(env_id, path, recording.config, episodes, goal)
     try:
         made = tuple(_replay_steps(made_env, path, whole, goal))
     finally:
