@@ -14,6 +14,7 @@ import re
 import shutil
 import sqlite3
 import tempfile
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -25,7 +26,13 @@ from numpy.typing import NDArray
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, require_extra, show_value
+from acsar_gym.errors import (
+    ConfigError,
+    RecordingWarning,
+    escape_unprintable,
+    require_extra,
+    show_value,
+)
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import explain_error, open_file, parse_yaml, read_file
@@ -415,7 +422,13 @@ def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
                     if number in channels:
                         yield BagMessage(*channels[number], time, content[MESSAGE_HEAD.size :])
         except FileCut:
-            return
+            problems = ["the file is cut: what followed is missing"]
+        else:
+            problems = []
+    problems += [f"is damaged: left out {damage}" for damage in stream.damages]
+    if problems and topics is not None:  # which is the second time
+        text = escape_unprintable(f"{path}: {', '.join(problems[:3])}")
+        warnings.warn(text, RecordingWarning, stacklevel=2)
 
 
 def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:

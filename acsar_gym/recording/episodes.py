@@ -145,7 +145,7 @@ class EpisodeParts:
     messages of the other topics; `places`, where they are in the file; `counts` and `sizes`
     [bytes], by topic, also of what was forgotten; `last_step`, the newest row of that table; `end`,
     time of the last exchange [s]; `missing`, numbers of exchanges that weren't there; `simulated`,
-    whether the truth is known.
+    whether the truth is known; `newest`, times of the tables' last rows [s].
     """
 
     def __init__(self, opening: EpisodeOpening | None) -> None:
@@ -158,6 +158,7 @@ class EpisodeParts:
         self.last_step: tuple[float, ...] = ()
         self.end = self.start
         self.highest = -1.0
+        self.newest: dict[str, float] = {}
         self.simulated = False
         self.forget()
 
@@ -188,6 +189,7 @@ class EpisodeParts:
             raise ConfigError(f"is damaged: a broken row of {name}")
         table += content
         number, stamp = _NUMBER_AND_STAMP.unpack_from(content)
+        self.newest[name] = stamp
         if self.is_lost and not stamp >= self.start and abs(stamp) <= MAX_STAMP:
             self.start = stamp
             self.offset = time - round(stamp * 1e9)
@@ -261,8 +263,9 @@ class EpisodeCollector:
 
     Attributes: `header` and `end`, None until they were read; `parts`, the episodes; `topics`, by
     the numbers of the channels that are wanted; `kept`, bytes that are in memory; `is_whole`,
-    whether nothing was forgotten; `damages`, a line for each record that isn't what was written;
-    `problem`, what is wrong with a header that was left out.
+    whether nothing was forgotten; `is_damaged`, whether chunks are left out; `damages`, a line for
+    each record that isn't what was written; `problem`, what is wrong with a header that was left
+    out.
 
     Args:
         wanted: the topics that are wanted, besides that of the episodes.
@@ -282,6 +285,7 @@ class EpisodeCollector:
         self._wanted = {topic.name: topic for topic in (messages.EPISODE, *wanted)}
         self._openings = self._described = 0
         self.is_whole = True
+        self.is_damaged = False
         self._only: tuple[int, EpisodeParts, Container[Topic]] | None = None
         self._current: EpisodeParts | None = None
         self._at = -1
@@ -382,11 +386,8 @@ class EpisodeCollector:
         if sequence != self._sequence:  # the opening is lost
             self._sequence = sequence
             self._open_episode(None)
-        if topic is EXCHANGES and len(data) >= 36:
-            number = _NUMBER_AND_STAMP.unpack_from(data, 20)[0]
-            if number < self._exchange and not sequence:  # an older version's
-                self._open_episode(None)
-            self._exchange = number
+        if topic in TABLE_TOPICS and len(data) >= 36:
+            self._look_at_row(topic, sequence, *_NUMBER_AND_STAMP.unpack_from(data, 20))
         parts = self._current
         if parts is None or (self._only is not None and topic not in self._only[2]):
             return
@@ -394,6 +395,18 @@ class EpisodeCollector:
         parts.add(topic, time, data)
         if self._only is None and (not parts.places or parts.places[-1].at != at):
             parts.places.append(self._place)
+
+    def _look_at_row(self, topic: Topic, sequence: int, number: float, stamp: float) -> None:
+        """Begin an episode where a row of an older version's file is of one with a lost opening."""
+        if self._current is not None:
+            newest = self._current.newest.get(topic.name, -math.inf)
+            begins = self.is_damaged and stamp < newest
+        else:
+            begins = self.is_damaged and self._only is None
+        if not sequence and (begins or (topic is EXCHANGES and number < self._exchange)):
+            self._open_episode(None)
+        if topic is EXCHANGES:
+            self._exchange = number
 
     def _open_episode(self, data: bytes | None) -> None:
         """Begin an episode; None where its opening is lost."""

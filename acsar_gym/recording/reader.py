@@ -143,6 +143,7 @@ def _collect(
     stream = RecordStream(file, collector.topics)
     try:
         for opcode, content in stream:
+            collector.is_damaged = bool(stream.damages)
             _take(collector, names, opcode, content, stream.at)
             if collector.kept > KEPT_BYTES:
                 collector.forget()

@@ -12,7 +12,7 @@ from recording_tools import drive
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, read
 from acsar_gym.recording.bags import find_corner, find_wheels, is_recording, open_recording
 from acsar_gym.recording.export import make_tables
@@ -156,6 +156,14 @@ def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
     found = read(open_recording(write_mcap(tmp_path / "blind.mcap", blind), ROBOT))
     with pytest.raises(ConfigError, match="left out, holds no commands, or no feedback"):
         measure_gap([("blind", found)], ("robot", ROBOT), ("robot", ROBOT))
+
+
+def test_a_damaged_bag_without_its_end_says_so(tape: Path, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_bag(tape, {"/joint_states": "/joint_states"}))
+    data = bytearray(path.read_bytes())
+    path.write_bytes(data[: len(data) * 3 // 4])
+    with pytest.warns(RecordingWarning, match=r"bag\.mcap: the file is cut"):
+        open_recording(path, ROBOT)
 
 
 def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:

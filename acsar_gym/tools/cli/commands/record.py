@@ -38,7 +38,7 @@ def describe_recording(
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
     check_writable(json)
-    found = summarize(bag.open(file, robot))
+    found = summarize(bag.open(file, robot)) | {"file": str(file)}
     for line in summary_lines(found):
         say(line)
     print_results(json=json, data=found)
