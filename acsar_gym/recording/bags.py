@@ -72,9 +72,12 @@ IDENTIFYING_BYTES = 5_000_000
 """A recording of this package shows within so many bytes what it is."""
 BATCH = 64
 """Events that are encoded at once."""
+MAX_TIME = 2**62
+"""Times are smaller [ns]."""
+MAX_TWIST = 1e6
+"""Velocities are smaller, either sign [m/s, rad/s]; others are no numbers."""
 FASTEST_WHEEL = 99.99
 """What a line can say, either sign [rad/s]."""
-LISTED_TOPICS = 12
 
 SIDE_WORDS = {"left": "l", "l": "l", "right": "r", "r": "r"}
 END_WORDS = {
@@ -500,7 +503,7 @@ class BagConverter:
     def take(self, message: BagMessage) -> list[Event]:
         """Return the events of a message."""
         content = deserialize(message.data, message.kind)
-        if content is None:
+        if content is None or not 0 <= message.time < MAX_TIME:
             return []
         events: list[Event] = []
         if self._first < 0:
@@ -516,7 +519,7 @@ class BagConverter:
     def _take_command(self, content: Any, stamp: float) -> list[Event]:
         twist = getattr(content, "twist", content)
         linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if math.isfinite(linear) and math.isfinite(angular):
+        if abs(linear) < MAX_TWIST and abs(angular) < MAX_TWIST:
             self._asked = self._command = linear, angular
             speeds, letters = self._make_speeds(linear, angular), self._robot.wheels.motors
             line = encode(speeds if letters is None else letters.to_wire(speeds))
@@ -534,7 +537,7 @@ class BagConverter:
     def _take_odometry(self, content: Any, stamp: float) -> list[Event]:
         twist = content.twist.twist
         linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if not (math.isfinite(linear) and math.isfinite(angular)):
+        if not (abs(linear) < MAX_TWIST and abs(angular) < MAX_TWIST):
             return []
         return self._exchange(self._make_speeds(linear, angular), stamp)
 

@@ -53,6 +53,8 @@ from acsar_gym.recording.stream import (
 
 NUMBER_PLACE = 20
 """Where the first number of a row is in its message [bytes]."""
+MOST_ROWS = 1e15
+"""Numbers of rows, and times, are smaller."""
 KEPT_BEFORE = ("durability: 1\n", "transient_local")
 """What marks a topic whose newest message late listeners get, in its quality of service."""
 
@@ -365,6 +367,8 @@ class RecordingCutter(FileCutter):
     def _take_exchange(self, channel: int, time: int, data: bytes) -> None:
         """Take the row of a control period, and the bytes that belong to it."""
         number, stamp, writes, pieces = struct.unpack_from("<4d", parse_array(data, 8))
+        if not all(abs(one) < MOST_ROWS for one in (number, stamp, writes, pieces)):
+            raise ConfigError("is damaged: a row with a broken number")
         counts = (WIRE_SENT.name, writes), (WIRE_RECEIVED.name, pieces)
         is_kept = self._span.holds(time)
         if is_kept and not self._is_open:
@@ -434,18 +438,22 @@ def begin_anew(opening: dict[str, Any], stamp: float, pose: list[float]) -> dict
     """
     info, lasted = opening["info"], stamp - opening["start"]
     before = info.get("part")
-    began = before.get("from", 0.0) if isinstance(before, dict) else 0.0
-    part = {"from": round(float(began) + lasted, 6), "pose": pose}
-    return opening | {
-        "start": stamp,
-        "wall": opening.get("wall", 0) + round(lasted * 1e9),
-        "info": info | {"part": part},
-    }
+    began = before.get("from") if isinstance(before, dict) else None
+    lasted_before = began if isinstance(began, int | float) else 0.0
+    part = {"from": round(lasted_before + lasted, 6), "pose": pose}
+    wall = opening.get("wall")
+    changed = {"start": stamp, "info": info | {"part": part}}
+    if isinstance(wall, int):
+        changed["wall"] = wall + round(lasted * 1e9)
+    return opening | changed
 
 
 def read_number(data: bytes) -> float:
-    """Return the first number of a row."""
-    return float(struct.unpack_from("<d", data, NUMBER_PLACE)[0])
+    """Return the first number of a row; ConfigError where it is none."""
+    (number,) = struct.unpack_from("<d", data, NUMBER_PLACE)
+    if not abs(number) < MOST_ROWS:
+        raise ConfigError("is damaged: a row with a broken number")
+    return float(number)
 
 
 def write_number(data: bytes, number: float) -> bytes:

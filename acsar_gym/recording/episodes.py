@@ -211,7 +211,7 @@ class EpisodeParts:
             raise ConfigError("is damaged: its times go backwards")
         return rows
 
-    def list(self, topic: Topic) -> PieceBuffer:
+    def pieces(self, topic: Topic) -> PieceBuffer:
         """The messages of a topic that isn't a table."""
         return self.lists.get(topic.name) or PieceBuffer()
 
@@ -476,7 +476,7 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
     """The bytes of the wire."""
     fields: list[Any] = []
     for topic in (messages.WIRE_SENT, messages.WIRE_RECEIVED):
-        buffer = parts.list(topic)
+        buffer = parts.pieces(topic)
         pieces: Sequence[bytes] = Pieces(buffer.data, buffer.ends)
         if len(pieces) < COMPACT_PIECES:
             pieces = tuple(pieces)
@@ -487,8 +487,8 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:
     """What an env recorded."""
     steps = parts.table(STEPS)
-    actions = parts.list(messages.ACTION).rows("<f4", 0)
-    observations = parts.list(messages.OBSERVATION).rows("<f4", 0)[: len(steps)]
+    actions = parts.pieces(messages.ACTION).rows("<f4", 0)
+    observations = parts.pieces(messages.OBSERVATION).rows("<f4", 0)[: len(steps)]
     return {
         "observations": observations.astype(np.float32, copy=False),
         "actions": actions.astype(np.float32) if len(actions) else np.zeros((0, 2), np.float32),
@@ -499,7 +499,7 @@ def make_steps(parts: EpisodeParts) -> dict[str, Any]:
 
 def make_scans(parts: EpisodeParts) -> dict[str, Any]:
     """The scans of a LiDAR."""
-    scans = parts.list(SCANS).rows("<f8", 2)
+    scans = parts.pieces(SCANS).rows("<f8", 2)
     if not np.isfinite(scans).all():
         raise ConfigError("is damaged: a scan that isn't finite")
     return {"scans": Scans(check_stamps(scans[:, 1]), scans[:, 2:], to_integers(scans[:, 0]))}
@@ -507,7 +507,7 @@ def make_scans(parts: EpisodeParts) -> dict[str, Any]:
 
 def make_revolutions(parts: EpisodeParts) -> dict[str, Any]:
     """What a LiDAR measured."""
-    buffer = parts.list(REVOLUTIONS)
+    buffer = parts.pieces(REVOLUTIONS)
     rows = [parse_revolution(data) for data in Pieces(buffer.data, buffer.ends)]
     heads = np.array([head for head, _ in rows], np.float64).reshape(-1, 2)
     turns = tuple(turn for _, turn in rows)

@@ -50,7 +50,6 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         last = "the last episode is incomplete"
         last = last if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
-    make = ParquetTable if to == "parquet" else CsvTable
     tables: dict[str, ParquetTable | CsvTable] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -58,7 +57,9 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
             for name, columns in iterate_tables(recording):
                 if len(columns["episode"]):
                     if name not in tables:
-                        tables[name] = stack.enter_context(make(folder / f"{name}.{to}"))
+                        target = folder / f"{name}.{to}"
+                        table = ParquetTable(target) if to == "parquet" else CsvTable(target)
+                        tables[name] = stack.enter_context(table)
                     tables[name].add(columns)
     except OSError as error:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error

@@ -88,7 +88,8 @@ def _read_counted(
     """Read a recording; also how much there is of each episode, and of each topic."""
     wanted = (*TABLE_TOPICS, *LIST_TOPICS, *((REVOLUTIONS,) if revolutions else ()))
     with open_file(path, None) as file:
-        collector, names = EpisodeCollector(wanted), {}
+        collector = EpisodeCollector(wanted)
+        names: dict[int, str] = {}
         stream, cut = _collect(file, collector, names)
         if not collector.topics and stream.damages and collector.header is not None:
             collector = EpisodeCollector(wanted)  # the chunk with the channels is damaged
@@ -328,7 +329,7 @@ class EpisodeSource:
 
 def _parse_revolutions(parts: EpisodeParts) -> Iterator[tuple[Floats, Floats]]:
     """Heads and measurements of the revolutions that were read."""
-    buffer = parts.list(REVOLUTIONS)
+    buffer = parts.pieces(REVOLUTIONS)
     return map(parse_revolution, Pieces(buffer.data, buffer.ends))
 
 

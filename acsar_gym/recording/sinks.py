@@ -150,6 +150,9 @@ class McapFile:
         time = message.time
         self._writer.add_message(channel, time, message.data, time, self._episode)
 
+    def begin_file(self, dropped: int) -> None:
+        """Do nothing: this is one file."""
+
     def flush(self) -> None:
         """Write what was added, so that it survives a crash of the program or the computer."""
         self._writer.flush()
