@@ -58,7 +58,9 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
                 if len(columns["episode"]):
                     if name not in tables:
                         target = folder / f"{name}.{to}"
-                        table = ParquetTable(target) if to == "parquet" else CsvTable(target)
+                        table: ParquetTable | CsvTable = CsvTable(target)
+                        if to == "parquet":
+                            table = ParquetTable(target)
                         tables[name] = stack.enter_context(table)
                     tables[name].add(columns)
     except OSError as error:

@@ -49,7 +49,7 @@ from acsar_gym.recording.types import Episode, Floats, Pieces, Recording, Revolu
 
 KEPT_BYTES = 100_000_000
 """Recordings with less content than this are kept in memory; at 100 Hz that is half an hour."""
-CACHED_BYTES = 250_000_000
+CACHED_BYTES = 200_000_000
 """Most bytes of a larger recording that are kept for when they are asked for again."""
 BLOCK_BYTES = 4_000_000
 """About so many bytes of a large recording are read at once by `iterate_blocks`."""
@@ -239,15 +239,15 @@ class EpisodeSource:
             size = 0
         else:
             fields = group.make(self._read_parts(number, group.topics))
+        if group.fields == ("truth",):  # of which the tables aren't kept
+            size = 24 * self._parts[number].counts[TICKS.name]
         for name, value in fields.items():
             object.__setattr__(episode, name, value)
         self._cached[number, FIELD_GROUPS.index(group)] = episode, size
 
     def _size_of(self, number: int, group: FieldGroup) -> int:
-        """About how many bytes a group of fields takes."""
+        """About how many bytes it takes to read a group of fields."""
         parts = self._parts[number]
-        if group.fields == ("truth",):
-            return 24 * parts.counts[TICKS.name]
         return sum(parts.sizes[t.name] + 24 * parts.counts[t.name] for t in group.topics)
 
     def _open_parts(self, number: int) -> EpisodeParts:

@@ -92,10 +92,10 @@ class WriterThread(threading.Thread):
             events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
             for message in self._encoder.encode(events, self.dropped):
                 for sink in self._sinks:
-                    if message is NEW_FILE:
-                        sink.begin_file(self.dropped)
-                    else:
+                    if message is not NEW_FILE:
                         sink.add(message)
+                    elif isinstance(sink, SplitFile):
+                        sink.begin_file(self.dropped)
                 self._progress += 1
             time.sleep(WRITER_YIELD)
 

@@ -36,9 +36,6 @@ class Sink(Protocol):
     def flush(self) -> None:
         """Pass on what was added."""
 
-    def begin_file(self, dropped: int) -> None:
-        """Go on in a new file; `dropped` events until now."""
-
     def close(self, end: Mapping[str, Any]) -> None:
         """End; `end` has the number of dropped events."""
 
@@ -149,9 +146,6 @@ class McapFile:
         channel = self._channels[message.topic.name]
         time = message.time
         self._writer.add_message(channel, time, message.data, time, self._episode)
-
-    def begin_file(self, dropped: int) -> None:
-        """Do nothing: this is one file."""
 
     def flush(self) -> None:
         """Write what was added, so that it survives a crash of the program or the computer."""
@@ -295,9 +289,6 @@ class LiveView:
         if message.topic.latched:
             self._latched[message.topic.name] = message
         self._channels[message.topic.name].log(message.data, log_time=message.time)
-
-    def begin_file(self, dropped: int) -> None:
-        """Do nothing: viewers don't see files."""
 
     def flush(self) -> None:
         """Send again what viewers need that connected later."""

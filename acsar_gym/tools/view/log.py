@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,7 +126,7 @@ def describe_end(tail: RecordingTail, time: float) -> LogLine:
     return LogLine(time, NOTE, "the recording ends")
 
 
-def describe_beginning(info: dict[str, Any]) -> str:
+def describe_beginning(info: Mapping[str, Any]) -> str:
     """Tell what an episode begins with, as far as it is known."""
     words = [f"{name} {info[name]}" for name in ("seed", "world") if info.get(name) is not None]
     return "begins" + (f": {', '.join(words)}" if words else "")
