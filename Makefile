@@ -21,7 +21,7 @@ REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested fuzz soak replug stopping identify-check licences pictures clean
+  firmware-tested fuzz soak replug stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -98,6 +98,9 @@ stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half 
 
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md
+
+reference: $(READY)  ## write what docs/reference shows of docstrings
+	$(BIN)/python tests/reference_tools.py
 
 pictures: $(READY)  ## draw the README's moving picture: one policy behind two links, in two minutes
 	$(BIN)/python assets/pictures/three_views.py

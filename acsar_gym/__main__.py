@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import sys
 
+from acsar_gym.streams import open_streams, run_guarded
+
 
 def main() -> None:
     """Entry point of the command."""
+    open_streams()  # before anything else opens a file
     if sys.argv[1:2] == ["estop"]:
         from acsar_gym.safety import estop  # noqa: PLC0415
 
-        code = estop.main(sys.argv[2:])
-        if code is not None:
-            sys.exit(code)
+        if (stop := estop.parse_stop(sys.argv[2:])) is not None:
+            sys.exit(run_guarded(stop))
     from acsar_gym.tools import cli  # noqa: PLC0415
 
     cli.main()

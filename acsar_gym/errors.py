@@ -9,6 +9,7 @@ import os
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,26 @@ def require_extra(feature: str, extra: str) -> Iterator[None]:
         yield
     except ImportError:
         raise MissingExtraError(feature, extra) from None
+
+
+def check_extra(feature: str, extra: str, *modules: str) -> None:
+    """Name the extra where modules aren't installed; imports none of them.
+
+    Args:
+        feature: what needs them.
+        extra: name of the extra that installs them.
+        *modules: their names.
+
+    Raises:
+        MissingExtraError: one isn't installed.
+    """
+    for module in modules:
+        try:
+            is_missing = find_spec(module) is None
+        except (ImportError, ValueError):
+            is_missing = True
+        if is_missing:
+            raise MissingExtraError(feature, extra)
 
 
 class JobError(AcsarError):
@@ -289,6 +310,14 @@ def escape_unprintable(text: str) -> str:
 
 class SafetyWarning(UserWarning):
     """The robot is driven without a protection; the message says which one and what to do."""
+
+
+class WorldWarning(UserWarning):
+    """Something in a world's file is otherwise here, such as a moving obstacle, which stands."""
+
+
+class TaskWarning(UserWarning):
+    """A task observed a number beyond the bounds that it declares; said once by each env."""
 
 
 class PolicyWarning(UserWarning):

@@ -95,8 +95,10 @@ def inverse(
     right, left = compute_sides(
         linear, angular, left_radius, right_radius, wheel_separation, max_speed
     )
-    if not math.isfinite(right + left):
-        raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
+    if not (math.isfinite(right) and math.isfinite(left)):
+        raise CommandError(
+            f"twist = ({linear}, {angular}): must be finite m/s and rad/s, and so must wheel speeds"
+        )
     return right, left, left, right
 
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from acsar_gym.errors import CommandError
 
-__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "Reading", "Speeds", "encode"]
+__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "EchoDecoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99
@@ -52,8 +52,18 @@ MAX_NOTES = 8
 """How many different texts are kept."""
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
+_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")
+"""The speed of a wheel that turns."""
 _MAX_KNOWN = 5000
 """Largest number of cached parts per motor."""
+MAX_ECHOES = 100
+"""How many commands may wait for their echo."""
+FEWEST_ECHOES = 4
+"""So many echoes without feedback aren't those before it; a board that is reset sends fewer."""
+ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
+"""A zero command in an order that no feedback has: who sends it back echoes."""
+ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
+"""A zero command to a board that echoes."""
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
@@ -240,6 +250,90 @@ class Decoder:
             self._refused_before = sum(self.refused.values())
         self.refused.update(reasons)
         self.sample = line[:SAMPLE_BYTES]
+
+
+class EchoDecoder(Decoder):
+    """Decodes what a board sends that also sends commands back, each once or again and again.
+
+    A line that holds a command which was sent, in the order of sending, is an echo, whatever the
+    board puts before it or does to its end; it is left out, and the rest of such a line is decoded.
+    A line with an invalid part isn't used at all, since it may be a damaged echo.
+
+    Attributes:
+        echoes: number of echoes.
+
+    Args:
+        sent: commands that were sent before, whose echo may still come.
+    """
+
+    def __init__(self, *sent: bytes) -> None:
+        super().__init__()
+        self._waiting: deque[bytes] = deque(maxlen=MAX_ECHOES)
+        self._command = self._newest = b""
+        self._repeats = self._echoes_before = 0
+        self.echoes = 0
+        for line in sent:
+            self.expect(line)
+
+    @property
+    def only_echoes(self) -> bool:
+        """Whether several echoes have come since the newest valid line."""
+        return self.echoes >= self._echoes_before + FEWEST_ECHOES
+
+    def mark(self, line: bytes) -> bytes:
+        """Change a command so that its echo is unlike feedback, and expect the echo.
+
+        Zeros get the direction n, which feedback of standing wheels doesn't have. Where the same is
+        commanded again, one of the wheels that turn gets 0.01 rad/s more and less in turns, so that
+        feedback of wheels that turn exactly as commanded isn't taken for an echo.
+
+        Args:
+            line: as of `encode`.
+
+        Returns:
+            The line to send.
+        """
+        line = line.replace(b"p00.00", b"n00.00")
+        self._repeats = self._repeats + 1 if line == self._command else 0
+        self._command = line
+        turning = _TURNING.search(line)
+        if self._repeats and turning:
+            step = 0.01 if self._repeats % 2 else -0.01
+            number = b"%05.2f" % min(float(turning[0]) + step, MAX_SPEED)
+            line = line[: turning.start()] + number + line[turning.end() :]
+        self.expect(line)
+        return line
+
+    def expect(self, line: bytes) -> None:
+        """Expect the echo of a command.
+
+        Args:
+            line: as it was sent.
+        """
+        self._waiting.append(line.strip(b",\r\n"))
+
+    def _read_line(self, line: bytes) -> Reading | None:
+        """Decode one line, less its echo."""
+        echo = next((text for text in self._waiting if text in line), None)
+        if echo is not None:
+            while self._waiting.popleft() != echo:
+                pass
+            self._newest = echo
+        elif self._newest and self._newest in line:
+            echo = self._newest
+        if echo is not None:
+            self.echoes += 1
+            rest = b"".join(line.partition(echo)[::2]).strip(b", ")
+            return self._read_line(rest) if _parse_parts(rest.split(b","))[0] else None
+        refused = sum(self.refused.values())
+        reading = super()._read_line(line)
+        if reading is None:
+            return None
+        if sum(self.refused.values()) > refused:
+            self.lines -= 1
+            return None
+        self._echoes_before = self.echoes
+        return reading
 
 
 def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import math
 import os
@@ -16,14 +17,21 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType
 from typing import IO, Any
 
 import yaml
 
-from acsar_gym.errors import AcsarError, ConfigError, shorten_text, show_value
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    shorten_text,
+    show_value,
+    suggest_name,
+)
 
 OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
@@ -37,6 +45,10 @@ MAX_YAML_TEXT = 10_000
 """Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
 MAX_YAML_DEPTH = 20
 """Deepest nesting of lists and mappings in YAML, which are made by recursion."""
+COMMAND: ContextVar[str] = ContextVar("command", default="")
+"""Name of the running command, such as "evaluate"."""
+ORIGIN_BYTES = 4096
+"""Where in a file its origin must be found [bytes from the beginning]."""
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
 """Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
@@ -174,6 +186,42 @@ def replace_file(path: Path) -> Iterator[Path]:
         new.unlink(missing_ok=True)
 
 
+def describe_origin() -> str:
+    """Return the words by which the running command knows a file again that it wrote."""
+    return f"written by acsar-gym {COMMAND.get()}"
+
+
+def check_replaceable(path: Path, mark: str | None = None, *, force: bool = False) -> None:
+    """Check that writing a file loses none of somebody else's.
+
+    Replaced are empty files and those that the same command wrote; devices and pipes are written.
+
+    Args:
+        path: the file that will be written.
+        mark: text at the beginning of files that the command wrote; None for
+            `describe_origin`, "" where it can't know them.
+        force: whether any file may be replaced.
+
+    Raises:
+        ConfigError: there is another file, or another kind of file, of that name.
+    """
+    if force or not path.is_file() or str(path).startswith(STREAM_PATHS):
+        return
+    mark = describe_origin() if mark is None else mark
+    try:
+        with path.open("rb") as file:
+            head = file.read(ORIGIN_BYTES)
+    except OSError:
+        head = b"unreadable"
+    if head and not (mark and mark.encode() in head):
+        fix = "name another file, or replace it with --force"
+        if mark:
+            fix = f"exists and wasn't written by 'acsar-gym {COMMAND.get()}': {fix}"
+        else:
+            fix = f"exists: {fix}"
+        raise ConfigError(f"{shorten_text(str(path))}: {fix}")
+
+
 def open_nonblocking(path: str, flags: int) -> int:
     """Open without blocking, for `open(opener=...)`; a pipe without a peer is an error."""
     blocking = getattr(os, "O_NONBLOCK", 0)
@@ -204,6 +252,20 @@ def write_line(file: IO[str], line: str) -> None:
 def explain_error(problem: BaseException) -> str:
     """Return the message of an exception as one short line."""
     return getattr(problem, "strerror", None) or " ".join(str(problem).split())[:200]
+
+
+@contextlib.contextmanager
+def find_modules_here() -> Iterator[None]:
+    """Let imports inside the block find modules in the current folder, as for a script there."""
+    if "" in sys.path:
+        yield
+        return
+    sys.path.append("")
+    try:
+        yield
+    finally:
+        with contextlib.suppress(ValueError):
+            sys.path.remove("")
 
 
 def import_object(what: str, name: str) -> Any:
@@ -298,22 +360,91 @@ def parse_yaml(
         AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
             too long numbers or strings, too many values, and too deep nesting.
     """
-    depth = 0
     try:
-        events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
-        for count, event in enumerate(events):
-            depth += isinstance(event, yaml.CollectionStartEvent)
-            depth -= isinstance(event, yaml.CollectionEndEvent)
-            where = f"line {event.start_mark.line + 1}"
-            if isinstance(event, yaml.AliasEvent):
-                raise error(f"{where}: has an alias (*), which is refused: write the value out")
-            if depth > MAX_YAML_DEPTH or count > most:
-                raise error(f"{where}: is nested too deeply or has too many values")
-            if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
-                raise error(f"{where}: a text of {length:,} characters, which is too long")
+        _check_events(text, error, most)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from None
+
+
+def parse_yaml_entry(
+    text: str, names: Sequence[str], error: type[AcsarError] = ConfigError, *, hint: str
+) -> tuple[str, Any]:
+    """Parse one entry of a YAML mapping, with aliases and merge keys; others aren't made.
+
+    Args:
+        text: the YAML.
+        names: of the entry; the first one that is there is taken.
+        error: class of the exception.
+        hint: what to do where there is none of them.
+
+    Returns:
+        Its name and its value.
+
+    Raises:
+        AcsarError: as `error`, for no such entry, and as by `parse_yaml`; bounds hold for the entry
+            with all aliases written out.
+    """
+    try:
+        _check_events(text, error, MAX_YAML_EVENTS, aliases=True)
+        root = yaml.compose(text, Loader=_MergingLoader)
+        if not isinstance(root, yaml.MappingNode):
+            raise error("must be values by name")
+        entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
+        name = next((name for name in names if name in entries), None)
+        if name is None:
+            near = shorten_text(suggest_name(names[0], entries), 120)
+            missing = " and no ".join(map(show_value, names))
+            raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
+        if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
+            raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
+        return name, _MergingLoader("").construct_document(entries[name])
+    except YAML_ERRORS as problem:
+        raise error(f"not valid YAML: {explain_error(problem)}") from problem
+
+
+def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: bool = False) -> None:
+    """Check the bounds of a YAML document, without making anything of it."""
+    depth = 0
+    events: Iterator[Any] = yaml.parse(text, Loader=_Loader)
+    for count, event in enumerate(events):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        where = f"line {event.start_mark.line + 1}"
+        if isinstance(event, yaml.AliasEvent) and not aliases:
+            raise error(f"{where}: has an alias (*), which is refused: write the value out")
+        if depth > MAX_YAML_DEPTH or count > most:
+            raise error(f"{where}: is nested too deeply or has too many values")
+        if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
+            raise error(f"{where}: a text of {length:,} characters, which is too long")
+
+
+def _count_values(node: yaml.Node, depth: int, most: int) -> int:
+    """Count the nodes of a value with its aliases written out; more than `most` for too many."""
+    if depth < 0:
+        return most + 1
+    count = 1
+    parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+    for part in itertools.chain.from_iterable(
+        one if isinstance(one, tuple) else (one,) for one in parts
+    ):
+        if count > most:
+            break
+        count += _count_values(part, depth - 1, most - count)
+    return count
+
+
+def format_yaml_line(data: Any) -> str:
+    """Format as `format_yaml`, on one line, to stand anywhere in a document."""
+    line = yaml.dump(
+        [data], Dumper=_Dumper, default_flow_style=True, allow_unicode=True, width=math.inf
+    )
+    return line.strip()[1:-1]
+
+
+def compose_yaml(text: str) -> yaml.Node | None:
+    """Return the nodes of a YAML document that `parse_yaml` accepts, with their places in it."""
+    return yaml.compose(text, Loader=yaml.SafeLoader)
 
 
 def format_yaml(data: Any) -> str:
@@ -333,6 +464,15 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
                 merge = " (<< is refused: write the values out)" if key.value == "<<" else ""
                 line = key.start_mark.line + 1
                 raise ValueError(f"line {line}: a key must be text, in quotes if need be{merge}")
+
+
+class _MergingLoader(_Loader):
+    """The same, with merge keys: `<<: *defaults`."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Write the values of merge keys out; refuse other keys that aren't strings."""
+        yaml.SafeLoader.flatten_mapping(self, node)
+        super().flatten_mapping(node)
 
 
 _Loader.add_implicit_resolver(

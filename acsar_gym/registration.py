@@ -31,19 +31,20 @@ class SceneChoice:
     is an open floor, None the task's own default."""
     robots: tuple[str, ...] = ("acsar",)
     """Presets, files, or robots drawn by number, each of which drives the scenes."""
-    score: str = "completion_time"
-    """What scores an episode that succeeds: "completion_time", "cross_track", or one of the
-    numbers that the task tells; see `tools.benchmark.figures.score_episode`."""
+    score: str = ""
+    """What scores an episode that succeeds: "completion_time", "cross_track", "success", or one of
+    the numbers that the task tells; see `tools.benchmark.figures.score_episode`. "" is
+    "completion_time" where the task says its shortest path, otherwise "success"."""
 
 
 THREE_ROBOTS = ("acsar", "jackal", "husky")
 UNSEEN_ROBOTS = tuple(f"drawn:{number}" for number in range(2000, 2005))
 """Robots drawn at random that no policy was trained on."""
 SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
-    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS)},
+    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS, "completion_time")},
     "acsar_gym/ObstacleGoal-v1": {
-        "clutter": SceneChoice("clutter", THREE_ROBOTS),
-        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS),
+        "clutter": SceneChoice("clutter", THREE_ROBOTS, "completion_time"),
+        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS, "completion_time"),
     },
     "acsar_gym/Barn-v1": {
         "barn": SceneChoice("barn", score="barn_score_own"),
@@ -54,6 +55,10 @@ SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
     "acsar_gym/PathFollow-v0": {"path": SceneChoice("smooth_path", THREE_ROBOTS, "cross_track")},
 }
 """The benchmark's sets of scenes by id and name."""
+
+
+REGISTER_OPTIONS = ("task", "max_episode_steps", "reward_threshold", "scenes")
+"""What `register` itself takes, for messages."""
 
 
 def register(
@@ -80,10 +85,16 @@ def register(
             those that only a batch has (autoreset_mode, threads) not in a single env.
 
     Raises:
-        ConfigError: where `task` isn't a class of tasks, or `scenes` has other fields.
+        ConfigError: where `task` isn't a class of tasks, `scenes` has other fields, or nothing has
+            such an option.
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
-    from acsar_gym.tasks.factory import importable_task, split_by_mode  # noqa: PLC0415
+    from acsar_gym.reading import import_object  # noqa: PLC0415
+    from acsar_gym.tasks.factory import (  # noqa: PLC0415
+        check_register_options,
+        importable_task,
+        split_by_mode,
+    )
 
     chosen = {}
     for name, given in (scenes or {}).items():
@@ -93,6 +104,9 @@ def register(
             )
         except (TypeError, AttributeError) as error:
             raise ConfigError(f"{id}: scenes {name!r}: {error}") from None
+    kind = import_object("task", task) if isinstance(task, str) else task
+    named = importable_task(kind)
+    check_register_options(id, kind, options, REGISTER_OPTIONS)
     SCENE_CHOICES[id] = chosen or {"test": SceneChoice()}
     gymnasium.register(
         id=id,
@@ -100,7 +114,7 @@ def register(
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,
-        kwargs={"task": importable_task(task), **split_by_mode(options)},
+        kwargs={"task": named, **split_by_mode(options)},
     )
 
 

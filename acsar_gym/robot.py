@@ -42,6 +42,11 @@ NO_TIMEOUT = (
     "this robot's board doesn't stop by itself (firmware.command_timeout: null): its wheels keep "
     "turning where the cable falls out or this computer fails; add a time-out to its program"
 )
+UNWATCHED = (
+    "nothing stops this robot's wheels where this program hangs or is killed, the cable falls out "
+    "or this computer fails: there is no watchdog ({}), and its board doesn't stop by itself "
+    "(firmware.command_timeout: null); add a time-out to its program"
+)
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
@@ -92,7 +97,7 @@ class Robot:
         self._recorder = recorder
         self._scanned = -math.inf
         self._listener: StopListener | None = None
-        self._held = False
+        self._held = self._warned = False
         self._stopwatch: EpisodeStopwatch | None = None
         self._watch: WheelWatch | None = None
         self._lateness: float | None = None
@@ -109,7 +114,7 @@ class Robot:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
         Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot, and where its board
-        has no command time-out.
+        has no command time-out, the more so where there is no watchdog either.
 
         Args:
             scene: start, goal, world and physics; only simulated links use it.
@@ -125,13 +130,18 @@ class Robot:
             device = getattr(self.link, "device", "")
             self._listener = StopListener(device, self.config.name, file)
             self._listener.warn()
-            if self.config.firmware.command_timeout is None:
-                warnings.warn(NO_TIMEOUT, SafetyWarning, 3)
+            self._warned = False
         asked = WHILE_WAITING.set(self._check_released)
         try:
             self._begin(scene, np.random.default_rng(0) if rng is None else rng)
         finally:
             WHILE_WAITING.reset(asked)
+        if self.link.truth is None and not self._warned:  # an open link knows its watchdog
+            self._warned = True
+            if self.config.firmware.command_timeout is None:
+                unwatched = getattr(self.link, "unwatched", "")
+                said = UNWATCHED.format(unwatched) if unwatched else NO_TIMEOUT
+                warnings.warn(said, SafetyWarning, 3)
 
     def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
         """Open the link, and begin an episode; not after an emergency stop."""

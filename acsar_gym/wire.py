@@ -5,15 +5,27 @@ from __future__ import annotations
 import math
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.links.base import WHILE_WAITING, Link
+from acsar_gym.links.base import WHILE_WAITING, Link, echoes_of
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.links.lateness import STANDSTILL
 from acsar_gym.physics.model import line_time
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
+from acsar_gym.protocol import (
+    ZERO,
+    Decoder,
+    EchoDecoder,
+    Reading,
+    Speeds,
+    encode,
+    encode_line,
+    line_end,
+)
 from acsar_gym.safety import rules
+from acsar_gym.safety.set_points import SetPointWatch
 
 STANDSTILL_TIMEOUT = 5.0
 """How long a reset waits for the wheels to stand still [s]."""
+ECHO_SHARE = 0.5
+"""A board that sends echoes alone for this share of `feedback_timeout` is silent."""
 STANDSTILL_TICKS = 2
 """How many fresh readings in a row must show standstill."""
 
@@ -25,7 +37,8 @@ class Wire:
     [rad/s], old ones for motors that a line doesn't name; `age`, the time since the newest valid
     line [s]; `stamp`, the link's time at the end of the newest period [s]; `began`, its time at
     the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
-    the newest command has left the port, at the baud rate [s]; 0 in simulation.
+    the newest command has left the port, at the baud rate [s]; 0 in simulation. Where the link's
+    board echoes, `decoder` is one that leaves the echoes out.
 
     Args:
         link: To the board.
@@ -45,11 +58,16 @@ class Wire:
         self.age = 0.0
         self.stamp = self.began = self.written = 0.0
         self._settled = self._timed = False
+        self._echoes: EchoDecoder | None = None
+        self._set_points: SetPointWatch | None = None
         self._line_time = line_time(config)
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""
-        self.decoder.reset()
+        echoes = echoes_of(self._link)
+        self._echoes = EchoDecoder(encode(ZERO)) if echoes else None  # a reset stops the board
+        self.decoder = self._echoes or Decoder()
+        self._set_points = None if echoes is None else SetPointWatch(echoes=echoes)
         self.speeds = ZERO
         self.age = 0.0
         self.stamp = self.began = self._link.now()
@@ -61,7 +79,10 @@ class Wire:
         if speeds is not self._encoded:
             wired = speeds if self._motors is None else self._motors.to_wire(speeds)
             self._encoded, self._command = speeds, encode_line(*wired, self._end)
-        self._link.write(self._command)
+            if self._set_points is not None:
+                self._set_points.note(wired)
+        command = self._command if self._echoes is None else self._echoes.mark(self._command)
+        self._link.write(command)
 
     def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
         """Send a command line, let one control period pass, and decode what arrived in it.
@@ -74,7 +95,8 @@ class Wire:
             by the link's clock [s].
 
         Raises:
-            LinkError: The link is lost, or the board was silent for `feedback_timeout`.
+            LinkError: The link is lost, the board was silent for `feedback_timeout`, or sends back
+                what was commanded instead of what it measures.
         """
         if speeds is not None:
             self.send(speeds)
@@ -83,6 +105,8 @@ class Wire:
             self.written = link.now() + self._line_time
         heard = []
         for reading in self.decoder.feed(link.advance(self._period)):
+            if self._set_points is not None:
+                self._set_points.check(reading)
             if self._encoders is not None:
                 reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
             self.speeds = reading.over(self.speeds)
@@ -93,9 +117,15 @@ class Wire:
         if self._settled:  # pauses between the reset and the first command don't count
             self.began, self._settled = stamp - self._period, False
         self.age = 0.0 if heard else self.age + lasted
-        if rules.is_silent(self.age, self._rules):
+        if rules.is_silent(self.age, self._rules) or self._hears_only_echoes():
             raise silence_error(self.age, self.decoder)
         return heard, lasted
+
+    def _hears_only_echoes(self) -> bool:
+        """Whether only echoes come; before the robot stops for it, as it would then drive again."""
+        echoes = self._echoes
+        age = self.age / ECHO_SHARE
+        return echoes is not None and echoes.only_echoes and rules.is_silent(age, self._rules)
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
         """Return what odometry integrates: the newest speeds, or after a pause all that were heard.

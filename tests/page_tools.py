@@ -30,7 +30,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 OTHERS = ("CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
 PAGES += [page for name in OTHERS if (page := ROOT / name).exists()]
 NOT_RUN = re.compile(r"<!-- not run: (.+?) -->\s*$")
-SAVED = re.compile(r"#\s*([\w./-]+\.(?:py|ya?ml|json|xml|urdf|world))\n")
+SAVED = re.compile(r"(?:#|<!--)\s*([\w./-]+\.(?:py|ya?ml|json|xml|urdf|world|sdf))(?:\s*-->)?\n")
 PARSER = MarkdownIt("commonmark").enable("table")
 
 

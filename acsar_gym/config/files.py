@@ -1,40 +1,24 @@
-"""Read robots from YAML, or from the ros2_control block of a URDF, and write them as YAML."""
+"""Read robots from YAML, URDF and ROS parameter files."""
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import ParseError
-
-import defusedxml.ElementTree
-from defusedxml.common import DefusedXmlException
 
 from acsar_gym import reading
-from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.config import ros_parameters, urdf_robot
+from acsar_gym.config.parts import MANY_ROBOTS, RobotPart, merge_parts
+from acsar_gym.config.urdf import UNEXPANDED
+from acsar_gym.errors import AcsarError, ConfigError, show_value, suggest_name
 from acsar_gym.resources import ASSETS
 
 MAX_ROBOT_BYTES = 2_000_000
 """Largest accepted file [bytes]; the largest URDFs, of humanoids, have half of this."""
-MAX_URDF_PARAMS = 1_000
-"""Most parameters of a hardware block; each is compared with the names of all fields."""
-DRIVER_DEFAULTS = {"baud_rate": "9600", "control_rate": "20"}
-"""Of the robot's own driver, if the URDF has no baud_rate [bit/s]; with a rate that fits [Hz]."""
-GEOMETRY_FIELDS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Fields that are always written."""
-ROBOT_FILE_HEAD = (
-    "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
-)
+YAML_SUFFIXES = (".yaml", ".yml")
+_NAMED_CONTROLLER = re.compile(r"(.+\.ya?ml):([^:]+)", re.DOTALL)
+"""A file and the name of a controller in it."""
 
 
 def find_preset(name: str) -> Path:
@@ -46,88 +30,134 @@ def find_preset(name: str) -> Path:
     return known[name]
 
 
-def read_fields(path: Path, params: Sequence[str]) -> dict[str, Any]:
-    """Read the fields of a robot, without validating them.
+def split_controller(name: str) -> tuple[Path, str]:
+    """Return a file and the controller in it: "controllers.yaml:base_drive"; "" for none."""
+    found = _NAMED_CONTROLLER.fullmatch(name)
+    return (Path(found[1]), found[2]) if found else (Path(name), "")
+
+
+def group_parts(names: Sequence[str]) -> list[list[str]]:
+    """Group the names of a list of robots: a ROS parameter file belongs to the name before it.
 
     Args:
-        path: a .yaml, .yml or .urdf file.
+        names: presets and files.
+    """
+    groups: list[list[str]] = []
+    for name in names:
+        if groups and _is_parameter_file(name):
+            groups[-1].append(name)
+        else:
+            groups.append([name])
+    return groups
+
+
+def _is_parameter_file(name: str) -> bool:
+    """Whether a name is that of a ROS parameter file; what can't be read is none."""
+    path, _ = split_controller(name)
+    if path.suffix not in YAML_SUFFIXES:
+        return False
+    try:
+        return ros_parameters.is_parameter_file(reading.parse_yaml(read_text(path)))
+    except AcsarError:
+        return False
+
+
+def read_text(path: Path) -> str:
+    """Read a robot's file; ConfigError if it can't be. The message doesn't name it."""
+    return reading.decode_text(reading.read_content(path, MAX_ROBOT_BYTES))
+
+
+def read_fields(sources: Sequence[str | Path], params: Sequence[str]) -> dict[str, Any]:
+    """Read the fields of a robot from the files that describe it, without validating them.
+
+    Args:
+        sources: .yaml, .yml or .urdf files; a later one counts more. A ROS parameter file may have
+            the name of a controller behind a colon.
         params: parameter names that a URDF may use.
 
     Returns:
-        Field names and values; those of a URDF are strings.
+        Field names and values; those of a URDF's parameters are strings.
 
     Raises:
-        ConfigError: the file can't be read. The message doesn't name the file.
+        ConfigError: a file can't be read, or they don't say how large the robot is. The message
+            begins with the file.
     """
-    if path.suffix not in (".yaml", ".yml", ".urdf"):
+    parts = [RobotPart() for _ in sources]
+    driven: Sequence[str] = ()
+    for number in sorted(range(len(sources)), key=lambda number: _is_urdf(sources[number])):
+        try:
+            parts[number] = _read_part(sources[number], params, driven)
+        except ConfigError as error:
+            raise ConfigError(f"{Path(sources[number])}: {error}") from error
+        driven = parts[number].driven or driven
+    for source, part in zip(sources, parts, strict=True):
+        if part.drive_problem and not any(map(_is_urdf, sources)):
+            raise ConfigError(f"{Path(source)}: {part.drive_problem}")
+    (x, y) = next((part.centre for part in parts if part.centre), (0.0, 0.0))
+    for part in parts:
+        if part.centre is None and part.base_footprint:
+            part.fields["footprint"] = [(a - x, b - y) for a, b in part.base_footprint]
+    try:
+        return merge_parts(parts)
+    except ConfigError as error:
+        raise ConfigError(f"{','.join(map(str, sources))}: {error}") from error
+
+
+def find_parts(robot: str) -> list[str | Path]:
+    """Return the files of one robot by its name on a command line.
+
+    Args:
+        robot: a preset or file, with ROS parameter files behind it, separated by commas.
+
+    Raises:
+        ConfigError: there is no such preset or file, or it names several robots.
+    """
+    names = [robot] if Path(robot).exists() else robot.split(",")
+    if len(group_parts(names)) > 1:
+        for name in names:
+            if Path(name).suffix and not split_controller(name)[0].exists():
+                raise ConfigError(f"{name}: there is no such file")
+        raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}")
+    return [name if Path(name).suffix or "/" in name else find_preset(name) for name in names]
+
+
+def _is_urdf(source: str | Path) -> bool:
+    return Path(source).suffix == ".urdf"
+
+
+def _read_part(source: str | Path, params: Sequence[str], driven: Sequence[str]) -> RobotPart:
+    """Read one of the files that describe a robot."""
+    path, controller = split_controller(str(source))
+    if path.suffix == ".xacro":
+        raise ConfigError(UNEXPANDED)
+    if path.suffix not in (*YAML_SUFFIXES, ".urdf"):
         raise ConfigError("a robot is read from .yaml, .yml or .urdf (expand .xacro first)")
-    text = reading.decode_text(reading.read_content(path, MAX_ROBOT_BYTES))
+    text = read_text(path)
     if path.suffix == ".urdf":
-        return _parse_urdf(text, params)
+        return urdf_robot.read_urdf(text, params, driven)
     data = reading.parse_yaml(text)
+    if ros_parameters.is_parameter_file(data):
+        return ros_parameters.read_parameters(data, controller)
+    if controller:
+        raise ConfigError("isn't a file of ROS parameters, so it has no controllers")
+    return RobotPart(read_own_fields(text))
+
+
+def read_own_fields(text: str) -> dict[str, Any]:
+    """Parse the YAML of this package's own robot files.
+
+    Args:
+        text: the YAML.
+
+    Returns:
+        Field names and values, not validated.
+
+    Raises:
+        ConfigError: it isn't such YAML.
+    """
+    data = reading.parse_yaml(text)
+    if ros_parameters.is_parameter_file(data):
+        raise ConfigError("is a file of ROS parameters")
     if data is not None and not isinstance(data, dict):
         raise ConfigError("must be a mapping of parameter names to values")
     return data or {}
-
-
-def _parse_urdf(text: str, names: Sequence[str]) -> dict[str, Any]:
-    """Known parameters of the ros2_control block; those of other plugins don't matter."""
-    try:
-        root = defusedxml.ElementTree.fromstring(text)
-    except (ParseError, DefusedXmlException, ValueError) as error:
-        raise ConfigError(f"not a valid URDF: {error}") from None
-    blocks: list[dict[str, Any]] = []
-    for hardware in root.iterfind(".//ros2_control/hardware"):
-        params = hardware.findall("param")
-        if len(params) > MAX_URDF_PARAMS:
-            raise ConfigError(
-                f"has a hardware block of {len(params):,} params: remove those not used"
-            )
-        given = {param.get("name", ""): (param.text or "").strip() for param in params}
-        for name in (each for each in given if each not in names):
-            near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
-            if near:
-                raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
-        blocks.append({name: given[name] for name in given if name in names})
-    if not blocks:
-        raise ConfigError("has no <ros2_control><hardware> block to take the parameters from")
-    known = max(blocks, key=len)  # a robot with an arm has several blocks
-    return known if "baud_rate" in known else {**DRIVER_DEFAULTS, **known}
-
-
-def check_target(path: str | Path) -> Path:
-    """Return the path of a robot's file that is to be written; ConfigError for other names."""
-    if not isinstance(path, str | Path) or Path(path).suffix not in (".yaml", ".yml"):
-        name = str(path) if isinstance(path, Path) else path
-        raise ConfigError(f"path = {show_value(name)}: a robot is written to .yaml or .yml")
-    return Path(path)
-
-
-def save_robot(robot: Section, path: Path, remarks: Mapping[str, str] | None = None) -> None:
-    """Write a robot's geometry and what differs from the defaults; ConfigError if it can't be.
-
-    Args:
-        robot: to write.
-        path: of the file.
-        remarks: comments to write above fields, by their names.
-    """
-    geometry = {name: getattr(robot, name) for name in GEOMETRY_FIELDS}
-    text = reading.format_yaml(geometry | find_differences(robot, type(robot)()))
-    for name, remark in (remarks or {}).items():
-        lines = "".join(f"# {line}\n" for line in remark.splitlines())
-        text = re.sub(f"(?m)^(?={name}:)", lines, text)
-    reading.write_atomically(path, (ROBOT_FILE_HEAD + text).encode())
-
-
-def find_differences(section: Section, usual: Section) -> dict[str, Any]:
-    """Return the fields of a section that differ from those of another, as plain YAML values."""
-    plain = section.model_dump(mode="json")
-    found: dict[str, Any] = {}
-    for name, default in usual:
-        value = getattr(section, name)
-        if value != default:
-            nested = isinstance(value, Section)
-            found[name] = (
-                find_differences(value, default or type(value)()) if nested else plain[name]
-            )
-    return found

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from acsar_gym.config import drawn
+from acsar_gym.config import drawn, files
 from acsar_gym.config.robot import RobotConfig, RobotSource
 from acsar_gym.errors import ConfigError
 
@@ -51,7 +51,8 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     """
     each: Sequence[RobotSource]
     if isinstance(source, str):
-        counted = [_COUNTED.fullmatch(part) for part in source.split(",")]
+        names = [",".join(group) for group in files.group_parts(source.split(","))]
+        counted = [_COUNTED.fullmatch(name) for name in names]
         parts = [found.groups() for found in counted if found]
         each = [name for count, part in parts for name in drawn.expand_name(part) * int(count or 1)]
     elif isinstance(source, Sequence):

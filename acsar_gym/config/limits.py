@@ -5,7 +5,15 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
@@ -31,7 +39,8 @@ class SpeedLimits(Section):
     """Limits of one axis, with names and meaning of ROS diff_drive_controller; None is no limit.
 
     Units are m/s or rad/s and their derivatives, at most 1e6. If a minimum is None, it is the
-    negative maximum. A twist of zero isn't limited, but sent at once.
+    negative maximum. A twist of zero isn't limited, but sent at once. NaN is None, and so is a jerk
+    of 0, as in ROS.
 
     Accelerations have the names of Humble (`min_acceleration` limits braking, and speeding up
     backward) or of Jazzy, which tells these two apart.
@@ -57,6 +66,15 @@ class SpeedLimits(Section):
     """How fast the acceleration may grow [m/s^3 or rad/s^3]."""
     min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
     """How fast the acceleration may fall; negative."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _without_unset(cls, value: Any, info: ValidationInfo) -> Any:
+        """Return None for ROS's words for no limit."""
+        if not isinstance(value, float | int):
+            return value
+        is_jerk = str(info.field_name).endswith("_jerk")
+        return None if math.isnan(value) or (is_jerk and value == 0.0) else value
 
     @model_validator(mode="after")
     def _names_of_one_release(self) -> Self:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from acsar_gym.config.footprint import Corners, Outline, make_rectangle
+from acsar_gym.config.footprint import Corners, Outline, make_rectangle, outline_radius
 from acsar_gym.config.limits import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
@@ -29,6 +29,7 @@ from acsar_gym.config.limits import (
     default_acceleration,
 )
 from acsar_gym.config.measured import LogHashes, Measured, validate_measured
+from acsar_gym.config.parts import HINTS, MANY_ROBOTS
 from acsar_gym.config.section import (
     Delay,
     Length,
@@ -181,7 +182,6 @@ class BodyConfig(Section):
     1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
 
 
-MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
 MISFIT = "doesn't fit: "
 """Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
 LEAST_RATE = 0.01
@@ -367,11 +367,27 @@ SIMULATION_SECTIONS = (
 """Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
 
 
+MOST_LENGTHS = {
+    "wheel_radius": (0.005, 1.0),
+    "wheel_separation": (0.02, 10.0),
+    "wheelbase": (0.02, 10.0),
+}
+"""Least and largest sizes of robots on four wheels [m]; loaders in mines have the largest."""
+LIDAR_OFFSETS = ("lidar_x_offset", "lidar_y_offset", "lidar_z_offset")
+MOST_RADII = 50.0
+"""Tracks and wheelbases are at most as many wheel radii long."""
+MOST_TRACKS = 20.0
+"""A robot reaches from its middle at most as many times its track or wheelbase."""
+
+
 class RobotConfig(Section):
     """One robot: geometry, serial link, limits, and simulation. Units: m, m/s and rad/s.
 
-    Lengths are at most 100 m, speeds 1,000, rates 10,000 Hz, and times 1 h.
+    Speeds are at most 1,000, rates 10,000 Hz, times 1 h, and lengths those of robots: wheels of 5
+    mm to 1 m in radius, a track and a wheelbase of 2 cm to 10 m.
     """
+
+    hints: ClassVar[Mapping[str, str]] = HINTS
 
     wheel_radius: Length = 0.05
     """Radius of the wheels [m]."""
@@ -396,6 +412,9 @@ class RobotConfig(Section):
     trailing_comma: bool = True
     """Send a comma after the last motor, as the robot's own driver does; some boards take a value
     only at its comma."""
+    echo: bool = False
+    """The board sends every command line back, beside its feedback. That is also found when the
+    port is opened, unless the echo comes later than 0.1 s."""
     control_rate: Rate = 100.0
     """Ticks per second [Hz]; one command line per tick."""
     late_after: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
@@ -447,6 +466,13 @@ class RobotConfig(Section):
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
     None: the rectangle around body and wheels."""
+    wheel_joints: tuple[Name, Name, Name, Name] = (
+        "front_right_wheel_joint",
+        "front_left_wheel_joint",
+        "rear_left_wheel_joint",
+        "rear_right_wheel_joint",
+    )
+    """Names of the joints of the wheels a, b, c, d in ROS."""
     wheels: WheelsConfig = WheelsConfig()
     """Letters and signs of motors and encoders, where the board is wired differently."""
     motor: MotorConfig = MotorConfig()
@@ -477,6 +503,30 @@ class RobotConfig(Section):
     def _measured_fields_exist(self) -> Self:
         """Check the names of measured fields, and that their intervals are within their bounds."""
         validate_measured(self.measured, type(self))
+        return self
+
+    @model_validator(mode="after")
+    def _is_as_large_as_robots_are(self) -> Self:
+        """Check lengths, alone and against each other, as some are meant in centimetres."""
+        for name, (least, most) in MOST_LENGTHS.items():
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise _not_in_metres(name, value, f"{least:g} to {most:g} m")
+        for name in ("wheel_separation", "wheelbase"):
+            value, most = getattr(self, name), MOST_RADII * self.wheel_radius
+            if value > most:
+                told = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
+                raise _not_in_metres(name, value, told)
+        body, most = self.body, MOST_TRACKS * max(self.wheel_separation, self.wheelbase)
+        lengths = {
+            **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
+            "footprint's reach": outline_radius(self.footprint) if self.footprint else 0.0,
+            **{name: getattr(self, name) for name in LIDAR_OFFSETS},
+        }
+        for name, value in lengths.items():
+            if abs(value) > most:
+                told = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
+                raise _not_in_metres(name, value, told)
         return self
 
     @model_validator(mode="after")
@@ -578,40 +628,60 @@ class RobotConfig(Section):
             fields[name] = {**fields[name], **value} if nested else value
         return RobotConfig(**fields)
 
-    def save(self, path: str | Path, remarks: Mapping[str, str] | None = None) -> None:
+    def save(
+        self,
+        path: str | Path,
+        remarks: Mapping[str, str] | None = None,
+        *,
+        outdated: Sequence[str] = (),
+        force: bool = False,
+    ) -> None:
         """Write a YAML file that `load` reads back: the geometry, and what isn't the default.
+
+        In a robot's file that exists, only the values that differ are changed: its comments and
+        all other lines stay.
 
         Args:
             path: the file, .yaml or .yml.
             remarks: comments to write above fields, by their names.
+            outdated: remarks of earlier savings to remove from the file.
+            force: replace a file that isn't a robot's.
 
         Raises:
-            ConfigError: it can't be written, or has another suffix.
+            ConfigError: it can't be written, has another suffix, or exists and isn't a robot's.
         """
-        from acsar_gym.config import files  # noqa: PLC0415 - only saving needs the YAML writer
+        from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
 
-        files.save_robot(self, files.check_target(path), remarks)
+        saving.save_robot(self, path, remarks or {}, outdated, force=force)
 
     @classmethod
-    def load(cls, path: str | Path) -> RobotConfig:
-        """Return the robot of a `.yaml` file, or of a `.urdf` file's `<ros2_control>` parameters.
+    def load(cls, path: str | Path, *more: str | Path) -> RobotConfig:
+        """Return the robot that a file describes, or several files together.
 
         Args:
-            path: the file. A URDF without a baud_rate means 9600 baud, as for the robot's own
-                driver, and by default a control_rate of 20 Hz.
+            path: a `.yaml` file of this package, a `.urdf` file (its `<ros2_control>` parameters,
+                links and joints), or a file of ROS parameters: those of a diff_drive_controller,
+                "controllers.yaml:base_drive" where it has several, or nav2's footprint. In a URDF
+                of the robot's own driver, no baud_rate means 9600 baud, and by default a
+                control_rate of 20 Hz.
+            *more: further files of the same robot; a later one counts more.
 
         Raises:
-            ConfigError: the file is missing or malformed, or holds a bad value.
+            ConfigError: a file is missing or malformed, holds a bad value, or isn't of a robot with
+                four driven wheels that skid; or they don't say how large it is.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
-        if not isinstance(path, str | Path):
-            raise ConfigError(f"path = {show_value(path)}: must be a file's name")
+        for each in (path, *more):
+            if not isinstance(each, str | Path):
+                raise ConfigError(f"path = {show_value(each)}: must be a file's name")
+        params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
+        fields = files.read_fields((path, *more), params)
         try:
-            params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
-            return cls(**files.read_fields(Path(path), params))
+            return cls(**fields)
         except ConfigError as error:
-            raise ConfigError(f"{Path(path)}: {error}") from None
+            names = ",".join(str(Path(each)) for each in (path, *more))
+            raise ConfigError(f"{names}: {error}") from error
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
@@ -630,7 +700,8 @@ class RobotConfig(Section):
 
         Args:
             robot: a config, a mapping of fields, a file, the name of a preset, the number of a
-                robot drawn at random, such as "drawn:17", or None for acsar.
+                robot drawn at random, such as "drawn:17", or None for acsar. Files of ROS
+                parameters may follow, separated by commas: "robot.urdf,controllers.yaml".
 
         Raises:
             ConfigError: for other types, and see `load` and `preset`.
@@ -648,7 +719,7 @@ class RobotConfig(Section):
                 f"robot = {show_value(robot)}: must be a RobotConfig, its fields, a "
                 "preset or a file"
             )
-        from acsar_gym.config import drawn  # noqa: PLC0415 - needs NumPy
+        from acsar_gym.config import drawn, files  # noqa: PLC0415 - NumPy, and the parsers
 
         numbers = drawn.parse_numbers(robot) if isinstance(robot, str) else None
         if numbers is not None:
@@ -656,9 +727,16 @@ class RobotConfig(Section):
             if len(numbers) > 1:
                 raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}, such as {first!r}")
             return cls.model_validate(drawn.draw_robot(numbers[0]))
-        if isinstance(robot, Path) or Path(robot).suffix or "/" in robot:
+        if isinstance(robot, Path):
             return cls.load(robot)
-        return cls.preset(robot)
+        return cls.load(*files.find_parts(robot))
+
+
+def _not_in_metres(name: str, value: float, allowed: str) -> ConfigError:
+    """Return the error for a length that no robot has."""
+    return ConfigError(
+        f"{name} = {value:g}: must be {allowed}; lengths are in metres, not cm or mm"
+    )
 
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None

@@ -5,6 +5,7 @@ Frozen, validated, one exception for bad values; types of fields.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
@@ -31,6 +32,8 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     section: ClassVar[str] = ""
     """Name of the field of RobotConfig that holds this section."""
+    hints: ClassVar[Mapping[str, str]] = {}
+    """What to write instead of fields of other programs, by their names."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -40,10 +43,23 @@ class Section(BaseModel):
             return handler(data)
         except ValidationError as error:
             found = error.errors(include_url=False, include_context=False)
+            if (strange := cls._describe_stranger(data)) is not None:
+                raise ConfigError(strange) from error
             told = [cls._describe_problem(item) for item in found[:MAX_PROBLEMS]]
             if len(found) > MAX_PROBLEMS:
                 told.append(f"and {len(found) - MAX_PROBLEMS:,} more")
             raise ConfigError("; ".join(told)) from None
+
+    @classmethod
+    def _describe_stranger(cls, data: Any) -> str | None:
+        """What to say of several fields of which this section has none; None for others."""
+        if not isinstance(data, Mapping) or len(data) < 2 or cls.model_fields.keys() & data.keys():
+            return None
+        known = ", ".join([*cls.model_fields][:4])
+        return (
+            f"unknown field {str(next(iter(data)))[:40]!r}, and none of the {len(data):,} is known "
+            f"here: {known}, ..."
+        )
 
     @classmethod
     def _describe_problem(cls, item: Any) -> str:
@@ -53,7 +69,9 @@ class Section(BaseModel):
         if item["type"] == "missing":
             return f"{field!r} is missing"
         if item["type"] == "extra_forbidden":
-            near = suggest_name(str(item["loc"][-1])[:40], cls.model_fields)
+            name = str(item["loc"][-1])
+            hint = cls.hints.get(name)
+            near = f"; {hint}" if hint else suggest_name(name[:40], cls.model_fields)
             return f"unknown field {field!r}{near}"
         allowed = item["msg"].removeprefix("Value error, ").removeprefix("Input should ")
         must = "must " if allowed.startswith("be") else ""

@@ -36,9 +36,9 @@ class BarnEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `sensors`, `randomization`,
-      `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty` and `lidar` as in
-      `acsar_gym/ObstacleGoal-v1`.
+    - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
+      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`
+      and `lidar` as in `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
       that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
       `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v1`.

@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
+from acsar_gym.envs.time_limit import StepLimit
 from acsar_gym.errors import (
     AcsarError,
     BoardGarbledError,
     BoardSilentError,
-    CommandError,
     ConfigError,
     LidarError,
     LinkError,
     LinkLostError,
     RenderError,
     WheelError,
+    check_extra,
     show_value,
 )
 from acsar_gym.links import Link, open_link
@@ -42,12 +43,14 @@ from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges, newest_scan
 from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
+from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.base import NO_PATH, NO_RANGES, NOTHING_SENSED
-from acsar_gym.tasks.episode import Assignment, RunningEpisode, Spawn
+from acsar_gym.tasks.episode import Assignment, ObservationCheck, RunningEpisode, Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
     make_task,
+    read_step_limit,
     task_name,
     task_spaces,
     validate_task,
@@ -65,6 +68,8 @@ FAULT_CODES = (
     (LinkError, 5),
 )
 """Numbers of errors in info's `fault`; subclasses come first."""
+LARGEST = float(np.finfo(np.float32).max)
+"""Largest number of an action in a recording."""
 UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
 """The true pose on links without ground truth."""
 
@@ -111,6 +116,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, RenderError, WorldError: for unknown options, or values out of range.
+            TaskError: where a method of the task raises an error, or returns what can't be used.
+            MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
         self._options, rest = EnvOptions.split(options)
@@ -126,7 +133,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space: Any
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
+        self._limit = StepLimit(read_step_limit(self._options.max_episode_steps))
+        self._observed = ObservationCheck(self.task)
         self._episode: RunningEpisode | None = None
+        self._has_ended = False
         self._sensed: Observation = NOTHING_SENSED
         self._truth: GroundTruth | None = None
         self._last_step: tuple[Observation, Info] | None = None
@@ -157,6 +167,10 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         faults = Faults.of(asked.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._recorder = Recorder.of(asked.record)
+        if isinstance(asked.record, str | os.PathLike):
+            check_extra("recording", "record", "mcap", "rosbags")
+        if self.render_mode is not None and asked.view == "top" and not own_window:
+            check_extra("pictures", "pictures", "PIL")
         factories = sensor_factories(sensors, asked.lidar, step)
         self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
@@ -181,11 +195,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._halt()
         self._last_step = None
-        super().reset(seed=seed)
+        super().reset(seed=int(seed) if isinstance(seed, np.integer) else seed)
+        self._limit.find_wrappers(self)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
-        self._episode = episode = RunningEpisode(self.task, assignment)
+        self._episode = episode = RunningEpisode(self.task, assignment, self._observed)
+        self._has_ended = False
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
         scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
         self._describe_episode(seed, assignment)
@@ -202,8 +218,11 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             raise
         return observation, info
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, Info]:
+    def step(self, action: NDArray[np.floating]) -> tuple[Observation, float, bool, bool, Info]:
         """Drive for one env step; the class of the id describes spaces, reward and end.
+
+        With the step that ends the episode, by the task or the time limit, the wheels are commanded
+        to stop.
 
         Args:
             action: (2,), linear and angular, clipped to [-1, 1].
@@ -212,15 +231,25 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             Observation (numbers,) float32, reward, terminated, truncated and info.
 
         Raises:
-            CommandError: for another shape, NaN or infinity; the wheels are commanded to stop.
-            ConfigError: before the first reset.
+            CommandError: for another shape, NaN, infinity, or what isn't numbers; the wheels are
+                commanded to stop.
+            ConfigError: before the first reset, or after the end of an episode; the wheels are
+                commanded to stop.
             LinkError: where the link or the board fails and `on_fault` is "raise".
             TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         episode = self._episode
         if episode is None:
             raise ConfigError("step() before reset(): call reset() first")
-        linear, angular = self._check_action(action)
+        if self._has_ended:
+            self._halt()
+            raise ConfigError("step() after the end of the episode: call reset() first")
+        try:
+            action = read_actions(action, (2,))
+        except BaseException:
+            self._halt()
+            raise
+        linear, angular = (min(max(number, -1.0), 1.0) for number in action.tolist())
         try:
             for _ in range(self.ticks_per_step):
                 self.robot.drive(linear * self._top[0], angular * self._top[1])
@@ -243,27 +272,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         except BaseException as error:
             self.robot.deactivate(error)
             raise
-        over = outcome is not Outcome.GOING
-        if over:
+        terminated = outcome is not Outcome.GOING
+        truncated = self._limit.is_last(episode.steps)
+        if terminated or truncated:
+            self._has_ended = True
             self._halt()
-        ends = over, False, info["is_success"] == 1.0
+        ends = terminated, truncated, info["is_success"] == 1.0
         self._record_step(episode.steps, observation, action, reward, ends)
-        return observation, reward, over, False, info
-
-    def _check_action(self, action: Any) -> tuple[float, float]:
-        """Return an action as two floats in [-1, 1]; stops, and raises CommandError, otherwise."""
-        try:
-            linear, angular = np.asarray(action, np.float64).tolist()
-            sound = math.isfinite(linear + angular)
-        except (TypeError, ValueError, OverflowError):
-            sound = False
-        if not sound:
-            self._halt()
-            raise CommandError(
-                f"action = {show_value(action)}: must be two finite numbers (linear, angular) "
-                "in [-1, 1]"
-            )
-        return min(max(linear, -1.0), 1.0), min(max(angular, -1.0), 1.0)
+        return observation, reward, terminated, truncated, info
 
     def _halt(self) -> None:
         """Stop the wheels between episodes.
@@ -293,15 +309,16 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self,
         step: int,
         observation: Observation,
-        action: NDArray[np.float32] | None = None,
+        action: NDArray[np.floating] | None = None,
         reward: float = math.nan,
         ends: tuple[bool, bool, bool] = (False, False, False),
     ) -> None:
         """Record a step, or step 0, the reset; `ends`: terminated, truncated, success."""
         if self._recorder is not None:
             now, seen = self.robot.link.now(), observation.copy()
-            taken = None if action is None else np.array(action, np.float32)
-            self._recorder.add(Stepped(step, now, seen, taken, reward, *ends))
+            if action is not None:
+                action = np.clip(action, -LARGEST, LARGEST).astype(np.float32)
+            self._recorder.add(Stepped(step, now, seen, action, reward, *ends))
 
     def _state(self, episode: RunningEpisode, action: tuple[float, float]) -> State:
         """The State that the task is given."""
@@ -399,6 +416,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and must be reset first."""
         return self.__dict__ | {"_episode": None, "_last_step": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy of a recorded env is recorded, too: copies of robots aren't."""
+        self.__dict__.update(state)
+        if self._recorder is not None:
+            robot = self.robot
+            self.robot = Robot(robot.link, robot.config, tuple(robot.sensors), self._recorder)
 
     def __copy__(self) -> Self:
         """Every copy is a deep one, because two environments can't share a robot."""

@@ -10,12 +10,12 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from typing import Any
 
 import gymnasium
 
 from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.reading import find_modules_here
 from acsar_gym.registration import IDS
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -49,11 +49,10 @@ def find_id(name: str) -> str:
     """
     env_id = full_id(name)
     module = env_id.rpartition(":")[0]
-    if module and "" not in sys.path:
-        sys.path.append("")
     try:
         if module:
-            importlib.import_module(module)
+            with find_modules_here():
+                importlib.import_module(module)
     except AcsarError:
         raise
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
@@ -62,6 +61,11 @@ def find_id(name: str) -> str:
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
+        if not module and not env_id.startswith("acsar_gym/"):
+            raise ConfigError(
+                f"env {name}: isn't registered: name the module that registers it, too, as in "
+                f"mine_package:{name}"
+            ) from error
         how = f"importing {module} doesn't register it: " if module else ""
         raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None
     return env_id

@@ -86,13 +86,14 @@ class ObstacleGoalEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `render_mode`, `view`, `faults`,
-      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `goal_tolerance`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`,
+      `faults`, `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
     - `worlds`: "clutter:train" by default, the 400 worlds to train in; "clutter:test" are the 200
       that `acsar-gym evaluate` tests in. "clutter:50" means the first 50, "clutter:100-149" those
       with these numbers, "clutter" alone the training split; so with the other kinds ("open",
-      "rooms", "barn"), and with those that `acsar_gym.worlds.register` adds. Or a file (.world, ROS
-      map, .json, .yaml), a folder of them, a World, or a list of World.
+      "rooms", "barn"), and with those that `acsar_gym.worlds.register` adds. Or a file (.world,
+      .sdf, ROS map, .json, .yaml), a folder of them, a World, or a list of World; or a file with
+      what it doesn't say, {"path": "hall.sdf", "start": (0, 0, 1.57), "goal": (4, 0)}.
     - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
     - `lidar`: None for the simulated one, model and device like "rplidar:///dev/ttyUSB1" on
       hardware, "module:Class", or a Lidar.

@@ -54,8 +54,8 @@ class PathFollowEnv(RobotEnv):
 
     ## Arguments
 
-    - `link`, `robot`, `policy_rate`, `render_mode`, `view`, `faults`, `sensors`, `randomization`,
-      `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
+    - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
+      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`.
     - `worlds`: "smooth_path:train" or "waypoint_path:train", "smooth_path:test" and the like, as in
       `acsar_gym/ObstacleGoal-v1`; or a file, a folder or a list of worlds that have a path.
     - `difficulty` of generated paths, 0 to 1: how tight they turn; None or a range varies it.

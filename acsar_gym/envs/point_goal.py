@@ -24,8 +24,8 @@ class PointGoalEnv(RobotEnv):
     | 0 | linear velocity, forward positive | `max_linear` of the robot, 0.5 m/s |
     | 1 | angular velocity, counter-clockwise positive | `max_angular` of the robot, 1.5 rad/s |
 
-    Finite values outside are clipped; NaN, infinity or a wrong shape raise CommandError after the
-    wheels have been commanded to stop.
+    Finite values outside are clipped; NaN, infinity, a wrong shape or what isn't numbers (such as a
+    tensor that requires grad) raise CommandError after the wheels have been commanded to stop.
 
     ## Observation space
 
@@ -51,8 +51,9 @@ class PointGoalEnv(RobotEnv):
     The robot stands at the origin of the odometry frame. The goal lies 0.5 to 3 m away in any
     direction; `reset(options={"goal": (x, y)})` sets it. The episode terminates when odometry says
     that the robot is within `goal_tolerance` of the goal (success) or twice the largest goal
-    distance away from the start; it is truncated after 200 steps. On hardware, reset stops the
-    robot, waits for standstill and sets the odometry to zero.
+    distance away from the start; it is truncated after 200 steps. The step that ends it commands
+    the wheels to stop, and a step after it is a ConfigError. On hardware, reset stops the robot,
+    waits for standstill and sets the odometry to zero.
 
     ## Arguments
 
@@ -62,6 +63,8 @@ class PointGoalEnv(RobotEnv):
       .yaml or .urdf file; None is the ACSAR robot.
     - `goal_distance`: nearest and farthest goal [m]. `goal_tolerance` [m]. `distance_scale`: what
       observed distances are divided by [m]; None: the farthest goal's distance.
+    - `max_episode_steps`: time limit [steps]; None or -1 is none. `gymnasium.make` passes it to its
+      TimeLimit wrapper, which the env finds.
     - `policy_rate`: steps per second [Hz]; the robot's control rate must be a whole multiple.
     - `render_mode`: "rgb_array", or "human" for a live window, in real time; without a display it
       draws off-screen, with a warning.

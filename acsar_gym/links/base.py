@@ -138,6 +138,12 @@ def arrivals_of(link: Link) -> Arrivals:
     return pieces
 
 
+def echoes_of(link: Link) -> bool | None:
+    """Return whether the board behind a link sends every command back; None where none is real."""
+    echoes: bool | None = getattr(link, "echoes", None)
+    return echoes
+
+
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     found: ScannedLink | None = _find_inner(link, ScannedLink)
@@ -209,6 +215,11 @@ class ForwardingLink:
         return arrivals_of(self.link)
 
     @property
+    def echoes(self) -> bool | None:
+        """Whether the board of the link echoes."""
+        return echoes_of(self.link)
+
+    @property
     def truth(self) -> GroundTruth | None:
         """Ground truth of the link."""
         return self.link.truth
@@ -217,6 +228,11 @@ class ForwardingLink:
     def lateness(self) -> float | None:
         """Lateness of the link's newest period [s]; None where time is simulated."""
         return self.link.lateness
+
+    @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the link; empty where one does, or where it needs none."""
+        return str(getattr(self.link, "unwatched", ""))
 
     @property
     def camera(self) -> Camera | None:

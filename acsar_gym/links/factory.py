@@ -15,7 +15,7 @@ from typing import NamedTuple
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.links.base import Link
-from acsar_gym.physics.bodies import BODIES, make_body
+from acsar_gym.physics.bodies import BODIES, check_installed, make_body
 
 
 class Backend(NamedTuple):
@@ -35,6 +35,7 @@ class Backend(NamedTuple):
 def _make_simulated(url: str, config: RobotConfig, window: bool) -> Link:
     from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
 
+    check_installed(url)
     return SimulatedLink(config, partial(make_body, url, config, window=window))
 
 
@@ -85,6 +86,7 @@ def open_link(
 
     Raises:
         ConfigError: for any other URL.
+        MissingExtraError: the simulator isn't installed.
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):

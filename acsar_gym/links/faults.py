@@ -7,6 +7,7 @@ Bytes from driver to board pass these stages; bytes of the board pass them in th
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from collections import Counter, deque
@@ -492,7 +493,7 @@ class FaultyLink(ForwardingLink):
         self.injected: Counter[str] = Counter()
         self.wheels = WheelFaults()
         self._relink = relink
-        self._first_seed = seed
+        self._first_seed = copy.deepcopy(seed)  # a generator goes on
         self._replugs = 0
         self._back_at: float | None = None
         self._episode: _EpisodeFaults | None = None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 
-from acsar_gym.config import BAUD_RATES, RobotConfig
+from acsar_gym.config import BAUD_RATES, BITS_PER_BYTE, RobotConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.links.base import WHILE_WAITING
-from acsar_gym.protocol import Decoder, Speeds
+from acsar_gym.protocol import ECHO_PROBE, Decoder, EchoDecoder, Speeds, line_end
 
 LINE_CHARACTERS = frozenset(b"abcdpn0123456789.,+- ")
 """Bytes of a line."""
@@ -16,6 +17,29 @@ MAX_SHOWN_BYTES = 40
 """Most received bytes that a message shows."""
 BOARD_POLL = 0.01
 """Interval of polling for the first valid line [s]."""
+ECHO_INTERVAL = 0.03
+"""Interval of the commands whose echo is looked for [s]."""
+ECHO_WAIT, ECHO_TIMEOUT = 0.1, 0.5
+"""How long an echo may take, at least, and the longest wait for lines without one [s]."""
+ECHO_LINES = 3
+"""A board that has sent so many lines meanwhile doesn't echo."""
+FEWEST_LINES, FEWEST_REFUSED = 3, 10
+"""A board that has sent so many valid lines has the right baud rate; one that then sends fewer
+refused parts than these before it is silent was reset, where a bad cable goes on."""
+FORMATS: tuple[tuple[str, bytes, bytes], ...] = (
+    ("upper-case letters", rb"[ABCDPN]", b"lower"),
+    ("equals signs or colons", rb"(?<=[abcdpn])[=:] *", b""),
+    ("signs instead of p and n", rb"(?<=[abcd])\+", b"p"),
+    ("signs instead of p and n", rb"(?<=[abcd])-", b"n"),
+    ("no p or n", rb"(?<=[abcd])(?=[0-9])", b"p"),
+    ("decimal commas", rb"(?<=[0-9]),(?=[0-9])", b"."),
+    ("other separators than commas", rb"(?<=[0-9]) *[;:|\t ] *(?=[abcd]|$)", b","),
+    ("one decimal", rb"(?<=[0-9]\.[0-9])(?![0-9])", b"0"),
+    ("no decimals", rb"(?<=[0-9])(?=,|$)(?<![.0-9][0-9][0-9])", b".00"),
+)
+"""What a line may have instead of the wire's format, and how it is mended."""
+TWO_WHEELS = re.compile(rb"(?:[rl][pn][0-9. ]+,?){2}")
+"""A line of a relative of this protocol."""
 
 
 def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) -> None:
@@ -41,6 +65,11 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
         decoder.feed(data)
         if decoder.lines:
             return
+    if differs := describe_format(decoder.sample):
+        raise BoardSilentError(
+            f"{device}: the board's lines have {differs}: {shown_bytes(decoder.sample)}",
+            "its program must write them like ap12.50,bn08.75,cp15.00,dn10.25",
+        )
     if _is_garbled(decoder):
         others = ", ".join(str(rate) for rate in BAUD_RATES if rate != baud)
         raise BoardGarbledError(
@@ -61,6 +90,47 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
     )
 
 
+def find_echo(
+    write: Callable[[bytes], None], read: Callable[[], bytes], device: str, config: RobotConfig
+) -> bool:
+    """Find whether a board sends commands back, by zero commands that no feedback is like.
+
+    Args:
+        write: sends bytes.
+        read: returns the bytes that have arrived.
+        device: name of the device, for messages.
+        config: configuration of the robot.
+
+    Raises:
+        BoardSilentError: it sends nothing else, for `connect_timeout`.
+    """
+    decoder, feedback = EchoDecoder(), 0
+    probe = ECHO_PROBE + line_end(trailing_comma=config.trailing_comma)
+    line = len(probe) * BITS_PER_BYTE / config.baud_rate
+    begin = now = due = time.monotonic()
+    while now - begin <= config.connect_timeout:
+        if now >= due:
+            write(probe)
+            decoder.expect(probe)
+            due = now + ECHO_INTERVAL + 2.0 * line
+        WHILE_WAITING.get()()
+        time.sleep(BOARD_POLL)
+        known = decoder.echoes
+        lines = len(decoder.feed(read()))
+        feedback = feedback + lines if known or not decoder.echoes else 0  # what came before it
+        now = time.monotonic()
+        if decoder.echoes and feedback:
+            return True
+        waited = feedback >= ECHO_LINES and now - begin >= ECHO_WAIT + 2.0 * line
+        if not decoder.echoes and (waited or now - begin >= ECHO_TIMEOUT):
+            return False
+    raise BoardSilentError(
+        f"{device}: this board echoes, and sends nothing else: each command comes back, and no "
+        "feedback",
+        "its program must send the measured speeds as well",
+    )
+
+
 def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board in use that sends no valid feedback.
 
@@ -68,6 +138,20 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
         age: time since the newest valid line [s].
         decoder: what it decoded.
     """
+    if isinstance(decoder, EchoDecoder) and decoder.only_echoes:
+        return BoardSilentError(
+            f"no feedback for {age:.2f} s but this board's echo of the commands, or what equals it",
+            "check the board's program; where it doesn't echo, take echo: true out of the robot's "
+            "file",
+        )
+    begun = decoder.rest or decoder.damaged
+    if decoder.lines >= FEWEST_LINES and begun and decoder.damaged < FEWEST_REFUSED:
+        newest = shown_bytes(decoder.rest or decoder.sample)
+        return BoardSilentError(
+            f"no feedback for {age:.2f} s, the board stopped in mid-line after {newest}: it was "
+            "reset, hangs, or has lost its power",
+            "check its power supply, which motors may draw down, and its program's watchdog",
+        )
     if _is_garbled(decoder):
         received = shown_bytes(decoder.sample or decoder.rest)
         return BoardGarbledError(
@@ -81,6 +165,27 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
             "check the board's power and its program",
         )
     return BoardSilentError(f"no feedback for {age:.2f} s", "check the board's power and the cable")
+
+
+def describe_format(line: bytes) -> str:
+    """Say in what a line differs from the wire's format, if that is all that is wrong with it.
+
+    Args:
+        line: as it was received.
+
+    Returns:
+        Such as "upper-case letters"; empty for a line that is right, or something else.
+    """
+    line = line.strip()
+    if TWO_WHEELS.fullmatch(line):
+        return "two wheels, r and l, where this robot has four, a to d"
+    names = []
+    for name, pattern, mended in FORMATS:
+        before = line
+        line = line.lower() if mended == b"lower" else re.sub(pattern, mended, line)
+        names += [name] if line != before and name not in names else []
+    readings = Decoder().feed(line + b"\n")
+    return " and ".join(names) if readings and None not in readings[0].speeds else ""
 
 
 def _is_garbled(decoder: Decoder) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -164,6 +166,11 @@ class ReplayLink:
         return self._tape.truth if self._tape else None
 
     @property
+    def echoes(self) -> bool | None:
+        """Whether the board of this episode echoed; None where it was simulated."""
+        return None if self._tape is None or self.lateness is None else self._tape.echoes
+
+    @property
     def lateness(self) -> float | None:
         """Recorded lateness [s]; None where time was simulated, and before the first period."""
         return self._tape.lateness if self._tape else None
@@ -181,9 +188,9 @@ class ReplayLink:
         """Return the age of the oldest measurement in the episode; see `Tape` [s]."""
         return self._tape.oldest_measurement() if self._tape else 0.0
 
-    def __reduce__(self) -> tuple[type[ReplayLink], tuple[Path, ByteStream | None]]:
+    def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path, ByteStream | None]]:
         """Copy with the replay at its beginning."""
-        return ReplayLink, (self.replays, self._port)
+        return partial(ReplayLink, compare=self._compare), (self.replays, self._port)
 
     def close(self) -> None:
         """Close the link, but not the port, which its owner closes. A reset opens it again."""

@@ -5,18 +5,23 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LinkError, LinkLostError
+from acsar_gym.errors import LinkError, LinkLostError, SafetyWarning
 from acsar_gym.links.base import Arrivals
-from acsar_gym.links.handshake import wait_for_board
+from acsar_gym.links.handshake import find_echo, wait_for_board
 from acsar_gym.links.ports import OpenPort, PortLocation
 from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
 from acsar_gym.links.watchdog import Watchdog, end_searches
-from acsar_gym.protocol import ZERO, encode
+from acsar_gym.protocol import ECHO_PROBE, ECHO_ZERO, ZERO, encode, line_end
 from acsar_gym.worlds import Scene
 
+ECHO_WARNING = (
+    "this board echoes: it sends each command back, and the echoes don't count as feedback; take "
+    "the echo out of its program, or write echo: true into the robot's file"
+)
 SILENT_SHARE = 0.5
 """A board silent for this share of `feedback_timeout` may not have received zero commands."""
 WRITER_TIMEOUT = 1.0
@@ -32,7 +37,8 @@ class SerialLink:
     sends zero commands if this process dies, or hangs longer than `watchdog_timeout` while wheels
     turn. During driving, no call takes longer than a period.
 
-    Attributes: `device`; `lateness`; `watchdog`.
+    Attributes: `device`; `lateness`; `watchdog`; `echoes`, whether the board sends every command
+    back, as far as `open` or the config tells.
 
     Args:
         device: a device, a URL, or "usb:" and the serial number of a USB adapter.
@@ -52,11 +58,21 @@ class SerialLink:
         self._moved = False
         self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
         self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
+        ends = [line_end(trailing_comma=comma) for comma in (False, True)]
+        self._zeros += tuple(zero + end for zero in (ECHO_PROBE, ECHO_ZERO) for end in ends)
+        self.echoes = config.echo
         self.watchdog = Watchdog(self._stop_line, config.watchdog_timeout)
         self._wants_arrivals = False
         self._arrivals: Arrivals = []
         self.lateness = 0.0
         install_handlers()
+
+    @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the open link; empty where one does."""
+        if self._config.watchdog_timeout is None:
+            return "watchdog_timeout: null"
+        return "" if self.watchdog.is_started else "not on this system, or not for this port"
 
     def _make_locks(self) -> None:
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
@@ -65,7 +81,8 @@ class SerialLink:
     def open(self) -> None:
         """Open the device, command zero, and wait for the first valid line. Idempotent.
 
-        A port that was lost before has `reconnect_timeout` to reappear.
+        A port that was lost before has `reconnect_timeout` to reappear. Warns (SafetyWarning) where
+        the board echoes, unlike in the config.
 
         Raises:
             LinkError: port or board can't be reached (see its subclasses), no watchdog can be
@@ -87,11 +104,19 @@ class SerialLink:
             self._require_port().drop_output()
             self.write(self._stop_line)
             wait_for_board(self.read_now, self.device, self._config)
+            echoes = find_echo(self.write, self.read_now, self.device, self._config)
+            self.echoes = echoes or self._config.echo
             self.watchdog.wait_ready()
+            if echoes and not self._config.echo:
+                self.report_echo()
         except BaseException:
             self.close()
             raise
         self._deadline = self.now()
+
+    def report_echo(self) -> None:
+        """Warn (SafetyWarning) of a board that echoes, unlike in the robot's file."""
+        warnings.warn(f"{self.device}: {ECHO_WARNING}", SafetyWarning, 4)
 
     def reset(self, scene: Scene) -> None:
         """Command zero, discard received bytes, and restart the deadlines.
@@ -293,9 +318,9 @@ class SerialLink:
         if getattr(self, "_port", None) is not None:
             self.close()
 
-    def __reduce__(self) -> tuple[type[SerialLink], tuple[str, RobotConfig]]:
+    def __reduce__(self) -> tuple[type[SerialLink], tuple[object, ...]]:
         """Copy and pickle as a closed link to the same device; a port can't be shared."""
-        return SerialLink, (self.device, self._config)
+        return SerialLink, (self.device, self._config, self._zeros)
 
     def _require_port(self) -> OpenPort:
         if self._port is None:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, suggest_name
+from acsar_gym.errors import ConfigError, check_extra, suggest_name
 from acsar_gym.physics.body import Body
 
 
@@ -18,7 +18,8 @@ class BodyBackend(NamedTuple):
 
     Attributes: `title`, its name in tables; `make`, makes one for a robot, with the simulator's own
     window or without; `has_window`, whether the simulator has one; `has_camera`, whether it takes
-    pictures; `unused`, parameters of `Randomization` that have no effect.
+    pictures; `unused`, parameters of `Randomization` that have no effect; `module`, the
+    simulator's, and `extra`, which installs it, both empty for our own.
     """
 
     title: str
@@ -26,6 +27,8 @@ class BodyBackend(NamedTuple):
     has_window: bool = False
     has_camera: bool = False
     unused: tuple[str, ...] = ()
+    module: str = ""
+    extra: str = ""
 
 
 def _make_planar(config: RobotConfig, window: bool) -> Body:
@@ -48,12 +51,37 @@ def _make_mujoco(config: RobotConfig, window: bool) -> Body:
 
 BODIES = {
     "planar": BodyBackend("planar", _make_planar),
-    "bullet": BodyBackend("PyBullet", _make_bullet, has_window=True, has_camera=True),
-    "mujoco": BodyBackend("MuJoCo", _make_mujoco, has_camera=True, unused=("turn_factor",)),
+    "bullet": BodyBackend(
+        "PyBullet",
+        _make_bullet,
+        has_window=True,
+        has_camera=True,
+        module="pybullet",
+        extra="bullet",
+    ),
+    "mujoco": BodyBackend(
+        "MuJoCo",
+        _make_mujoco,
+        has_camera=True,
+        unused=("turn_factor",),
+        module="mujoco",
+        extra="mujoco",
+    ),
 }
 """Bodies by name; the links that simulate them have the same names."""
 LINKS_WITH_CAMERA = " or ".join(repr(name) for name, body in BODIES.items() if body.has_camera)
 """For messages."""
+
+
+def check_installed(name: str) -> None:
+    """Raise MissingExtraError where the simulator of a body of the table isn't installed.
+
+    Args:
+        name: such as "bullet".
+    """
+    body = BODIES[name]
+    if body.module:
+        check_extra(f"the {body.title} robot", body.extra, body.module)
 
 
 def make_body(name: str, config: RobotConfig, *, window: bool = False) -> Body:

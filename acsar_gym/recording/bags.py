@@ -346,7 +346,7 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
     Returns:
         The places of four names; None where there aren't.
     """
-    told = getattr(robot, "wheel_joints", messages.JOINT_NAMES)
+    told = robot.wheel_joints
     if all(name in names for name in told):
         return tuple(names.index(name) for name in told)
     places: dict[str, int] = {}

@@ -8,7 +8,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError, RecordingWarning, show_value
 from acsar_gym.reading import explain_error
 from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, Exchange
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.sinks import McapFile, Sink, SplitFile, check_target
+from acsar_gym.recording.sinks import McapFile, Sink, SplitFile, check_target, next_number
 
 QUEUE_CAPACITY = 20_000
 """Most events that wait for the writer: at 100 Hz more than a minute's."""
@@ -172,6 +172,7 @@ class Recorder:
         self._closed = False
         self._clock_due = 0.0
         self._waits = False
+        self._is_copy = False
 
     @classmethod
     def of(cls, record: Any) -> Recorder | None:
@@ -220,6 +221,8 @@ class Recorder:
             self._warn(self._writer)
             return
         if self.path is not None:
+            if self._is_copy and self.path.exists():
+                self.path = next_number(self.path)
             file = McapFile if self._split is None else SplitFile
             self._sinks.append(file(self.path, make_header(config, self.about)))
         self._writer = WriterThread(self._queue, Encoder(config, self._split), self._sinks)
@@ -310,9 +313,9 @@ class Recorder:
             self.problem = f"{self._name}: {problem}"
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
-    def __reduce__(self) -> tuple[type[Recorder], tuple[Any, ...]]:
-        """Copies haven't begun yet."""
-        return Recorder, (self.path, self.about, (), self._capacity, self._split)
+    def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
+        """Copies haven't begun yet; where there is a file, they write one with another number."""
+        return _copy_recorder, (self.path, self.about, self._split)
 
     def __enter__(self) -> Self:
         return self
@@ -324,6 +327,14 @@ class Recorder:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _copy_recorder(
+    path: Path | None, about: dict[str, Any], split: float | None = None
+) -> Recorder:
+    copied = Recorder(path, about, split=split)
+    copied._is_copy = True  # noqa: SLF001 - only copies are
+    return copied
 
 
 _open_recorders: set[Recorder] = set()

@@ -37,13 +37,14 @@ class Tape:
         episode: of a recording.
 
     Attributes: `now`, the time at the end of the newest period [s]; `first_period`, how long the
-    first one lasts [s].
+    first one lasts [s]; `echoes`, whether what arrived has echoes.
     """
 
     def __init__(self, episode: Episode) -> None:
         self._first_tick = float(episode.stamps[0]) if len(episode.stamps) else math.inf
         self._periods = periods = episode.exchanges
         self._wire, self._turns = episode.wire, episode.revolutions
+        self.echoes = self._wire.echoes
         self._writes, self._pieces = (
             np.concatenate([[0], np.cumsum(np.maximum(counts, 0))])
             for counts in (periods.writes, periods.pieces)
@@ -199,7 +200,7 @@ def replay_commands(
     track = np.array(poses, np.float64).reshape(-1, 3)
     track[:, 2] = np.unwrap(track[:, 2])
     answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered), track)
+    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered, echoed=False), track)
 
 
 def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:

@@ -68,15 +68,19 @@ def check_target(path: Path, source: Path | None = None) -> None:
         raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
 
 
+def next_number(path: Path) -> Path:
+    """The first name "drive.1.mcap", "drive.2.mcap" that no file has."""
+    numbered = (path.with_suffix(f".{n}{path.suffix}") for n in itertools.count(1))
+    return next(name for name in numbered if not name.exists())
+
+
 def open_exclusively(path: str, flags: int) -> int:
     """Open a file for one recorder only, for `open(opener=...)`; an older recording is kept."""
     file = _open_locked(path, flags)
     if not os.fstat(file).st_size:
         return file
     try:
-        older = Path(path)
-        numbered = (older.with_suffix(f".{n}{older.suffix}") for n in itertools.count(1))
-        older.rename(next(name for name in numbered if not name.exists()))
+        Path(path).rename(next_number(Path(path)))
         return _open_locked(path, flags)
     finally:
         os.close(file)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, overload
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import WheelLetters
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
+from acsar_gym.protocol import ECHO_ZERO, ZERO, Decoder, EchoDecoder, Reading, Speeds, encode
 
 Floats = NDArray[np.float64]
 
@@ -61,6 +62,16 @@ class WireLog:
     """(m,): when each piece arrived, i.e. the time of its last byte [s]."""
     got: Sequence[bytes]
     """The bytes of each piece."""
+    echoed: bool | None = None
+    """Whether every command came back; None: as the zero commands tell, which are other ones to a
+    board that echoes."""
+
+    @property
+    def echoes(self) -> bool:
+        """Whether what arrived has echoes of the commands."""
+        if self.echoed is None:
+            return any(ECHO_ZERO in piece for piece in self.sent)
+        return self.echoed
 
     def commands(self, config: RobotConfig) -> tuple[Floats, Floats]:
         """Decode what was sent.
@@ -84,17 +95,41 @@ class WireLog:
             Stamps of each line's last byte [s], (k,), and speeds [rad/s] of the logical wheels,
             (k, 4). A wheel that a line doesn't name keeps its last speed.
         """
-        return _decode_lines(self.got_stamps, self.got, config.wheels.encoders)
+        letters = config.wheels.encoders
+        if not self.echoes:
+            return _decode_lines(self.got_stamps, self.got, letters)
+        decoder = EchoDecoder(encode(ZERO))  # of the reset
+        waiting = deque(zip(self.sent_stamps.tolist(), self.sent, strict=True))
+
+        def expect(stamp: float) -> None:
+            """Expect the echoes of what was sent until then."""
+            while waiting and waiting[0][0] <= stamp:
+                decoder.expect(waiting.popleft()[1])
+
+        return _decode_lines(self.got_stamps, self.got, letters, decoder, expect)
 
 
 def _decode_lines(
-    stamps: Floats, pieces: Sequence[bytes], letters: WheelLetters | None
+    stamps: Floats,
+    pieces: Sequence[bytes],
+    letters: WheelLetters | None,
+    decoder: Decoder | None = None,
+    prepare: Callable[[float], None] = lambda _: None,
 ) -> tuple[Floats, Floats]:
-    """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it."""
-    decoder, speeds = Decoder(), ZERO
+    """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it.
+
+    Args:
+        stamps: of the pieces [s].
+        pieces: of the stream.
+        letters: of motors or encoders.
+        decoder: decodes them; None for a new one.
+        prepare: is called with the stamp of each piece before it is decoded.
+    """
+    decoder, speeds = decoder or Decoder(), ZERO
     when: list[float] = []
     rows: list[Speeds] = []
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
+        prepare(stamp)
         for each in decoder.feed(piece):
             reading = Reading(letters.to_wheels(each.speeds)) if letters else each
             speeds = reading.over(speeds)

@@ -253,10 +253,16 @@ def round_length(most: float) -> float:
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= most * (1.0 + 1e-9))
 
 
-def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """Encode a picture (height, width, 3) as PNG."""
+def encode_png(image: NDArray[np.uint8], comment: str = "") -> bytes:
+    """Encode a picture (height, width, 3) as PNG, with a comment in it."""
     file = io.BytesIO()
-    _pillow().Image.fromarray(image).save(file, "PNG")
+    pillow = _pillow()
+    from PIL.PngImagePlugin import PngInfo  # noqa: PLC0415 - optional
+
+    texts = PngInfo()
+    if comment:
+        texts.add_text("Comment", comment)
+    pillow.Image.fromarray(image).save(file, "PNG", pnginfo=texts)
     return file.getvalue()
 
 

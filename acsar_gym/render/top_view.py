@@ -344,7 +344,7 @@ def save_picture(image: RgbImage, path: str | Path) -> None:
     """Write a picture as PNG; ConfigError for another suffix, or if it can't be written."""
     path = Path(path)
     check_picture_name(path)
-    reading.write_atomically(path, encode_png(image))
+    reading.write_atomically(path, encode_png(image, reading.describe_origin()))
 
 
 def check_picture_name(path: Path) -> None:

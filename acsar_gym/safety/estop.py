@@ -11,20 +11,22 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import os
 import re
 import select
 import socket
 import stat
-import sys
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
+from acsar_gym.streams import print_error
 
 SESSION_FOLDERS = Path("/run/user")
 """Has a folder for each user who is logged in, in which nobody else can create files."""
@@ -35,6 +37,8 @@ FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
 MAX_FOLDER_PATH = 80
 """Most bytes of a folder's path, because the address of a socket has at most 103 on every
 system."""
+OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, in every terminal the same"
+"""What to do where a folder can't be used."""
 
 
 def list_candidates() -> list[Path]:
@@ -57,27 +61,46 @@ def list_candidates() -> list[Path]:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder that only its owner can use, if it doesn't exist, and return its path.
+    """Make a folder that only its owner can use, with its parents, and return its path.
+
+    Parents that it makes are its owner's alone, too. What exists stays as it is.
 
     Raises:
-        LinkError: it can't be made, its path is too long, or others can use it.
+        LinkError: it can't be made, its path is relative or too long, or others can use it.
     """
+    if not path.is_absolute():  # it would be another one in another terminal
+        raise LinkError(f"{path}: isn't an absolute path", OTHER_FOLDER)
     if len(os.fsencode(path)) > MAX_FOLDER_PATH:
         raise LinkError(
             f"{path}: too long for the address of a socket",
             f"set {FOLDER_VARIABLE} to a folder of a shorter path",
         )
     try:
-        path.mkdir(mode=0o700, exist_ok=True)
-        found = path.lstat()
-    except OSError as error:
-        raise LinkError(f"{path}: can't be made a folder: {error.strerror}", "make room") from None
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise LinkError(
-            f"{path}: isn't a folder of yours alone",
-            f"remove it, or set {FOLDER_VARIABLE} to a folder of yours, in every terminal the same",
-        )
+        for folder in reversed((path, *path.parents)):
+            # A file in the way is named by the next folder's error.
+            with contextlib.suppress(FileExistsError):
+                if not folder.is_dir():
+                    folder.mkdir(mode=0o700)
+        status = path.lstat()
+    except (OSError, ValueError) as error:
+        raise _explain_folder(path, error) from error
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
+        raise LinkError(f"{path}: isn't a folder of yours alone", f"remove it, or {OTHER_FOLDER}")
     return path
+
+
+def _explain_folder(path: Path, error: Exception) -> LinkError:
+    """Return the error for a folder of sockets that can't be made or used."""
+    why = getattr(error, "strerror", None) or str(error)
+    fix = OTHER_FOLDER
+    if getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
+        fix = f"make room, or {OTHER_FOLDER}"
+    for parent in path.parents:
+        if os.path.lexists(parent):
+            if not parent.is_dir():
+                why, fix = f"{parent} is no folder", f"remove it, or {OTHER_FOLDER}"
+            break
+    return LinkError(f"{path}: can't be made a folder: {why}", fix)
 
 
 def find_folders() -> tuple[list[Path], list[LinkError]]:
@@ -109,8 +132,17 @@ OTHER_ANSWER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
 MAX_REQUEST_BYTES = 8192
 """Most bytes of a request or an answer."""
-MAX_LISTENERS = 1000
-"""Listeners of processes with one id."""
+HIDDEN = "."
+"""Before the name of a socket that doesn't listen yet."""
+NUMBER_BYTES = 5
+"""Random bytes of a socket's number, so that no address is given out twice: not to another thread,
+not to a process of the same id in a container, and not to one after this one."""
+BIND_ATTEMPTS = 100
+"""How often a listener whose socket was removed halfway makes another."""
+RESEND_PERIOD = 0.01
+"""How soon a request is sent again that found a full queue [s]."""
+STALE_ASKER_AGE = 60.0
+"""Age at which the socket of a stop that ended halfway is removed [s]; a stop takes 2 s."""
 MAX_REQUESTS = 8
 """Requests that are read in one tick."""
 
@@ -183,7 +215,8 @@ class StopListener:
     held: ClassVar[list[StopListener]] = []
 
     def __init__(self, device: str = "", name: str = "", recording: str = "") -> None:
-        self._identity = b"\t".join((OTHER_ANSWER, *map(os.fsencode, (device, name, recording))))
+        self._about = (device, name, recording)
+        self._identity = b"\t".join((OTHER_ANSWER, *map(os.fsencode, self._about)))
         real = os.path.realpath(device) if device.startswith("/") else device
         known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
         self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
@@ -191,21 +224,35 @@ class StopListener:
         self.paths: list[Path] = []
         self._process = os.getpid()
         self._waiting: list[tuple[socket.socket, str]] = []
+        self._unsent: list[tuple[socket.socket, bytes, str, float]] = []
         self.closed = False
         usable, self.faults = find_folders()
-        # Processes in containers that share a folder can have the same id. No name is free in a
-        # folder of the real user after a change of the effective one.
-        names = (f"{os.getpid()}-{number}" for number in range(1, MAX_LISTENERS + 1))
-        own = next((n for n in names if not any(_is_taken(folder / n) for folder in usable)), "")
-        if not own:
-            self.faults += [LinkError(f"{one}: no socket", "make it yours") for one in usable]
-        for folder in usable if own else ():
-            path = folder / own
+        name = f"{os.getpid()}-{_make_number()}"
+        for folder in usable:
+            path = folder / name
             try:
-                self._sockets.append(_bind_socket(path))
+                self._sockets.append(_bind_listener(path))
                 self.paths.append(path)
             except OSError as error:
-                self.faults.append(LinkError(f"{path}: no socket: {error.strerror}", "make room"))
+                self.faults.append(_explain_socket(path, error))
+
+    @staticmethod
+    def check_available(device: str) -> None:
+        """Check that a stop would reach a program that drives.
+
+        Args:
+            device: of the robot, for the message.
+
+        Raises:
+            LinkError: it wouldn't; the message says why.
+        """
+        listener = StopListener()
+        paths, faults = listener.paths, listener.faults
+        listener.close()
+        if not paths:
+            why = "; ".join(fault.found for fault in faults)
+            fixes = "; ".join(dict.fromkeys(fault.fix for fault in faults if fault.fix))
+            raise LinkError(f"{device}: 'acsar-gym estop' couldn't stop this robot: {why}", fixes)
 
     @property
     def unavailable(self) -> str:
@@ -219,6 +266,10 @@ class StopListener:
 
     def is_requested(self) -> bool:
         """Whether a stop of this robot has been requested; doesn't block."""
+        if self._unsent:
+            unsent, self._unsent = self._unsent, []
+            for answer in unsent:
+                self._answer(*answer)
         for each in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
                 for _ in range(MAX_REQUESTS):
@@ -246,14 +297,23 @@ class StopListener:
         Args:
             connected: whether wheels have been commanded to stop; else there is no robot.
         """
-        for own, sender in self._waiting:
-            self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
-        self._waiting = []
+        with contextlib.suppress(IndexError):  # another thread may add or take one meanwhile
+            while True:
+                own, sender = self._waiting.pop()
+                self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
 
-    @staticmethod
-    def _answer(own: socket.socket, data: bytes, sender: str) -> None:
-        with contextlib.suppress(OSError, TypeError):  # ended, or its socket has no address
+    def _answer(
+        self, own: socket.socket, data: bytes, sender: str, deadline: float | None = None
+    ) -> None:
+        """Send an answer; one that finds the other's queue full goes along with the next tick."""
+        try:
             own.sendto(data, sender)
+        except BlockingIOError:  # it takes ten at a time, and many robots may answer it
+            deadline = deadline or time.monotonic() + ANSWER_TIMEOUT
+            if time.monotonic() < deadline:
+                self._unsent.append((own, data, sender, deadline))
+        except (OSError, TypeError):  # it ended, or its socket has no address
+            pass
 
     def hold(self) -> None:
         """Let nothing in this process drive before the release."""
@@ -269,7 +329,10 @@ class StopListener:
     def _drop_hold(self) -> None:
         # What a fork has inherited can't be reached by name, so that it goes along.
         own = os.getpid()
-        self.held[:] = [one for one in self.held if one is not self and one._process == own]  # noqa: SLF001
+        for one in self.held.copy():
+            if one is self or one._process != own:  # noqa: SLF001
+                with contextlib.suppress(ValueError):  # another thread has dropped it
+                    self.held.remove(one)
 
     def close(self) -> None:
         """Close the sockets, after a stop once it is released; idempotent.
@@ -291,9 +354,9 @@ class StopListener:
                     path.unlink()
         self.paths = []
 
-    def __reduce__(self) -> tuple[type[StopListener], tuple[()]]:
-        """Copies and pickles listen on sockets of their own."""
-        return StopListener, ()
+    def __reduce__(self) -> tuple[type[StopListener], tuple[str, str, str]]:
+        """Copies and pickles listen on sockets of their own, for the same robot."""
+        return StopListener, self._about
 
     def __del__(self) -> None:
         if hasattr(self, "faults"):
@@ -326,30 +389,53 @@ def _remove_sockets() -> None:
         each._close_sockets()  # noqa: SLF001
 
 
-def _is_taken(path: Path) -> bool:
-    """Whether somebody listens on this socket."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+def _make_number() -> int:
+    """Draw the number of a socket, see `NUMBER_BYTES`."""
+    return int.from_bytes(os.urandom(NUMBER_BYTES))
+
+
+def _bind_listener(path: Path) -> socket.socket:
+    """Return a new socket that listens at this address, which nobody has had.
+
+    Between the two halves of a bind, the file is there and refuses requests, as that of a dead
+    process does, and a stop may remove it. So it gets its name when it listens: what has such a
+    name and refuses, is dead for ever, and nobody else can have the address by then.
+    """
+    hidden, attempts = path.with_name(HIDDEN + path.name), 0
+    while True:
+        attempts += 1
         try:
-            probe.connect(str(path))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except OSError:  # another user's socket
-            return True
-    return True
+            with contextlib.ExitStack() as on_error:
+                ours = on_error.enter_context(_bind_socket(hidden))
+                hidden.rename(path)
+                on_error.pop_all()
+                return ours
+        except FileNotFoundError:  # a stop removed it halfway, or somebody the folder
+            if attempts == BIND_ATTEMPTS:
+                raise
 
 
 def _bind_socket(path: Path) -> socket.socket:
-    """A socket at this address; replaces the file that a dead process of the same id has left."""
+    """Return a socket at this address; FileExistsError or EADDRINUSE where there is something."""
     ours = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
         ours.setblocking(False)
-        path.unlink(missing_ok=True)
         ours.bind(str(path))
         path.chmod(0o600)
     except OSError:
         ours.close()
         raise
     return ours
+
+
+def _explain_socket(path: Path, error: OSError) -> LinkError:
+    """Return the error for a socket that can't be opened."""
+    fix = OTHER_FOLDER
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        fix = f"make room, or {OTHER_FOLDER}"
+    elif error.errno in (errno.EMFILE, errno.ENFILE):
+        fix = "close robots that aren't driven, or raise the limit of open files: ulimit -n"
+    return LinkError(f"{path}: no socket: {error.strerror or error}", fix)
 
 
 def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
@@ -445,29 +531,40 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
     usable, wrong = find_folders()
     if not usable:
         raise wrong[0]
-    found: dict[str, bytes] = {}
+    answers: dict[str, bytes] = {}
     with contextlib.ExitStack() as stack:
         askers = [stack.enter_context(_open_asker(folder)) for folder in usable]
-        for folder, asker in zip(usable, askers, strict=True):
-            listeners = _find_sockets(folder, process)
-            found |= {path.name: b"" for path in listeners if _send_request(asker, path, request)}
+        unsent = [
+            (asker, path)
+            for folder, asker in zip(usable, askers, strict=True)
+            for path in _find_sockets(folder, process)
+        ]
+        poll = select.poll()  # select.select refuses descriptors from 1,024 on
+        for asker in askers:
+            poll.register(asker, select.POLLIN)
         deadline = time.monotonic() + ANSWER_TIMEOUT
-        while not all(found.values()) and (left := deadline - time.monotonic()) > 0.0:
-            ready, _, _ = select.select(askers, [], [], left)
-            for asker in ready:
+        while True:
+            unsent = [one for one in unsent if not _send_request(*one, request, answers)]
+            left = deadline - time.monotonic()
+            if left <= 0.0 or (all(answers.values()) and not unsent):
+                break
+            poll.poll(1000.0 * (min(left, RESEND_PERIOD) if unsent else left))
+            for asker in askers:
                 with contextlib.suppress(OSError, TypeError):
                     answer, sender = asker.recvfrom(MAX_REQUEST_BYTES)
-                    sender = Path(sender).name
+                    sender = Path(sender).name.removeprefix(HIDDEN)
                     # Of two sockets of one listener, the other may have been asked before.
-                    if answer != FREE_ANSWER or not found.get(sender):
-                        found[sender] = answer
-    return sorted(found.items(), key=lambda item: _process_of(item[0]))
+                    if answer != FREE_ANSWER or not answers.get(sender):
+                        answers[sender] = answer
+    for folder in usable:
+        _remove_leftovers(folder)
+    return sorted(answers.items(), key=lambda item: _process_of(item[0]))
 
 
 @contextlib.contextmanager
 def _open_asker(folder: Path) -> Iterator[socket.socket]:
     """A socket that sends requests. If it can't be bound, it still sends, but gets no answers."""
-    path = folder / f"estop-{os.getpid()}"
+    path = folder / f"estop-{os.getpid()}-{_make_number()}"
     try:
         asker = _bind_socket(path)
     except OSError:
@@ -479,20 +576,52 @@ def _open_asker(folder: Path) -> Iterator[socket.socket]:
         path.unlink()
 
 
-def _send_request(asker: socket.socket, path: Path, request: bytes) -> bool:
-    """Send a request; False where nobody listens. Removes the socket of a dead process."""
+def _send_request(
+    asker: socket.socket, path: Path, request: bytes, answers: dict[str, bytes]
+) -> bool:
+    """Send a request, note in `answers` that somebody listens, and return whether that is done.
+
+    It isn't where the listener's queue is full: its process is suspended, or gets many requests.
+    Removes the socket of a dead process.
+    """
     try:
         asker.sendto(request, str(path))
     except ConnectionRefusedError:
         with contextlib.suppress(OSError):
             if path.is_socket():
                 path.unlink()
-        return False
-    except FileNotFoundError:
-        return False
-    except OSError:  # the process is suspended and its queue is full: it stops when it resumes
         return True
+    except FileNotFoundError:
+        return True
+    except OSError:
+        answers.setdefault(path.name, b"")
+        return False
+    answers.setdefault(path.name, b"")
     return True
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove sockets that dead processes have left half made, and those of stops that died."""
+    now = time.time()
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            is_asker = re.fullmatch("estop-[0-9]+(-[0-9]+)?", path.name) is not None
+            if not is_asker and not path.name.startswith(HIDDEN):
+                continue
+            with contextlib.suppress(OSError):
+                old = abs(now - path.stat().st_mtime) > STALE_ASKER_AGE
+                if path.is_socket() and (old or not is_asker) and _is_dead(path):
+                    path.unlink()
+
+
+def _is_dead(path: Path) -> bool:
+    """Whether nobody has this socket open, or its bind isn't done yet."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return True
+    return False
 
 
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
@@ -518,7 +647,7 @@ def run_command(name: str = "", *, listing: bool = False, release: bool = False)
         if not found:
             _print_drivers()
     except LinkError as error:
-        print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
+        print_error(f"acsar-gym: {escape_unprintable(str(error))}")
         return error.exit_code
     return 0 if found and all(each.answered for each in found) else 1
 
@@ -539,8 +668,8 @@ def _print_drivers() -> int:
     return 0 if found else 1
 
 
-def main(arguments: list[str]) -> int | None:
-    """Run `acsar-gym estop` with a name, --list or --release; None for other arguments.
+def parse_stop(arguments: list[str]) -> Callable[[], int] | None:
+    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows.
 
     Args:
         arguments: of the command line, without "estop".
@@ -551,4 +680,4 @@ def main(arguments: list[str]) -> int | None:
         return None
     if options == ["--list"] and names:
         return None
-    return run_command(*names, listing="--list" in options, release="--release" in options)
+    return partial(run_command, *names, listing="--list" in options, release="--release" in options)

@@ -109,7 +109,7 @@ class Safety:
             CommandError: for a twist that isn't finite.
         """
         linear, angular = float(linear), float(angular)
-        if not math.isfinite(linear + angular):
+        if not (math.isfinite(linear) and math.isfinite(angular)):
             raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
         right, left = rules.update_twist(
             linear, angular, pose[0], pose[1], feedback_age, self._memory, self._numbers

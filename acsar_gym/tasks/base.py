@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
 from types import SimpleNamespace
 from typing import Any, ClassVar, NamedTuple
@@ -172,6 +172,23 @@ class Task:
         """
         raise NotImplementedError
 
+    def shortest_path(self, state: State, memory: Any) -> Sequence[Goal] | float | None:
+        """Say which way to success is the shortest; optional, for SPL and completion time.
+
+        An evaluation asks after the reset, and at the end for what is left. It is never compiled. A
+        subclass that overrides `outcome` has to say it anew.
+
+        Args:
+            state: after the reset or the last step; its pose is the true one where it is known.
+            memory: of the episode.
+
+        Returns:
+            The places (x, y) [m] to pass, in their order, such as `[state.goal]`: the evaluation
+            measures the way from the robot through them, around obstacles. Or its length [m]. None
+            where there is no shortest way: then these figures are left out.
+        """
+        return None
+
 
 RESERVED_INFO = frozenset(
     {
@@ -213,6 +230,18 @@ def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
             return bool(vars(one)["compiled"])
         if any(name in vars(one) for name in methods):
             return False
+    return False
+
+
+def says_shortest_path(task: Task) -> bool:
+    """Whether a task has a `shortest_path` that belongs to its `outcome`.
+
+    Args:
+        task: of any class.
+    """
+    for one in type(task).__mro__:
+        if "shortest_path" in vars(one) or "outcome" in vars(one):
+            return "shortest_path" in vars(one) and one is not Task
     return False
 
 

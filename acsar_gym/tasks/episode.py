@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,12 +11,18 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, TaskError, WorldError, show_value, translate_errors
+from acsar_gym.errors import (
+    ConfigError,
+    TaskError,
+    TaskWarning,
+    WorldError,
+    show_value,
+    translate_errors,
+)
 from acsar_gym.jit import jit
 from acsar_gym.tasks.base import (
     Goal,
     Info,
-    Memory,
     Observation,
     Outcome,
     State,
@@ -24,12 +31,26 @@ from acsar_gym.tasks.base import (
     new_memory,
     point_in_disc,
     relative_point,
+    says_shortest_path,
 )
-from acsar_gym.tasks.factory import check_distances, check_reset_options, task_name
+from acsar_gym.tasks.factory import (
+    ask_outcome,
+    ask_reward,
+    check_distances,
+    check_reset_options,
+    method_place,
+    task_name,
+)
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.pool import Pool, Source, check_world
-from acsar_gym.worlds.search import align_with_path, footprint_radius, sample_path, world_along
+from acsar_gym.worlds.search import (
+    align_with_path,
+    footprint_radius,
+    lidar_height,
+    sample_path,
+    world_along,
+)
 from acsar_gym.worlds.world import Floats
 
 WORLD_DRAWS = 6
@@ -87,7 +108,10 @@ class Spawn:
         level = task.difficulty if difficulty is None else difficulty
         if source is None and level is not None:
             raise ConfigError(f"difficulty = {show_value(level)}: {task.id} has no worlds")
-        self.pool = None if source is None else Pool.of(source, level, footprint_radius(config))
+        self.pool = None
+        if source is not None:
+            radius, height = footprint_radius(config), lidar_height(config)
+            self.pool = Pool.of(source, level, radius, height=height)
         check_distances(task.goal_distance)
         self.options: tuple[str, ...] = ("goal",)
         if self.pool is not None:
@@ -103,10 +127,11 @@ class Spawn:
                 tasks that follow "path", points (x, y) [m], instead of "goal".
 
         Raises:
-            ConfigError, WorldError: for unknown options, or values that are malformed or out of
-                range.
+            ConfigError, WorldError: for unknown options, options that contradict each other, or
+                values that are malformed or out of range.
         """
         options = check_reset_options(options, self.options)
+        _refuse_contradictions(options)
         if options.get("path") is not None:
             return assign_path(options["path"])
         if self.pool is not None:
@@ -134,11 +159,21 @@ class Spawn:
         return goal
 
 
+def _refuse_contradictions(options: Mapping[str, Any]) -> None:
+    """ConfigError where two options name the world or the path of the episode."""
+    given = [name for name in ("path", "world", "difficulty") if options.get(name) is not None]
+    if len(given) > 1:
+        raise ConfigError(
+            f"reset options {' and '.join(map(repr, given))} contradict each other, as each "
+            "chooses the surroundings: give one of them"
+        )
+
+
 def _check_point(value: Any) -> Goal:
     """Return a goal of two finite numbers; ConfigError for anything else."""
     try:
         x, y = (float(number) for number in value)
-        sound = math.isfinite(x + y)
+        sound = math.isfinite(x) and math.isfinite(y)
     except (TypeError, ValueError, OverflowError):
         sound = False
     if not sound:
@@ -246,68 +281,100 @@ def path_from_start(world: World) -> Floats:
     return seen
 
 
-def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
-    """Ask a task for the outcome of a step; TaskError where it is no Outcome."""
-    outcome = task.outcome(state, memory)
-    try:
-        return Outcome(outcome)
-    except ValueError:
-        raise TaskError(
-            f"{task_name(task)}.outcome returned {show_value(outcome)}: must be an Outcome"
-        ) from None
-
-
-def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
-    """Ask a task for the reward of a step; TaskError where it is no finite number."""
-    reward = task.reward(state, memory, outcome)
-    try:
-        number = float(reward)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
-        raise TaskError(
-            f"{task_name(task)}.reward returned {show_value(reward)}: must be a finite number"
-        )
-    return number
-
-
-def check_observation(task: Task, numbers: Observation) -> None:
-    """Check the task's own numbers of an observation.
+class ObservationCheck:
+    """Checks a task's own numbers of observations; warns once where they leave their bounds.
 
     Args:
-        task: that returned them.
-        numbers: (numbers,), or (robots, numbers) of a batch.
-
-    Raises:
-        TaskError: for NaN and infinity; names the numbers.
+        task: that returns them.
     """
-    if np.isfinite(numbers).all():
-        return
-    each = np.atleast_2d(numbers)
-    robot = int(np.isfinite(each).all(axis=1).argmin())
-    found = dict(zip(task.observation, each[robot].tolist(), strict=True))
-    wrong = {name: number for name, number in found.items() if not math.isfinite(number)}
-    whose = f" for robot {robot}" if numbers.ndim > 1 else ""
-    raise TaskError(
-        f"{task_name(task)}.observe returned {show_value(wrong)}{whose}: must be finite numbers"
-    )
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        bounds = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
+        with np.errstate(over="ignore"):
+            self._low, self._high = bounds.astype(np.float32)  # as in the space
+        self._warns = True
+
+    def check(self, numbers: Observation) -> None:
+        """Check an observation.
+
+        Warns (TaskWarning) of the first number beyond its bounds.
+
+        Args:
+            numbers: (numbers,), or (robots, numbers) of a batch.
+
+        Raises:
+            TaskError: for NaN and infinity; names the numbers.
+        """
+        if self._warns:
+            if self._low.shape != numbers.shape:  # arrays of one shape are compared much faster
+                self._low, self._high = (
+                    np.broadcast_to(bound, numbers.shape).copy()
+                    for bound in (self._low, self._high)
+                )
+            given = np.ascontiguousarray(numbers)
+            if ((given >= self._low) & (given <= self._high)).all():
+                return
+        is_finite = np.isfinite(numbers)
+        if not is_finite.all():
+            values, robot = self._row_of_first(numbers, ~is_finite)
+            wrong = {name: number for name, number in values.items() if not math.isfinite(number)}
+            raise TaskError(
+                f"{task_name(self._task)}.observe returned {show_value(wrong)}{robot}: must be "
+                f"finite numbers{method_place(self._task, 'observe')}"
+            )
+        if self._warns:
+            self._warns = False
+            self._warn(numbers)
+
+    def _warn(self, numbers: Observation) -> None:
+        """Warn of the first number that is beyond its bounds."""
+        is_beyond = np.atleast_2d((numbers < self._low) | (numbers > self._high))
+        values, robot = self._row_of_first(numbers, is_beyond)
+        column = int(is_beyond[is_beyond.any(axis=1).argmax()].argmax())
+        name, number = list(values.items())[column]
+        low, high = self._task.observation[name]
+        warnings.warn(
+            f"{task_name(self._task)}.observe returned {name!r} = {number:g}{robot}: beyond its "
+            f"bounds ({low:g}, {high:g}), and a policy gets it as it is: clip it, or declare wider "
+            f"bounds in `observation`{method_place(self._task, 'observe')}",
+            TaskWarning,
+            stacklevel=3,
+        )
+
+    def _row_of_first(self, numbers: Observation, wrong: Any) -> tuple[dict[str, float], str]:
+        """The numbers, by name, of the first robot with a wrong one, and what names the robot."""
+        robot = int(np.atleast_2d(wrong).any(axis=1).argmax())
+        values = np.atleast_2d(numbers)[robot].tolist()
+        whose = f" for robot {robot}" if numbers.ndim > 1 else ""
+        return dict(zip(self._task.observation, values, strict=True)), whose
 
 
 class RunningEpisode:
     """The running episode of a task: its assignment (world, start, goal) and its memory.
 
-    Attributes: `task`, `assignment`, `memory`; `steps` so far; `outcome` of the last step.
+    Attributes: `task`, `assignment`, `memory`; `steps` so far; `state` and `outcome` of the last.
+
+    Args:
+        task: of the env.
+        assignment: of the episode.
+        check: of the task's observations, the same for all episodes of an env.
     """
 
-    def __init__(self, task: Task, assignment: Assignment) -> None:
+    def __init__(
+        self, task: Task, assignment: Assignment, check: ObservationCheck | None = None
+    ) -> None:
         self.task, self.assignment = task, assignment
+        self._check = ObservationCheck(task) if check is None else check
         self.memory = new_memory(task)
         self.steps = 0
+        self.state = State()
         self.outcome = Outcome.GOING
         self._told = info_names(task)
 
     def begin(self, state: State) -> None:
         """Begin the episode with the state after the reset. TaskError as for `step`."""
+        self.state = state
         with translate_errors(TaskError, lambda: task_name(self.task)):
             self.task.begin(state, self.memory)
 
@@ -317,6 +384,7 @@ class RunningEpisode:
         Raises:
             TaskError: the task raises an error, or returns what can't be used.
         """
+        self.state = state
         with translate_errors(TaskError, lambda: task_name(self.task)):
             self.outcome = ask_outcome(self.task, state, self.memory)
             return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
@@ -336,13 +404,49 @@ class RunningEpisode:
         except (TypeError, ValueError):
             raise TaskError(
                 f"{name}.observe returned {show_value(given)}: must be numbers"
+                f"{method_place(self.task, 'observe')}"
             ) from None
         if numbers.shape != (size,):
             raise TaskError(
                 f"{name}.observe returned numbers of shape {numbers.shape}: must be ({size},)"
+                f"{method_place(self.task, 'observe')}"
             )
-        check_observation(self.task, numbers)
+        self._check.check(numbers)
         return numbers
+
+    def shortest_path(self, pose: Pose) -> Floats | float | None:
+        """Ask the task for the shortest way from a pose to success; see `Task.shortest_path`.
+
+        Args:
+            pose: of the robot, in place of that by odometry.
+
+        Returns:
+            Places (n, 2) to pass [m], or the length [m]; None where the task doesn't say it.
+
+        Raises:
+            TaskError: the task raises an error, or returns something else.
+        """
+        if not says_shortest_path(self.task):
+            return None
+        name = task_name(self.task)
+        with translate_errors(TaskError, lambda: name):
+            way = self.task.shortest_path(self.state._replace(pose=pose), self.memory)
+        if way is None:
+            return None
+        try:
+            numbers = np.array(way, np.float64)
+            places = numbers.reshape(-1, 2) if numbers.size == 0 else numbers
+            sound = np.isfinite(places).all() and (
+                places >= 0.0 if places.ndim == 0 else places.shape == (len(places), 2)
+            )
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise TaskError(
+                f"{name}.shortest_path returned {show_value(way)}: must be places (x, y) [m], a "
+                "length [m], or None"
+            )
+        return float(places) if places.ndim == 0 else places
 
     def info(self) -> Info:
         """Return what the task adds to info; the keys are the same at every step."""

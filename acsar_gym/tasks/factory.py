@@ -18,12 +18,20 @@ from pydantic import BaseModel, field_validator
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, TaskError, show_value, suggest_name, translate_errors
+from acsar_gym.errors import (
+    ConfigError,
+    TaskError,
+    shorten_text,
+    show_value,
+    suggest_name,
+    translate_errors,
+)
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
 from acsar_gym.tasks.base import (
     RESERVED_INFO,
+    Memory,
     Outcome,
     State,
     Task,
@@ -33,6 +41,15 @@ from acsar_gym.tasks.base import (
 )
 
 NUMBER = (float, int, np.floating, np.integer)
+CLASS_ATTRIBUTES = ("compiled", "follows", "id", "memory", "observation", "told")
+"""Attributes of a task that are no options."""
+METHOD_ARGUMENTS = {
+    "begin": ("state", "memory"),
+    "outcome": ("state", "memory"),
+    "reward": ("state", "memory", "outcome"),
+    "observe": ("state", "memory"),
+}
+"""What the env calls a task's methods with."""
 
 
 def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
@@ -55,7 +72,7 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
             if name not in known:
                 raise ConfigError(
                     f"unknown option {show_value(name)} of {task_name(task)}"
-                    f"{suggest_name(str(name)[:40], [*known, *others])}"
+                    f"{_explain_option(task, str(name)[:40], [*known, *others])}"
                 )
         with translate_errors(TaskError, lambda: task_name(task)):
             try:
@@ -73,6 +90,60 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
     return task
 
 
+def _explain_option(task: type[Task], name: str, known: Sequence[str]) -> str:
+    """End of the message for an option that a task's class doesn't take."""
+    classes = [kind for kind in task.__mro__ if not kind.__module__.startswith("acsar_gym.")]
+    is_declared = any(
+        name in vars(kind) or name in inspect.get_annotations(kind) for kind in classes
+    )
+    value = getattr(task, name, None)
+    if not is_declared or callable(value):
+        return suggest_name(name, known)
+    if name in CLASS_ATTRIBUTES:
+        return f": every env of the class has the same; make a subclass{class_place(task)}"
+    field = f"{name}: {'float' if value is None else type(value).__name__} = {value!r}"
+    return (
+        f": it is an attribute of the class, but no field: write @dataclass(frozen=True) above the "
+        f"class, and {shorten_text(field, 80)} in it{class_place(task)}"
+    )
+
+
+def class_place(kind: type) -> str:
+    """Where a user's class is, as " (file:line)" for messages; empty where nobody knows."""
+    try:
+        return f" ({inspect.getsourcefile(kind)}:{inspect.getsourcelines(kind)[1]})"
+    except (OSError, TypeError):
+        return ""
+
+
+def method_place(task: Task, name: str) -> str:
+    """Where a method of a task is, as " (file:line)" for messages."""
+    code = getattr(inspect.unwrap(getattr(type(task), name)), "__code__", None)
+    return "" if code is None else f" ({code.co_filename}:{code.co_firstlineno})"
+
+
+def check_register_options(
+    name: str, task: Any, options: Iterable[str], others: Iterable[str]
+) -> None:
+    """Check the options with which an id is registered.
+
+    Args:
+        name: of the id.
+        task: its class.
+        options: their names.
+        others: names of what `acsar_gym.register` itself takes, for messages.
+
+    Raises:
+        ConfigError: neither the env, a batch nor the task has such an option.
+    """
+    known = [*inspect.signature(task).parameters, *SharedOptions.names(), *ONE_MODE_OPTIONS]
+    known += ["link", "robot"]
+    for option in options:
+        if option not in known:
+            hint = _explain_option(task, option[:40], [*known, *others])
+            raise ConfigError(f"{name}: unknown option {show_value(option)}{hint}")
+
+
 def _tupled(value: Any) -> Any:
     """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
     numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
@@ -83,7 +154,16 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
     """Raise ConfigError where methods, bounds, names or types of a task's class are wrong."""
     for name in ("reward", "observe"):
         if getattr(type(task), name) is getattr(Task, name):
-            raise ConfigError(f"{task_name(task)}: has no method {name}()")
+            raise ConfigError(f"{task_name(task)}: has no method {name}(){class_place(type(task))}")
+    for name, arguments in METHOD_ARGUMENTS.items():
+        try:
+            inspect.signature(getattr(task, name)).bind(*arguments)
+        except TypeError as error:
+            wanted = ", ".join(arguments)
+            raise TaskError(
+                f"{task_name(task)}: {name}() must take ({wanted}) after self: {error}"
+                f"{method_place(task, name)}"
+            ) from error
     for name, wanted in (("observation", Mapping), ("memory", Mapping), ("sensors", Sequence)):
         value = getattr(task, name)
         if not isinstance(value, wanted) or isinstance(value, str):
@@ -159,20 +239,24 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
     with translate_errors(TaskError, lambda: name):
         memory = new_memory(task)
         task.begin(state, memory)
-        outcome = task.outcome(state, memory)
-        if outcome not in tuple(Outcome):
-            raise ConfigError(f"{name}.outcome returned {show_value(outcome)}: must be an Outcome")
-        reward = task.reward(state, memory, Outcome(outcome))
-        if not isinstance(reward, NUMBER):
-            raise ConfigError(f"{name}.reward returned {show_value(reward)}: must be a number")
+        outcome = ask_outcome(task, state, memory)
+        reward = task.reward(state, memory, outcome)
         numbers = task.observe(state, memory)
-    if np.shape(numbers) != (len(task.observation),):
-        raise ConfigError(
-            f"{name}.observe returned numbers of shape {np.shape(numbers)}: must be "
-            f"{len(task.observation)}, as `observation` has names"
+    if not isinstance(reward, NUMBER):
+        raise TaskError(
+            f"{name}.reward returned {show_value(reward)}: must be a number"
+            f"{method_place(task, 'reward')}"
+        )
+    if _shape_of(numbers) != (len(task.observation),):
+        raise TaskError(
+            f"{name}.observe returned {_describe_shape(numbers)}: must be "
+            f"{len(task.observation)}, as `observation` has names{method_place(task, 'observe')}"
         )
     if is_compiled(task) and not isinstance(numbers, tuple):
-        raise ConfigError(f"{name}.observe: must return a tuple where the task is compiled")
+        raise TaskError(
+            f"{name}.observe: must return a tuple where the task is compiled"
+            f"{method_place(task, 'observe')}"
+        )
     for key in info_names(task):
         value = vars(memory)[key]
         if not isinstance(value, NUMBER):
@@ -182,6 +266,52 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
             )
         if key in RESERVED_INFO or key.startswith("drawn_"):
             raise ConfigError(f"{name}: memory {key!r}: info has that already; rename it")
+
+
+def _shape_of(numbers: Any) -> tuple[int, ...] | None:
+    """Shape of what `observe` returned; None where it has none, as tuples in a tuple."""
+    try:
+        shape: tuple[int, ...] = np.shape(numbers)
+    except Exception:  # noqa: BLE001 - of an object of the user's
+        return None
+    return shape
+
+
+def _describe_shape(numbers: Any) -> str:
+    shape = _shape_of(numbers)
+    return show_value(numbers) if not shape else f"numbers of shape {shape}"
+
+
+def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
+    """Ask a task for the outcome of a step; TaskError where it is no Outcome.
+
+    True and False are none: True would be a success.
+    """
+    outcome = task.outcome(state, memory)
+    try:
+        if not isinstance(outcome, bool | np.bool_):
+            return Outcome(outcome)
+    except (ValueError, TypeError):
+        pass
+    raise TaskError(
+        f"{task_name(task)}.outcome returned {show_value(outcome)}: must be an Outcome, such as "
+        f"Outcome.SUCCESS{method_place(task, 'outcome')}"
+    )
+
+
+def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
+    """Ask a task for the reward of a step; TaskError where it is no finite number."""
+    reward = task.reward(state, memory, outcome)
+    try:
+        number = float(reward)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise TaskError(
+            f"{task_name(task)}.reward returned {show_value(reward)}: must be a finite number"
+            f"{method_place(task, 'reward')}"
+        )
+    return number
 
 
 ONE_MODE_OPTIONS = ("autoreset_mode", "lidar", "on_fault", "record", "threads", "view")
@@ -204,6 +334,7 @@ class SharedOptions(Section):
     difficulty: Any = None
     sensors: Any = ()
     policy_rate: Any = 10.0
+    max_episode_steps: Any = None
     faults: Any = None
     randomization: Any = None
     render_mode: Any = None
@@ -259,6 +390,37 @@ def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]
                 f"unknown reset option {show_value(name)}{suggest_name(str(name)[:40], names)}"
             )
     return options
+
+
+MAX_STEPS = 10**9
+"""Largest time limit of an episode [steps]."""
+NO_LIMIT = -1
+"""What Gymnasium's `make` takes for no time limit, beside None."""
+
+
+def check_count(name: str, value: int, most: int) -> int:
+    """Check that an option is a whole number from 1 to `most`, and return it.
+
+    Args:
+        name: of the option, for the message.
+        value: of the option.
+        most: largest allowed value.
+
+    Raises:
+        ConfigError: for anything else.
+    """
+    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
+        raise ConfigError(
+            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
+        )
+    return int(value)
+
+
+def read_step_limit(value: Any) -> int | None:
+    """Return `max_episode_steps` [steps]; None for no limit. ConfigError where it is no number."""
+    if value is None or (isinstance(value, int | np.integer) and value == NO_LIMIT):
+        return None
+    return check_count("max_episode_steps", value, MAX_STEPS)
 
 
 def check_positive(name: str, value: Any) -> float:

@@ -63,6 +63,10 @@ class GoalTask(Task):
             return Outcome.SUCCESS
         return Outcome.OUT_OF_BOUNDS if math.sqrt(x * x + y * y) > self.boundary else Outcome.GOING
 
+    def shortest_path(self, state: State, memory: Any) -> tuple[Goal, ...]:
+        """To the goal."""
+        return (state.goal,)
+
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `goal_reward`; remembers the distance to the goal."""
         before = memory.goal_distance

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import filecmp
 import math
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.render import top_view
@@ -21,7 +24,7 @@ from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
-from acsar_gym.worlds.search import footprint_radius, path_length, shortest_path
+from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
 
 MAX_DRAWN = 100
 """Most worlds on one sheet."""
@@ -58,12 +61,17 @@ class WorldFinding:
 
 
 def collect_worlds(
-    source: str, level: float | None, robot: str | None, count: int, most: int = MAX_AT_ONCE
+    source: str | Mapping[str, Any],
+    level: float | None,
+    robot: str | None,
+    count: int,
+    most: int = MAX_AT_ONCE,
 ) -> list[World]:
     """Read or generate worlds.
 
     Args:
-        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds.
+        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds, also
+            with what it doesn't say (see `Pool.of`).
         level: difficulty for a generator, 0 to 1; None for its default.
         robot: preset or file of the robot whose footprint generated worlds must let through.
         count: number of worlds to generate, where `source` names no numbers.
@@ -73,10 +81,12 @@ def collect_worlds(
         WorldError: a world can't be read or generated.
         ConfigError: there are more than `most` worlds.
     """
-    worlds: list[World] | Pool | None = read_worlds(source)
+    config = RobotConfig.of(robot)
+    worlds: list[World] | Pool | None = read_worlds(source, lidar_height(config))
     if worlds is None:
-        worlds = Pool.of(source, level, footprint_radius(RobotConfig.of(robot)), count)
+        worlds = Pool.of(source, level, footprint_radius(config), count)
     if len(worlds) > most:
+        source = source["path"] if isinstance(source, Mapping) else source
         raise ConfigError(
             f"{source} holds {len(worlds):,} worlds: name one file, or one like barn:7-7"
             if most == 1
@@ -180,15 +190,38 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
     return findings
 
 
-def convert_world(source: str, out: Path, level: float | None, robot: str | None) -> None:
+def convert_world(
+    source: str | Mapping[str, Any],
+    out: Path,
+    level: float | None,
+    robot: str | None,
+    *,
+    force: bool = False,
+) -> None:
     """Write one world to a file of this project's format, .json or .yaml.
+
+    A file that has just this world is left as it is.
+
+    Args:
+        source: of the world.
+        out: the file.
+        level: difficulty of a generated world, 0 to 1.
+        robot: preset or config file.
+        force: replace another file.
 
     Raises:
         WorldError: the world can't be read or generated.
-        ConfigError: there are several worlds, or `out` can't be written.
+        ConfigError: there are several worlds, or `out` can't be written, or is another file.
     """
     report.check_writable(out)
-    files.save_world(collect_worlds(source, level, robot, 1, 1)[0], out)
+    world = collect_worlds(source, level, robot, 1, 1)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / out.name
+        files.save_world(world, copy)
+        if out.is_file() and filecmp.cmp(copy, out, shallow=False):
+            return
+    reading.check_replaceable(out, mark="", force=force)  # people draw in their worlds
+    files.save_world(world, out)
 
 
 def findings_table(source: str, findings: Sequence[WorldFinding]) -> Table:

@@ -56,7 +56,9 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
         CommandError: a velocity isn't finite.
         LinkError: the robot was stopped, or its link failed.
     """
-    if not (math.isfinite(linear + angular) and 0.0 <= (duration or 0.0) < math.inf):
+    if not (
+        math.isfinite(linear) and math.isfinite(angular) and 0.0 <= (duration or 0.0) < math.inf
+    ):
         raise CommandError(
             "--linear and --angular must be finite numbers, --duration finite and not negative"
         )

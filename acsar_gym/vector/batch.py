@@ -21,8 +21,8 @@ from acsar_gym.sensors.scan import make_rays
 from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.sensors.way import SCRATCH
 from acsar_gym.tasks.base import Task
-from acsar_gym.tasks.episode import Spawn, check_observation
-from acsar_gym.tasks.factory import task_name
+from acsar_gym.tasks.episode import ObservationCheck, Spawn
+from acsar_gym.tasks.factory import method_place, task_name
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors
@@ -82,6 +82,7 @@ class Batch:
         ranges: Sequence[DrawnRanges],
     ) -> None:
         self.robots, self._fleet, self._task, self._setup = robots, fleet, task, setup
+        self._observed = ObservationCheck(task)
         sees, pools = setup.sees, [spawn.pool for spawn in spawns]
         self._pool, (worlds, places) = pools[0], make_worlds(pools, follow=task.follows)
         self.worlds, self.places = worlds, places
@@ -253,12 +254,12 @@ class Batch:
             robot = int(np.isfinite(tables.rewards).argmin())
             raise TaskError(
                 f"{task_name(self._task)}.reward returned {tables.rewards[robot]} for robot "
-                f"{robot}: must be a finite number"
+                f"{robot}: must be a finite number{method_place(self._task, 'reward')}"
             )
 
     def _check_observations(self) -> None:
-        """Raise TaskError where the task observed NaN or infinity."""
-        check_observation(self._task, self.tables.observations[:, : self._setup.numbers])
+        """Raise TaskError where the task observed NaN or infinity; warn once of other bounds."""
+        self._observed.check(self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of blocks first to last, and their task where `_together`."""

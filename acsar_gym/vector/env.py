@@ -15,28 +15,30 @@ from numpy.typing import NDArray
 from acsar_gym import jit
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
-from acsar_gym.errors import CommandError, ConfigError, show_value
+from acsar_gym.errors import ConfigError, RenderError, show_value
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
+from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
     SharedOptions,
+    check_count,
     check_reset_options,
     make_task,
+    read_step_limit,
     task_spaces,
     validate_task,
 )
 from acsar_gym.vector.batch import Batch
+from acsar_gym.vector.screen import BatchScreen, Image, check_render_mode
 from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
 from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds.search import footprint_radius
 
 MAX_ROBOTS = 1_000_000
 """Robots of a batch, at most; so many take about 2 GB."""
-MAX_STEPS = 10**9
-"""Largest time limit of an episode [steps]."""
 ROBOTS_PER_THREAD = 256
 """A thread more is used for so many robots; with fewer its start costs more than it saves."""
 
@@ -44,28 +46,9 @@ ROBOTS_PER_THREAD = 256
 class BatchOptions(SharedOptions):
     """The options of a batch; `RobotVectorEnv` describes them."""
 
-    max_episode_steps: Any = None
     autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP
     threads: Any = None
     link: Any = "planar"
-
-
-def check_count(name: str, value: int, most: int) -> int:
-    """Check that an option is a whole number from 1 to `most`, and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-        most: largest allowed value.
-
-    Raises:
-        ConfigError: for anything else.
-    """
-    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise ConfigError(
-            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
-        )
-    return int(value)
 
 
 def usable_cores() -> int:
@@ -130,8 +113,10 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     Arguments besides those of the single env:
 
     - `num_envs`: number of robots.
-    - `max_episode_steps`: time limit; registration gives that of the id.
+    - `max_episode_steps`: time limit; registration gives that of the id, None or -1 is none.
     - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
+    - `render_mode`: "rgb_array": `render()` returns a picture for each robot, of which the first 16
+      are drawn, for `gymnasium.wrappers.vector.RecordVideo`, which tiles them.
     - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
       depend on it.
     - `faults`: lines that are lost or late, with these fields of `acsar_gym.links.faults.Faults`:
@@ -173,7 +158,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -201,19 +187,18 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
                 f"link = {show_value(asked.link)}: a batch has planar robots; for others make_vec "
                 "with vectorization_mode='sync' or 'async'"
             )
-        if asked.render_mode is not None:
-            raise ConfigError("render_mode: a batch of robots has no pictures: render a single env")
+        self.render_mode = check_render_mode(asked.render_mode)
         if not jit.COMPILED:
             said = "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'"
             warnings.warn(said, RuntimeWarning, stacklevel=3)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
         fleet = make_fleet(robot, self.num_envs)
         self.fleet, self.config = fleet.robots, fleet.robots[0]
-        limit = asked.max_episode_steps
-        if limit is not None:
-            limit = check_count("max_episode_steps", limit, MAX_STEPS)
+        limit = read_step_limit(asked.max_episode_steps)
         self.autoreset_mode = asked.autoreset_mode
-        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        rate = asked.policy_rate
+        modes = {"autoreset_mode": self.autoreset_mode, "render_fps": rate}
+        self.metadata = type(self).metadata | modes
         self.task = make_task(task, rest, BatchOptions.names())
         given = self.task, asked.worlds, asked.difficulty
         by_radius: dict[float, Spawn] = {}
@@ -223,7 +208,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         spawns = [by_radius[footprint_radius(one)] for one in self.fleet]
         self._spawn = spawns[0]
         self.pool = self._spawn.pool
-        rate = asked.policy_rate
         ticks = whole_ratio("control_rate", self.config.control_rate, "policy_rate", rate)
         self.ticks_per_step, step = ticks, ticks * self.config.period
         sensors = (*self.task.sensors, *asked.sensors)
@@ -253,6 +237,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.single_action_space, self.single_observation_space = spaces
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        drawn = self.fleet, self.num_envs, self.task.goal_tolerance
+        self._screen = BatchScreen(*drawn) if self.render_mode is not None else None
         self._threads = Threads(choose_threads(asked.threads, self.num_envs))
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
@@ -293,6 +279,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
+        if self._screen is not None:
+            self._screen.show(self.batch)
         return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
@@ -331,17 +319,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             Observations (num_envs, numbers), rewards, terminated, truncated (num_envs,), info.
 
         Raises:
-            CommandError: for another shape, NaN or infinity; names the first bad env.
+            CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
+                bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         batch, tables = self.batch, self.batch.tables
-        actions = np.array(actions, np.float64, order="C")  # numba would compile for other types
-        if actions.shape != (self.num_envs, 2):
-            raise CommandError(f"actions of shape {actions.shape}: must be ({self.num_envs}, 2)")
-        if not np.isfinite(actions).all():
-            bad = int(np.argmax(~np.isfinite(actions).all(axis=1)))
-            raise CommandError(f"action of env {bad} is {actions[bad]}: must be finite numbers")
+        actions = read_actions(actions, (self.num_envs, 2))
         if not batch.seeded:
             raise ConfigError("step() before reset(): call reset() first")
         if not self._whole:
@@ -361,8 +345,24 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
         self._whole = True
+        if self._screen is not None:
+            self._screen.show(batch)
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
+
+    def render(self) -> tuple[Image, ...] | None:
+        """Return a picture for each robot, (height, width, 3) uint8; None without `render_mode`.
+
+        The first 16 robots are drawn from above, the pictures of others are empty.
+
+        Raises:
+            RenderError: before the first reset.
+        """
+        if self._screen is None:
+            return None
+        if not self.batch.seeded:
+            raise RenderError("there is nothing to see before reset(): call it first")
+        return self._screen.pictures(self.batch)
 
     def go_on(self) -> None:
         """Allow steps without a reset, after all arrays of the batch have been set."""

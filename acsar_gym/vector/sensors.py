@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
-from acsar_gym.jit import COMPILED, NumbaError, overloads
+from acsar_gym.jit import COMPILED, overloads
 from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.base import name_memory
@@ -33,7 +33,12 @@ from acsar_gym.sensors.suite import (
 )
 from acsar_gym.tasks.base import is_compiled
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.kernel.binding import bind_methods, explain_error, numbers_of
+from acsar_gym.vector.kernel.binding import (
+    bind_methods,
+    explain_error,
+    is_compile_error,
+    numbers_of,
+)
 from acsar_gym.vector.pcg import Generators, Lent, LentGenerators, uniform
 from acsar_gym.worlds import Scene, World
 
@@ -399,9 +404,10 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
     named = f"sensor {sensor.name!r}"
     try:
         yield
-    except (NumbaError, NotImplementedError, TypeError) as error:
-        raise explain_error(named, error, COMPILED_RULES) from None
     except Exception as error:
+        if is_compile_error(error):
+            kind = type(sensor)
+            raise explain_error(named, kind, BATCH_METHODS, error, COMPILED_RULES) from error
         raise SensorError(
             f"{named}: {type(error).__name__}: {error}, in a compiled method; "
             "with compiled = False, the line is told"

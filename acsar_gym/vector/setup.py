@@ -51,7 +51,7 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
         asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
         for robot in np.flatnonzero(asked):
             x, y = goals[robot].tolist()
-            if not np.isfinite(x + y):
+            if not np.isfinite([x, y]).all():
                 raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
             if spawn.pool is None:
                 spawn.check_goal((x, y))
@@ -78,7 +78,18 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
                 among = spawn.pool.ranks((low, high))
                 ranks[which.ravel() == number] = among.start, among.stop
         found |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
+        _refuse_contradictions(found)
     return found
+
+
+def _refuse_contradictions(found: ResetOptions) -> None:
+    """ConfigError for a robot whose world is chosen by its number and by its difficulty."""
+    both = np.flatnonzero((found.get("wished_world", 0.0) > 0.0) & (found["last_rank"] > 0.0))
+    if both.size:
+        raise ConfigError(
+            f"reset options 'world' and 'difficulty' of robot {both[0]} contradict each other, as "
+            "each chooses the surroundings: give one of them"
+        )
 
 
 def _spread_option(name: str, value: Any, robots: int, width: int) -> Array:

@@ -8,12 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, TaskError, translate_errors
-from acsar_gym.jit import COMPILED, NumbaError
-from acsar_gym.tasks.base import Memory, Outcome, State, Task, info_names, is_compiled, new_memory
-from acsar_gym.tasks.episode import ask_outcome, ask_reward
-from acsar_gym.tasks.factory import task_name
+from acsar_gym.jit import COMPILED
+from acsar_gym.tasks.base import (
+    TASK_METHODS,
+    Memory,
+    Outcome,
+    State,
+    Task,
+    info_names,
+    is_compiled,
+    new_memory,
+)
+from acsar_gym.tasks.factory import ask_outcome, ask_reward, task_name
 from acsar_gym.vector.kernel import task as kernel
-from acsar_gym.vector.kernel.binding import explain_error, numbers_of
+from acsar_gym.vector.kernel.binding import explain_error, is_compile_error, numbers_of
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
@@ -93,9 +101,10 @@ class CompiledLoops:
                 f"{task_name(self._task)}: memory.{name} isn't declared: give it a first value in "
                 f'the class, such as memory = {{"{name}": 0.0}}'
             ) from None
-        except (NumbaError, NotImplementedError, TypeError) as error:
-            raise explain_error(task_name(self._task), error) from None
         except Exception as error:
+            if is_compile_error(error):
+                name, kind = task_name(self._task), type(self._task)
+                raise explain_error(name, kind, TASK_METHODS, error) from error
             raise TaskError(
                 f"{task_name(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
                 "with compiled = False, the line is told"

@@ -9,15 +9,17 @@ The project's own format has the fields of `World` [m, rad]:
     goal: {x: 4.0, y: 0.0}                          # and radius
     path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
 
-A YAML with an `image` is a ROS map; `start` and `goal` must be added to it, other keys are
-optional. A Gazebo world is read as one of BARN's: it gets their start and goal, and the path in
-`path_N.npy` beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own
-repository. Every file that can't be used raises a WorldError of one line.
+A YAML with an `image` is a ROS map. Neither a map nor a Gazebo world says where to start and where
+to go: `start` and `goal` may be added to a map, or are given beside the file (`Placement`). Only
+BARN's own worlds, known by their corridor, have BARN's start and goal, and the path in `path_N.npy`
+beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own repository.
+Every file that can't be used raises a WorldError of one line.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import tokenize
 import warnings
@@ -26,17 +28,26 @@ from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, WorldError, show_value
+from acsar_gym.errors import ConfigError, WorldError, WorldWarning, show_value
 from acsar_gym.worlds import maps, sdf
-from acsar_gym.worlds.generators import BARN_GOAL, BARN_START
+from acsar_gym.worlds.generators import (
+    BARN_CELL_SIDE,
+    BARN_GOAL,
+    BARN_START,
+    CYLINDER_RADIUS,
+    place_cylinders,
+)
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats, Region, World
 
-MAX_IMPORT_BYTES = 64_000_000
+MAX_IMPORT_BYTES = sdf.MAX_SDF_BYTES
 """Most bytes of an SDF file or a picture."""
+MODEL_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
+"""Environment variables in which Gazebo finds folders of models."""
 MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MAX_YAML_EVENTS = 210_000
@@ -56,6 +67,14 @@ NPY_ERRORS = (
     *(MemoryError, RecursionError, tokenize.TokenError),
 )
 """Exceptions that NumPy raises for broken files."""
+MISSING_ENDS = {
+    (True, True): "has no start and no goal: add --start X,Y,THETA --goal X,Y",
+    (True, False): "has no start: add --start X,Y,THETA",
+    (False, True): "has no goal: add --goal X,Y",
+}
+"""Whether a file lacks a start and a goal, and what is said then."""
+PLACE_FORM = re.compile(r"\s*[,\s]\s*")
+"""Between the numbers of a place on the command line."""
 WORLD_SUFFIXES = (".world", ".sdf", ".yaml", ".yml", ".json")
 
 Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
@@ -96,11 +115,91 @@ class MapFile(WorldFile):
     model_config = ConfigDict(extra="ignore")
 
 
-def load_world(path: Path) -> World:
+class Placement(Section):
+    """What files of Gazebo and ROS don't say; `worlds=` takes it as a mapping, with the `path`.
+
+    Each place is a list of numbers, or text like "1.5,-2,0.7".
+    """
+
+    section = "worlds"
+    start: tuple[Coordinate, ...] | None = None
+    """x, y [m] and theta [rad]; without theta any heading. None: as the file says."""
+    goal: tuple[Coordinate, ...] | None = None
+    """x, y [m]. None: as the file says."""
+    models: str = Field("", max_length=10_000)
+    """Folders of Gazebo's models, separated as in PATH; those of Gazebo's own environment variables
+    and those around the file come after them."""
+    height: Annotated[float, Field(gt=0.0, le=100.0)] = LIDAR_HEIGHT
+    """Height of the LiDAR above the floor, at which meshes and tilted bodies are cut [m]."""
+
+    @field_validator("start", "goal", mode="before")
+    @classmethod
+    def _parse_place(cls, value: Any, info: ValidationInfo) -> Any:
+        """Numbers of a text, and of what else is a sequence of them."""
+        if value is None:
+            return None
+        try:
+            place = tuple(
+                map(float, PLACE_FORM.split(value.strip()) if isinstance(value, str) else value)
+            )
+        except (TypeError, ValueError):
+            place = ()
+        if info.field_name == "start" and len(place) not in (2, 3):
+            raise ValueError("must be X,Y or X,Y,THETA [m, rad]")
+        if info.field_name == "goal" and len(place) != 2:
+            raise ValueError("must be X,Y [m]")
+        return place
+
+    @property
+    def start_region(self) -> Region | None:
+        """Where robots start; None: as the file says."""
+        if self.start is None:
+            return None
+        x, y, *theta = self.start
+        return Region(x, y, 0.0, *theta)
+
+    @property
+    def goal_region(self) -> Region | None:
+        """Where the goal is; None: as the file says."""
+        return None if self.goal is None else Region(*self.goal)
+
+    def list_model_folders(self, folder: Path) -> list[Path]:
+        """Where a Gazebo world's models are looked for, in this order.
+
+        Args:
+            folder: of the world's file.
+        """
+        texts = [self.models, *(os.environ.get(name, "") for name in MODEL_VARIABLES)]
+        named = [
+            Path(part).expanduser() for text in texts for part in text.split(os.pathsep) if part
+        ]
+        return [*named, folder, folder / "models", folder.parent, folder.parent / "models"]
+
+
+class FileSource(Placement):
+    """A file or folder of worlds, with what it doesn't say."""
+
+    path: Path
+
+    @property
+    def placement(self) -> Placement:
+        """What the file doesn't say."""
+        return Placement(start=self.start, goal=self.goal, models=self.models, height=self.height)
+
+
+def load_world(path: Path | str, placement: Placement | None = None) -> World:
     """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
 
-    Raises WorldError where it can't be read, and MissingExtraError for a map without Pillow.
+    Args:
+        path: the file.
+        placement: start and goal instead of the file's own, folders of models, and the LiDAR's
+            height.
+
+    Raises:
+        WorldError: it can't be read, or nobody says where start or goal are.
+        MissingExtraError: a map without Pillow, or a Gazebo world with meshes without trimesh.
     """
+    path, placement = Path(path), placement or Placement()
     suffix = path.suffix.lower()
     if suffix in maps.PICTURE_SUFFIXES:
         raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
@@ -108,24 +207,86 @@ def load_world(path: Path) -> World:
         raise WorldError(f"{path}: a world is read from {', '.join(WORLD_SUFFIXES)}")
     try:
         if suffix in (".world", ".sdf"):
-            circles, segments = sdf.read_obstacles(
-                reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
-            )
-            return World(circles, segments, BARN_START, BARN_GOAL, _barn_path(path), path.stem)
+            return _read_gazebo(path, placement)
         content = reading.read_content(path, MAX_TEXT_BYTES, WorldError)
         text = reading.decode_text(content, WorldError)
         if suffix == ".json":
-            return _parse_world(reading.parse_json(text, WorldError), path)
-        return _parse_world(reading.parse_yaml(text, WorldError, MAX_YAML_EVENTS), path)
+            return _parse_world(reading.parse_json(text, WorldError), path, placement)
+        return _parse_world(reading.parse_yaml(text, WorldError, MAX_YAML_EVENTS), path, placement)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from None
 
 
-def load_folder(folder: Path) -> list[World]:
+def _read_gazebo(path: Path, placement: Placement) -> World:
+    """Read a Gazebo world; warn of what moves in it."""
+    content = reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
+    obstacles = sdf.read_obstacles(
+        content, path.parent, placement.list_model_folders(path.parent), placement.height
+    )
+    _warn_of_movers(path, obstacles)
+    start, goal, way = placement.start_region, placement.goal_region, None
+    if is_barn(obstacles.circles):
+        way = _barn_path(path) if start is None and goal is None else None
+        start, goal = start or BARN_START, goal or BARN_GOAL
+    if start is None or goal is None:
+        missing = MISSING_ENDS[start is None, goal is None]
+        raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(obstacles)}")
+    return World(obstacles.circles, obstacles.segments, start, goal, way, path.stem)
+
+
+def _describe_extent(obstacles: sdf.SdfObstacles) -> str:
+    """Where the obstacles are, for who looks for a start; empty without any."""
+    circles, segments = obstacles.circles, obstacles.segments.reshape(-1, 2)
+    centres, radii = circles[:, :2], circles[:, 2:]
+    points = np.concatenate([centres - radii, centres + radii, segments])
+    if not len(points):
+        return ""
+    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
+    return f", where obstacles are at x {left:.3g} to {right:.3g}, y {low:.3g} to {high:.3g}"
+
+
+def _warn_of_movers(path: Path, obstacles: sdf.SdfObstacles) -> None:
+    notes = []
+    if obstacles.movers:
+        stand = "stand where they begin" if len(obstacles.movers) > 1 else "stands where it begins"
+        notes.append(f"{', '.join(obstacles.movers)} {stand}")
+    if obstacles.actors:
+        notes.append(
+            f"{', '.join(obstacles.actors)} {'are' if len(obstacles.actors) > 1 else 'is'} left out"
+        )
+    if notes:
+        warnings.warn(
+            f"{path}: what moves in Gazebo doesn't move here: {'; '.join(notes)}",
+            WorldWarning,
+            stacklevel=4,
+        )
+
+
+def is_barn(circles: Floats) -> bool:
+    """Whether these are the cylinders of one of BARN's worlds: those of its corridor are there.
+
+    Args:
+        circles: (n, 3): x, y, radius [m].
+    """
+    cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
+    corridor = place_cylinders(np.zeros((0, 0), np.bool_))
+    cells = {tuple(cell) for cell in np.rint(cylinders[:, :2] / BARN_CELL_SIDE * 2.0).tolist()}
+    return all(
+        tuple(cell) in cells for cell in np.rint(corridor[:, :2] / BARN_CELL_SIDE * 2.0).tolist()
+    )
+
+
+def load_folder(folder: Path, placement: Placement | None = None) -> list[World]:
     """Read all worlds of a folder in natural order: world_2 comes before world_10.
 
-    Raises WorldError for a folder that is missing, without worlds or with too many, and for the
-    first bad file.
+    Args:
+        folder: of the files.
+        placement: see `load_world`; the same for all of them.
+
+    Raises:
+        WorldError: for a folder that is missing, without worlds or with too many, and for the
+            first bad file.
+        MissingExtraError: as `load_world`.
     """
     try:
         if not folder.is_dir():
@@ -148,7 +309,7 @@ def load_folder(folder: Path) -> list[World]:
     worlds: list[World] = []
     obstacles = 0
     for path in sorted(paths, key=natural):
-        worlds.append(load_world(path))
+        worlds.append(load_world(path, placement))
         obstacles += worlds[-1].obstacles
         if obstacles > MAX_FOLDER_OBSTACLES:
             raise WorldError(
@@ -163,6 +324,23 @@ def save_world(world: World, path: Path) -> None:
     Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
     be written.
     """
+    try:
+        data = format_world(world, path.suffix)
+    except WorldError as error:
+        raise WorldError(f"{path}: {error}") from None
+    reading.write_atomically(path, data, WorldError)
+
+
+def format_world(world: World, suffix: str) -> bytes:
+    """Format a world in the project's own format.
+
+    Args:
+        world: to format.
+        suffix: `.json`, `.yaml` or `.yml`.
+
+    Raises:
+        WorldError: for another suffix, and a name that isn't text.
+    """
     start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
     if world.start.theta is not None:
         start["theta"] = world.start.theta
@@ -175,11 +353,10 @@ def save_world(world: World, path: Path) -> None:
     }
     if world.path is not None:
         fields["path"] = world.path.tolist()
-    suffix = path.suffix.lower()
-    if suffix not in (".json", ".yaml", ".yml"):
-        raise WorldError(f"{path}: a world is saved as .json, .yaml or .yml")
+    if suffix.lower() not in (".json", ".yaml", ".yml"):
+        raise WorldError("a world is saved as .json, .yaml or .yml")
     try:
-        if suffix == ".json":
+        if suffix.lower() == ".json":
             lines = [f"  {json.dumps(key)}: {_format_json(value)}" for key, value in fields.items()]
             text = "{\n" + ",\n".join(lines) + "\n}\n"
         else:
@@ -187,10 +364,9 @@ def save_world(world: World, path: Path) -> None:
             text = yaml.dump(
                 fields, Dumper=dumper, default_flow_style=None, sort_keys=False, width=200
             )
-        data = text.encode()
-    except UnicodeEncodeError:
-        raise WorldError(f"{path}: can't be written: the world's name isn't UTF-8 text") from None
-    reading.write_atomically(path, data, WorldError)
+        return text.encode()
+    except UnicodeEncodeError as error:
+        raise WorldError("can't be written: the world's name isn't UTF-8 text") from error
 
 
 def _format_json(value: object) -> str:
@@ -200,13 +376,11 @@ def _format_json(value: object) -> str:
     return "[\n    " + ",\n    ".join(map(json.dumps, value)) + "\n  ]"
 
 
-def _parse_world(data: object, path: Path) -> World:
+def _parse_world(data: object, path: Path, placement: Placement) -> World:
     """Make a world of the content of a JSON or YAML file."""
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(WorldFile.model_fields)}")
-    for end in ("start", "goal"):
-        if data.get(end) is None:
-            raise WorldError(f"has no {end}: add a line like '{end}: {{x: 0.0, y: 0.0}}' [m]")
+    data = _place_ends(data, placement)
     for mapping in (data, data["start"], data["goal"]):
         if isinstance(mapping, dict) and len(mapping) > MAX_KEYS:
             raise WorldError(f"has {len(mapping):,} keys, at most {MAX_KEYS} are read")
@@ -234,6 +408,21 @@ def _parse_world(data: object, path: Path) -> World:
         None if file.path is None else np.array(file.path, np.float64),
         file.name,
     )
+
+
+def _place_ends(data: dict[str, Any], placement: Placement) -> dict[str, Any]:
+    """The content of a file with the start and goal that are given; WorldError without them."""
+    for end, region in (("start", placement.start_region), ("goal", placement.goal_region)):
+        if region is not None:  # the file's path leads from or to another place
+            theta = {} if region.theta is None else {"theta": region.theta}
+            data = {**data, end: {"x": region.x, "y": region.y, **theta}, "path": None}
+    lacks = data.get("start") is None, data.get("goal") is None
+    if any(lacks):
+        end = "start" if lacks[0] else "goal"
+        raise WorldError(
+            f"{MISSING_ENDS[lacks]} [m, rad], or a line like '{end}: {{x: 0.0, y: 0.0}}'"
+        )
+    return data
 
 
 def _barn_path(path: Path) -> Floats | None:

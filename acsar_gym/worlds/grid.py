@@ -142,7 +142,9 @@ def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
         from scipy.sparse import csr_array  # noqa: PLC0415 - slow to import
         from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
 
-    free, number = grid.free, np.arange(grid.free.size).reshape(grid.free.shape)
+    free = grid.free
+    # Before 1.15, scipy's searches refuse indices of 64 bits.
+    number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
     ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
     square = ahead[:, :-1] & ahead[:, 1:]
     pairs = (

@@ -61,7 +61,7 @@ class MapSettings(Section):
     origin: tuple[Coordinate, Coordinate, Annotated[float, Field(strict=True)]]
     """x, y [m] and yaw [rad] of the lower left corner of the lower left pixel."""
     negate: bool = False
-    """Whether white is occupied, instead of black."""
+    """Whether white is occupied, instead of black; as in map_server, not in mode raw."""
     occupied_thresh: Share = 0.65
     """A pixel is occupied if its occupancy is above this."""
     free_thresh: Share = 0.196
@@ -121,7 +121,7 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
         config: settings of the map.
     """
     bright = 1.0 - shades if config.negate else shades
-    percent = np.round(bright * 255.0)
+    percent = np.round(shades * 255.0)
     raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
     dark: Mask = 1.0 - bright > config.occupied_thresh
     return raw if config.mode == "raw" else dark

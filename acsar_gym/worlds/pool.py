@@ -6,7 +6,7 @@ of files and lists are numbered from 0.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import WorldError, show_value
+from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.reading import explain_error
 from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
@@ -29,8 +30,8 @@ KEPT_WORLDS = 512
 MAX_RANKED = 100_000
 """Largest pool that can be sorted by difficulty."""
 
-Source = str | Path | World | Sequence[World]
-"""What users may pass as `worlds=`."""
+Source = str | Path | World | Sequence[World] | Mapping[str, Any]
+"""What users may pass as `worlds=`; the fields of a mapping are those of `files.FileSource`."""
 
 
 class Pool:
@@ -68,25 +69,30 @@ class Pool:
         difficulty: Level = None,
         radius: float = 0.25,
         count: int | None = None,
+        height: float = LIDAR_HEIGHT,
     ) -> Pool:
         """Make a pool from a generator's name, a file, a folder, a World, or a list of World.
 
         "clutter:train" and "clutter:test" are the worlds of these splits, "clutter:50" the first 50
         and "clutter:100-149" those with these numbers. "clutter" alone is the training split.
         "mine.module:corridors:50" imports the module first, which registers the generator.
+        {"path": "hall.world", "start": (0, 0, 1.57), "goal": (3, 1)} is a file with what it doesn't
+        say; "models" names folders of Gazebo's models.
 
         Args:
             source: of the worlds, as above.
             difficulty: of generated worlds.
             radius: of the disc around the footprint [m].
             count: a generator's name alone is then its first `count` worlds.
+            height: of the LiDAR above the floor [m].
 
         Raises:
             WorldError: for anything else.
         """
         kind, worlds = "given", None
-        if isinstance(source, str | Path):
-            kind, worlds = str(source), read_worlds(source)
+        if isinstance(source, str | Path | Mapping):
+            kind = str(source.get("path") if isinstance(source, Mapping) else source)
+            worlds = read_worlds(source, height)
         else:
             given = [source] if isinstance(source, World) else source
             worlds = list(given) if isinstance(given, Sequence) else []
@@ -189,22 +195,59 @@ def check_world(world: World, radius: float) -> World:
     return world
 
 
-def read_worlds(source: str | Path) -> list[World] | None:
+def read_worlds(
+    source: str | Path | Mapping[str, Any], height: float = LIDAR_HEIGHT
+) -> list[World] | None:
     """Read worlds of a file or a folder; None for the name of a generator.
 
-    Raises WorldError where they can't be read.
+    Args:
+        source: see `Pool.of`.
+        height: of the LiDAR above the floor [m], unless a mapping says another one.
+
+    Raises:
+        ConfigError, WorldError: they can't be read.
     """
+    placement = files.Placement(height=height)
+    if isinstance(source, Mapping):
+        file = files.FileSource(**{"height": height, **source})
+        source, placement = file.path, file.placement
+        if registry.parse_known_name(str(source)):
+            raise WorldError(
+                f"worlds = {show_value(str(source))}: generated worlds have a start and a goal of "
+                "their own: leave out --start, --goal and --models"
+            )
     if isinstance(source, str) and (not source or registry.parse_known_name(source)):
         return None
     path = Path(source)
     named = isinstance(source, Path) or path.suffix != "" or "/" in source
     try:
         if path.is_dir():
-            return files.load_folder(path)
-        return [files.load_world(path)] if named or path.exists() else None
+            return files.load_folder(path, placement)
+        return [files.load_world(path, placement)] if named or path.exists() else None
     except (OSError, ValueError) as error:
         reason = explain_error(error)
         raise WorldError(f"worlds = {show_value(str(source))}: can't be read: {reason}") from None
+
+
+def place_worlds(
+    worlds: str | None, start: str | None, goal: str | None, models: str | None
+) -> str | dict[str, str] | None:
+    """Join the name of worlds with what their file doesn't say, for `Pool.of`.
+
+    Args:
+        worlds: kind, file or folder; None for an env's own.
+        start: "X,Y,THETA" [m, rad].
+        goal: "X,Y" [m].
+        models: folders of Gazebo's models.
+
+    Raises:
+        ConfigError: something of it is given, but no name.
+    """
+    options = {"start": start, "goal": goal, "models": models}
+    given = {name: value for name, value in options.items() if value is not None}
+    if given and worlds is None:
+        raise ConfigError(f"--{next(iter(given))} is for a world of a file: name the file, too")
+    return {"path": str(worlds), **given} if given else worlds
 
 
 def _parse_source(text: str, count: int | None) -> tuple[registry.WorldsName, range]:

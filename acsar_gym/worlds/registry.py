@@ -19,6 +19,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
+from acsar_gym.reading import find_modules_here
 from acsar_gym.worlds.world import World
 
 if TYPE_CHECKING:
@@ -179,11 +180,10 @@ def import_generator(module: str, kind: str) -> None:
     """
     if module in ("", "__main__"):
         return
-    if "" not in sys.path:
-        sys.path.append("")  # modules in the current folder
     where = f"worlds = '{module}:{kind}'"
     try:
-        importlib.import_module(module)
+        with find_modules_here():
+            importlib.import_module(module)
     except ImportError as error:
         raise WorldError(
             f"{where}: can't import {module}: {one_line_error(error)}; install it, or name its "

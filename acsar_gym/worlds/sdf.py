@@ -1,91 +1,108 @@
 """Read the obstacles of a Gazebo world: the collision geometry of its models, seen from above.
 
-Cylinders and spheres become circles, boxes four segments. Lengths in m and angles in rad, as in SDF
-1.4 to 1.9. Poses of models, links and collisions are composed; where the world has a `<state>`,
-its model poses replace the models' own, as in Gazebo. Skipped are the ground plane, and bodies
-that end below STEP_HEIGHT or begin above HEADROOM. Lights, actors and visuals are no obstacles.
+Lengths in m and angles in rad, as in SDF 1.4 to 1.12. Frames are those of
+http://sdformat.org/tutorials?tut=pose_frame_semantics; where a world of Gazebo classic has a
+`<state>`, its poses and scales of models replace the models' own, as in Gazebo. Included models are
+read from local folders. `sdf_shapes` says which outline a body has.
+
+What moves in Gazebo, by a plugin or as an actor, is named: here it stands still, or isn't there.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
+from urllib.parse import unquote
 from xml.etree.ElementTree import Element, ParseError
 
 import defusedxml.ElementTree
 import numpy as np
 from defusedxml.common import DefusedXmlException
 
+from acsar_gym import reading
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.world import MAX_COORDINATE, Floats
+from acsar_gym.worlds.sdf_shapes import (
+    LIDAR_HEIGHT,
+    Matrix,
+    ShapeReader,
+    quote_name,
+    read_numbers,
+)
+from acsar_gym.worlds.world import Floats
 
-Shape = tuple[list[list[float]], list[list[float]]]
-"""Circles and segments."""
-HEADROOM = 0.5
-"""A body that begins above this height can't touch the robot or its LiDAR's rays [m]."""
-STEP_HEIGHT = 0.01
-"""The robot drives over a body that isn't higher than this [m]."""
-MAX_TILT = 0.01
-"""A body that is tilted more than this is refused [rad]."""
+MAX_SDF_BYTES = 64_000_000
+"""Most bytes of an SDF file."""
 MAX_TAGS = 2_500_000
 """Most tags of a file; a world of 20,000 cylinders as in BARN has 2 million."""
 MAX_ATTRIBUTES = 600_000
 """Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
 MAX_TAG_BYTES = 1_000_000
 """Most bytes of a tag, or of a text between two."""
+MAX_BODIES = 100_000
+"""Most bodies of a world, those of included files counted each time."""
+MAX_INCLUDES = 10_000
+"""Most models that are included, likewise."""
 MAX_NESTED_MODELS = 10
+MAX_FRAME_CHAIN = 100
+"""Most frames of which each is given relative to the next."""
 HARMLESS_MODELS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
+RESTING_PLUGINS = (
+    "altimeter|barometer|battery|bumper|camera|contact|depth|detachable|gps|gpu|imu|ir|label|laser|"
+    "lidar|light|logger|magnetometer|monitor|odometry|p3d|particle|publisher|range|ray|sensors?|"
+    "shader|sonar|thermal|touch|video|visual|wrench"
+)
+"""Words in the names of plugins that measure, show or tell something, but don't move a model."""
+WORLD_PLUGINS = (
+    f"{RESTING_PLUGINS}|api|broadcaster|commands|factory|init|physics|properties|scene|state"
+)
+"""The same for plugins of a world."""
+UNFOUND_MODELS = 5
+"""Most models that one message lists as missing."""
 
 
-class SdfFrame(NamedTuple):
-    """A frame in the world: position [m], yaw [rad], and whether it is tilted."""
+class SdfObstacles(NamedTuple):
+    """What is read from a Gazebo world."""
 
-    x: float = 0.0
-    y: float = 0.0
-    z: float = 0.0
-    yaw: float = 0.0
-    tilted: bool = False
-
-    def __matmul__(self, inner: SdfFrame) -> SdfFrame:
-        """Transform a frame that is given in this one into the world."""
-        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        x = self.x + cos * inner.x - sin * inner.y
-        y = self.y + sin * inner.x + cos * inner.y
-        tilted = self.tilted or inner.tilted
-        return SdfFrame(x, y, self.z + inner.z, self.yaw + inner.yaw, tilted)
+    circles: Floats
+    """(C, 3) [m]."""
+    segments: Floats
+    """(S, 4) [m]."""
+    movers: tuple[str, ...]
+    """Models that a plugin moves in Gazebo, in words; they stand where they begin."""
+    actors: tuple[str, ...]
+    """Actors, in words; they are left out."""
 
 
-def read_obstacles(data: bytes) -> tuple[Floats, Floats]:
+def read_obstacles(
+    data: bytes,
+    folder: Path | None = None,
+    model_folders: Sequence[Path] = (),
+    height: float = LIDAR_HEIGHT,
+) -> SdfObstacles:
     """Read the obstacles of an SDF file's content.
 
-    Returns:
-        Circles (C, 3) and segments (S, 4) [m].
+    Args:
+        data: the content.
+        folder: of the file, where relative paths in it begin.
+        model_folders: folders in which included models and meshes are looked for, in this order.
+        height: of the LiDAR above the floor [m].
 
     Raises:
-        WorldError: it isn't SDF, is malicious, or has shapes that can't be read; names the model.
+        WorldError: it isn't SDF, is malicious, includes models that aren't there, or has shapes
+            that can't be read; names the model.
+        MissingExtraError: it has meshes, and trimesh isn't installed.
     """
-    root = _parse_xml(data)
-    worlds = root.findall("world")
-    if root.tag != "sdf" or len(worlds) > 1:
-        raise WorldError("not an SDF file of one <world>")
-    world = worlds[0] if worlds else root
-    moved = {model.get("name"): model for model in world.iterfind("state/model")}
-    _refuse_includes(world)
-    circles: list[list[float]] = []
-    segments: list[list[float]] = []
-    for model in world.iterfind("model"):
-        now = moved.get(model.get("name"), model)
-        frame = _read_pose(now if now.find("pose") is not None else model, "model", _name(model))
-        for some_circles, some_segments in _read_model(model, frame, 0):
-            circles += some_circles
-            segments += some_segments
-    return np.array(circles).reshape(-1, 3), np.array(segments).reshape(-1, 4)
+    return _WorldReader(model_folders, height).read(parse_xml(data), folder)
 
 
-def _parse_xml(data: bytes) -> Element:
-    """Parse XML; refuse what would take long or much memory."""
+def parse_xml(data: bytes) -> Element:
+    """Parse XML; WorldError for what would take long or much memory, and what isn't XML."""
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
     longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
     if longest > MAX_TAG_BYTES or data.count(b"=") > MAX_ATTRIBUTES:
@@ -94,120 +111,361 @@ def _parse_xml(data: bytes) -> Element:
         raise WorldError("holds too many XML elements: cut out a part of it")
     try:
         root: Element = defusedxml.ElementTree.fromstring(data, forbid_dtd=True)
-    except DefusedXmlException:
+    except DefusedXmlException as error:
         raise WorldError(
             "has a document type or entities, which are refused: remove them"
-        ) from None
+        ) from error
     except (ParseError, ValueError, LookupError, AssertionError) as error:
-        raise WorldError(f"not valid XML: {' '.join(str(error).split())}") from None
+        raise WorldError(f"not valid XML: {' '.join(str(error).split())}") from error
     return root
 
 
-def _read_model(model: Element, frame: SdfFrame, depth: int) -> Iterator[Shape]:
-    name = _name(model)
-    if depth > MAX_NESTED_MODELS:
-        raise WorldError(f"model {name}: models are nested too deeply")
-    if model.get("placement_frame"):
-        raise WorldError(f"model {name}: has a placement_frame, which can't be read: remove it")
-    _refuse_includes(model)
-    for link in model.iterfind("link"):
-        link_frame = frame @ _read_pose(link, "link", name)
-        for body in link.iterfind("collision"):
-            yield _read_body(body, link_frame @ _read_pose(body, "collision", name), name)
-    for inner in model.iterfind("model"):
-        yield from _read_model(inner, frame @ _read_pose(inner, "model", name), depth + 1)
+@dataclass
+class _Model:
+    """A model, or the world itself: what the names in it mean."""
+
+    name: str
+    element: Element
+    pose: Element | None = None
+    """Its pose in its parent; None: at the parent's origin."""
+    placement: str = ""
+    """The frame in it that `pose` places; empty: its own."""
+    folder: Path | None = None
+    """Of its file."""
+    scale: tuple[float, ...] = (1.0, 1.0, 1.0)
+    """Of its shapes."""
+    plugins: list[Element] = field(default_factory=list)
+    children: dict[str, _Model] = field(default_factory=dict)
+    merged: list[_Model] = field(default_factory=list)
+    """Children whose names count as its own."""
+    frames: dict[str, Element] = field(default_factory=dict)
+    """Links, joints and explicit frames."""
+    resolved: dict[str, Matrix] = field(default_factory=dict)
+    pending: list[str] = field(default_factory=list)
+    """Names whose frame is being looked for."""
+
+    @property
+    def described(self) -> str:
+        """Its kind and name, for messages."""
+        return f"model {quote_name(self.name)}" if self.name else "the world"
+
+    def find(self, name: str, whose: str = "") -> Matrix:
+        """The frame of a name in this model's frame.
+
+        Args:
+            name: as of a link, a frame, or a model in this one; empty for this model's own.
+            whose: what has a pose in it, for messages.
+
+        Raises:
+            WorldError: there is no such name, or it leads in a circle.
+        """
+        if name in ("", "__model__") or (name == "world" and not self.name):
+            return np.eye(4)
+        if name not in self.resolved:
+            if name in self.pending or len(self.pending) > MAX_FRAME_CHAIN:
+                raise WorldError(f"{self.described}: frames are relative to each other in a circle")
+            self.pending.append(name)
+            self.resolved[name] = self._find(name, whose or self.described)
+            self.pending.pop()
+        return self.resolved[name]
+
+    def _find(self, name: str, whose: str) -> Matrix:
+        if name in self.children:
+            return self.place_child(self.children[name])
+        element = self.frames.get(name)
+        if element is not None:
+            default = element.get("attached_to", "") if element.tag == "frame" else ""
+            default = element.findtext("child", "").strip() if element.tag == "joint" else default
+            return self.place(element.find("pose"), default)
+        child, _, inner = name.partition("::")
+        if inner and child in self.children:
+            return self.place_child(self.children[child]) @ self.children[child].find(inner)
+        for model in self.merged:
+            if name in model.frames or name in model.children:
+                return self.place_child(model) @ model.find(name)
+        raise WorldError(
+            f"{whose}: a pose is relative to {quote_name(name)}, which isn't in {self.described}"
+        )
+
+    def place(self, pose: Element | None, default: str = "", whose: str = "") -> Matrix:
+        """A pose in this model's frame.
+
+        Args:
+            pose: the element.
+            default: name of the frame in which it is given, unless it says another one.
+            whose: what has it, for messages; empty for this model.
+        """
+        base = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
+        return self.find(base or default, whose) @ _read_pose(pose, whose or self.described)
+
+    def place_child(self, child: _Model) -> Matrix:
+        """The frame of a model that is in this one."""
+        placed = self.place(child.pose, whose=child.described)
+        return placed @ np.linalg.inv(child.find(child.placement)) if child.placement else placed
 
 
-def _refuse_includes(parent: Element) -> None:
-    """Refuse models in other files, because obstacles would be missing."""
-    if parent.find("population") is not None:
-        raise WorldError("has a <population>, which can't be read: place its models one by one")
-    for uri in parent.iterfind("include/uri"):
-        name = (uri.text or "").strip().rstrip("/")
-        if name.rsplit("/", 1)[-1] not in HARMLESS_MODELS:
-            raise WorldError(f"includes {_brief(name)}, which lies in another file: write it out")
-
-
-def _name(element: Element) -> str:
-    return _brief(element.get("name", ""))
-
-
-def _brief(text: str) -> str:
-    """Quote a text on one line, at most 40 characters of it."""
-    return repr(text if len(text) <= 40 else f"{text[:40]}...")
-
-
-def _read_pose(element: Element, kind: str, model: str) -> SdfFrame:
-    """The frame of a model, link or collision in its parent's."""
-    pose = element.find("pose")
+def _read_pose(pose: Element | None, model: str) -> Matrix:
+    """A pose as a matrix; the identity where there is none."""
+    matrix = np.eye(4)
     if pose is None or not (pose.text or "").strip():
-        return SdfFrame()
-    base = pose.get("relative_to") or pose.get("frame") or ""
-    if base not in ("", {"model": "world", "link": "__model__"}.get(kind, "")):
-        raise WorldError(f"model {model}: a pose is relative to {_brief(base)}, not to its parent")
-    if pose.get("rotation_format", "euler_rpy") != "euler_rpy":
-        raise WorldError(f"model {model}: a rotation isn't roll, pitch and yaw")
-    x, y, z, *angles = _read_numbers(pose, "pose", 6, model)
-    if pose.get("degrees", "").strip() in ("true", "1"):
-        angles = list(map(math.radians, angles))
-    roll, pitch = (abs(math.remainder(angle, math.tau)) for angle in angles[:2])
-    return SdfFrame(x, y, z, angles[2], max(roll, pitch) > MAX_TILT)
-
-
-def _read_numbers(element: Element, what: str, count: int, model: str) -> list[float]:
-    text = element.text or ""
-    try:
-        numbers = [float(word) for word in text.split(None, count)]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(abs(number) <= MAX_COORDINATE for number in numbers):
-        raise WorldError(
-            f"model {model}: {what} must be {count} finite number{'s' if count > 1 else ''} of at "
-            f"most {MAX_COORDINATE:g}, is {_brief(text.strip())}"
+        return matrix
+    if pose.get("rotation_format", "euler_rpy") == "quat_xyzw":
+        x, y, z, *quaternion = read_numbers(pose, "pose", 7, model)
+        length = math.hypot(*quaternion)
+        if not length > 0.0:
+            raise WorldError(f"{model}: a quaternion of a pose is zero")
+        qx, qy, qz, qw = (number / length for number in quaternion)
+        matrix[0, :3] = (
+            1 - 2 * (qy * qy + qz * qz),
+            2 * (qx * qy - qz * qw),
+            2 * (qx * qz + qy * qw),
         )
-    return numbers
-
-
-def _read_sizes(shape: Element, what: str, count: int, model: str) -> list[float]:
-    element = shape.find(what)
-    if element is None:
-        raise WorldError(f"model {model}: its {shape.tag} has no <{what}>")
-    numbers = _read_numbers(element, what, count, model)
-    if min(numbers) < 0.0:
-        raise WorldError(f"model {model}: {what} must not be negative, is {min(numbers):g}")
-    return numbers
-
-
-def _read_body(body: Element, frame: SdfFrame, model: str) -> Shape:
-    """A collision body seen from above; empty where the robot can't touch it."""
-    geometry = body.find("geometry")
-    shape = None if geometry is None else next(iter(geometry), None)
-    circles: list[list[float]] = []
-    segments: list[list[float]] = []
-    height = 0.0
-    if shape is None or shape.tag == "empty":
-        return [], []
-    if shape.tag in ("cylinder", "sphere"):
-        (radius,) = _read_sizes(shape, "radius", 1, model)
-        circles = [[frame.x, frame.y, radius]]
-        is_sphere = shape.tag == "sphere"
-        height = 2.0 * radius if is_sphere else _read_sizes(shape, "length", 1, model)[0]
-    elif shape.tag == "box":
-        length, width, height = _read_sizes(shape, "size", 3, model)
-        signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-        corners = [frame @ SdfFrame(sx * length / 2.0, sy * width / 2.0) for sx, sy in signs]
-        pairs = zip(corners, corners[1:] + corners[:1], strict=True)
-        segments = [[one.x, one.y, two.x, two.y] for one, two in pairs]
-    elif shape.tag == "plane":
-        normal = shape.find("normal")
-        up = [0.0, 0.0, 1.0] if normal is None else _read_numbers(normal, "normal", 3, model)
-        if frame.tilted or math.hypot(*up[:2]) > MAX_TILT * abs(up[2]):
-            raise WorldError(f"model {model}: a plane must be level: replace it by a box")
+        matrix[1, :3] = (
+            2 * (qx * qy + qz * qw),
+            1 - 2 * (qx * qx + qz * qz),
+            2 * (qy * qz - qx * qw),
+        )
+        matrix[2, :3] = (
+            2 * (qx * qz - qy * qw),
+            2 * (qy * qz + qx * qw),
+            1 - 2 * (qx * qx + qy * qy),
+        )
     else:
-        raise WorldError(
-            f"model {model}: a {shape.tag} can't be read: replace it by cylinders and boxes"
+        x, y, z, *angles = read_numbers(pose, "pose", 6, model)
+        if pose.get("degrees", "").strip() in ("true", "1"):
+            angles = list(map(math.radians, angles))
+        (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
+        matrix[0, :3] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+        matrix[1, :3] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+        matrix[2, :3] = -sp, cp * sr, cp * cr
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+class _WorldReader:
+    """Reads one world, and the files that it includes."""
+
+    def __init__(self, model_folders: Sequence[Path], height: float) -> None:
+        self._model_folders = model_folders
+        self._shapes = ShapeReader(height, self._find_mesh)
+        self._bodies = 0
+        self._includes = 0
+        self._files: dict[Path, Element] = {}
+        self._missing: list[str] = []
+        self._movers: list[str] = []
+        self._actors: list[str] = []
+
+    def read(self, root: Element, folder: Path | None) -> SdfObstacles:
+        """Read the obstacles of a file's root element."""
+        worlds = root.findall("world")
+        if root.tag != "sdf" or len(worlds) > 1:
+            raise WorldError("not an SDF file of one <world>")
+        element = worlds[0] if worlds else root
+        if element.find("population") is not None:
+            raise WorldError("has a <population>, which can't be read: place its models one by one")
+        world = _Model("", element, folder=folder)
+        self._read_children(world, [element, *element.iterfind("state/insertions")], 0)
+        for state in element.iterfind("state/model"):
+            model = world.children.get(state.get("name", ""))
+            if model is not None and state.find("pose") is not None:
+                model.pose, model.placement = state.find("pose"), ""
+            if model is not None and (scale := state.find("scale")) is not None:
+                model.scale = tuple(read_numbers(scale, "scale", 3, model.described))
+        if self._missing:
+            names = ", ".join(self._missing[:UNFOUND_MODELS])
+            others = len(self._missing) - UNFOUND_MODELS
+            raise WorldError(
+                f"includes {names}{f' and {others} others' if others > 0 else ''}, which no model "
+                "folder has: name the folder with --models FOLDER or in GZ_SIM_RESOURCE_PATH "
+                "(models of Fuel must be downloaded), or write it out"
+            )
+        self._find_world_plugins(world)
+        circles: list[list[float]] = []
+        segments: list[list[float]] = []
+        for some_circles, some_segments in self._outline(world, np.eye(4), ""):
+            circles += some_circles
+            segments += some_segments
+        return SdfObstacles(
+            np.array(circles).reshape(-1, 3),
+            np.array(segments).reshape(-1, 4),
+            tuple(self._movers),
+            tuple(self._actors),
         )
-    if frame.tilted:
-        raise WorldError(f"model {model}: is tilted: only bodies that stand upright can be read")
-    reached = frame.z - height / 2.0 <= HEADROOM and frame.z + height / 2.0 > STEP_HEIGHT
-    return (circles, segments) if reached else ([], [])
+
+    def _read_children(self, parent: _Model, elements: Sequence[Element], depth: int) -> None:
+        """Find the frames and models that a model or the world has."""
+        if depth > MAX_NESTED_MODELS:
+            raise WorldError(f"{parent.described}: models are nested too deeply")
+        for element in elements:
+            for tag in ("link", "joint", "frame"):
+                for inner in element.iterfind(tag):
+                    parent.frames[inner.get("name", "")] = inner
+            for actor in element.iterfind("actor"):
+                self._actors.append(f"actor {quote_name(actor.get('name', ''))}")
+            for inner in element.iterfind("model"):
+                placement = inner.get("placement_frame", "")
+                pose = inner.find("pose")
+                name = inner.get("name", "")
+                model = _Model(name, inner, pose, placement, parent.folder)
+                self._add_child(parent, model, [], depth)
+            for include in element.iterfind("include"):
+                self._include(parent, include, depth)
+
+    def _add_child(
+        self, parent: _Model, model: _Model, plugins: Sequence[Element], depth: int
+    ) -> None:
+        model.plugins = [*model.element.findall("plugin"), *plugins]
+        key = model.name
+        while key in parent.children:  # Gazebo renames, too
+            key = f"{model.name}_{len(parent.children)}"
+        parent.children[key] = model
+        self._read_children(model, [model.element], depth + 1)
+
+    def _include(self, parent: _Model, include: Element, depth: int) -> None:
+        """Add the model of an <include>."""
+        uri = (include.findtext("uri") or "").strip()
+        parts = _split_uri(uri)
+        names = {part.lower().replace(" ", "_") for part in (*parts[:1], *parts[-1:])}
+        if not names.isdisjoint(HARMLESS_MODELS):
+            return
+        path = self._find_model(uri, parent.folder)
+        if path is None:
+            of_fuel = uri.startswith(("http://", "https://")) and parts
+            name = f"{quote_name(parts[0])} of Fuel" if of_fuel else quote_name(uri)
+            if name not in self._missing:
+                self._missing.append(name)
+            return
+        self._includes += 1
+        if self._includes > MAX_INCLUDES:
+            raise WorldError(f"includes more than {MAX_INCLUDES:,} models: cut out a part of it")
+        root = self._read_file(path)
+        name = (include.findtext("name") or "").strip()
+        element = root.find("model")
+        if element is None:
+            actors = root.findall("actor")
+            if not actors and root.find("light") is None:
+                raise WorldError(f"included {quote_name(str(path))}: holds no model")
+            names_of_actors = (name or actor.get("name", "") for actor in actors)
+            self._actors += [f"actor {quote_name(actor)}" for actor in names_of_actors]
+            return
+        pose, placement = element.find("pose"), element.get("placement_frame", "")
+        if include.find("pose") is not None:
+            pose, placement = include.find("pose"), ""
+        placement = (include.findtext("placement_frame") or placement).strip()
+        model = _Model(name or element.get("name", ""), element, pose, placement, path.parent)
+        if include.get("merge", "") in ("true", "1"):
+            parent.merged.append(model)
+        self._add_child(parent, model, include.findall("plugin"), depth)
+
+    def _read_file(self, path: Path) -> Element:
+        """The root element of a file, which is read once."""
+        if path not in self._files:
+            try:
+                content = reading.read_content(path, MAX_SDF_BYTES, WorldError)
+                self._files[path] = parse_xml(content)
+            except WorldError as error:
+                raise WorldError(f"included {quote_name(str(path))}: {error}") from error
+        return self._files[path]
+
+    def _find_model(self, uri: str, folder: Path | None) -> Path | None:
+        """The SDF file of an included model; None where it isn't here."""
+        for path in self._list_places(uri, folder):
+            if path.is_file():
+                return path
+            place = path
+            versions = [inner for inner in place.iterdir() if inner.name.isdecimal()]
+            if versions and not (place / "model.sdf").is_file():  # as Fuel's are kept on disk
+                place = max(versions, key=lambda inner: int(inner.name))
+            names = {}
+            if (place / "model.config").is_file():
+                for sdf in self._read_file(place / "model.config").iterfind("sdf"):
+                    version = tuple(map(int, re.findall(r"\d+", sdf.get("version", ""))))
+                    names[version] = (sdf.text or "").strip()
+            file = place / (names[max(names)] if names else "model.sdf")
+            if file.is_file():
+                return file
+        return None
+
+    def _find_mesh(self, uri: str, folder: Path | None) -> Path | None:
+        """The file of a mesh; None where it isn't here."""
+        return next((path for path in self._list_places(uri, folder) if path.is_file()), None)
+
+    def _list_places(self, uri: str, folder: Path | None) -> Iterator[Path]:
+        """Files and folders of this name that there are, the first ones to be taken first."""
+        scheme, _, rest = uri.rpartition("://")
+        parts = _split_uri(uri)
+        if not parts:
+            return
+        candidates = []
+        if scheme in ("", "file"):
+            candidates += [Path(unquote(rest))] if rest.startswith("/") else []
+            candidates += [] if folder is None else [folder.joinpath(*parts)]
+        for base in self._model_folders:
+            for name in (parts[0], parts[0].lower(), parts[0].lower().replace(" ", "_")):
+                candidates.append(base.joinpath(name, *parts[1:]))
+            around = (base.absolute(), *base.absolute().parents)
+            candidates += [up.joinpath(*parts[1:]) for up in around if up.name == parts[0]]
+        for path in candidates:
+            with contextlib.suppress(OSError, ValueError):  # too long a name, or one with zeros
+                if path.exists():
+                    yield path
+
+    def _find_world_plugins(self, world: _Model) -> None:
+        """Note the models that a plugin of the world names, as it may move them."""
+        for plugin in world.element.iterfind("plugin"):
+            texts = {(inner.text or "").strip() for inner in plugin.iter()}
+            if _is_mover(plugin, WORLD_PLUGINS):
+                for name in sorted(texts & world.children.keys() - {""}):
+                    self._movers.append(_describe_mover(name, plugin))
+
+    def _outline(
+        self, model: _Model, frame: Matrix, scope: str
+    ) -> Iterator[tuple[list[list[float]], list[list[float]]]]:
+        """Circles and segments of each body of a model, whose frame in the world is given."""
+        movers = [plugin for plugin in model.plugins if _is_mover(plugin, RESTING_PLUGINS)]
+        if movers:
+            self._movers.append(_describe_mover(scope, movers[0]))
+        for link in model.element.iterfind("link"):
+            link_frame = model.place(link.find("pose"))
+            for body in link.iterfind("collision"):
+                self._bodies += 1
+                if self._bodies > MAX_BODIES:
+                    raise WorldError(f"has more than {MAX_BODIES:,} bodies: cut out a part of it")
+                pose = body.find("pose")
+                if pose is not None and (pose.get("relative_to") or pose.get("frame")):
+                    place = model.place(pose)
+                else:
+                    place = link_frame @ _read_pose(pose, model.described)
+                yield self._shapes.read(
+                    body.find("geometry"),
+                    frame @ place,
+                    model.scale,
+                    model.described,
+                    model.folder,
+                )
+        for key, child in model.children.items():
+            name = f"{scope}::{key}" if scope else key
+            yield from self._outline(child, frame @ model.place_child(child), name)
+
+
+def _split_uri(uri: str) -> list[str]:
+    """The parts of a model's or file's name: ["table", "meshes", "table.dae"]."""
+    scheme, _, rest = uri.replace("\\", "/").rpartition("://")
+    parts = [part for part in PurePosixPath(unquote(rest)).parts if part != "/"]
+    if scheme in ("http", "https") and "models" in parts:  # .../models/Table/2/files/meshes/x.dae
+        parts = parts[parts.index("models") + 1 :]
+        inner = parts[parts.index("files") + 1 :] if "files" in parts else []
+        parts = [*parts[:1], *inner]
+    return parts
+
+
+def _is_mover(plugin: Element, resting: str) -> bool:
+    """Whether a plugin may move its model, judging by its names."""
+    names = f"{plugin.get('filename', '')} {plugin.get('name', '')}"
+    words = re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+(?![a-z])", names)
+    return not any(re.fullmatch(resting, word.lower()) for word in words)
+
+
+def _describe_mover(name: str, plugin: Element) -> str:
+    file = PurePosixPath(plugin.get("filename", "")).name or plugin.get("name", "")
+    return f"model {quote_name(name)} (plugin {quote_name(file)})"

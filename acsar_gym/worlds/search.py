@@ -30,6 +30,7 @@ from acsar_gym.worlds.grid import (
     may_leave,
     search_cells,
 )
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT, STEP_HEIGHT
 from acsar_gym.worlds.world import Floats, Region, World
 
 LEAST_REACH = 10.0
@@ -60,6 +61,15 @@ PATH_SPACING = 0.05
 def footprint_radius(config: RobotConfig) -> float:
     """Radius of the disc around a robot's footprint [m]."""
     return footprint.outline_radius(config.outline)
+
+
+def lidar_height(config: RobotConfig) -> float:
+    """Height at which a robot's LiDAR sees the bodies of a file [m]; the default one at the floor.
+
+    Args:
+        config: of the robot.
+    """
+    return config.lidar_z_offset if config.lidar_z_offset > STEP_HEIGHT else LIDAR_HEIGHT
 
 
 def path_length(path: Floats) -> float:

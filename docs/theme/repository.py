@@ -19,6 +19,8 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 LINK = re.compile(r"""(?P<before>\]\(|(?:src|href)=")(?P<path>[\w.-]*/?[\w./-]+)(?=[)#"])""")
+NAMES = re.compile(r"<!-- names\n(?P<lines>.*?)-->\n.*?<!-- end of names -->", re.S)
+"""Names in docs/reference: mkdocstrings' lines, and the table that stands there without it."""
 PICTURES = {".png", ".gif", ".svg", ".jpg"}
 TOP = ("CHANGELOG.md", "CONTRIBUTING.md")
 """Pages of the site that lie in the repository's root."""
@@ -86,7 +88,8 @@ def _file(path: Path, uri: str, config: MkDocsConfig) -> tuple[File, str]:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Point links at files outside docs/ to their places on the site."""
+    """Point links at files outside docs/ to their places, and show docstrings for their names."""
+    markdown = NAMES.sub(lambda match: match["lines"], markdown)
     here = PurePosixPath(page.file.src_uri).parent
     source = DOCS / here
     if page.file.generated_by is not None:

@@ -99,6 +99,20 @@ def test_a_report_is_drawn(name: str, scheme: str, pages: Path, tmp_path: Path) 
         assert (tab.console, tab.foreign) == ([], [])
 
 
+@pytest.mark.parametrize("width", [1300, 1000])
+@pytest.mark.parametrize("name", PAGES)
+def test_no_table_is_cut(name: str, width: int, pages: Path, tmp_path: Path) -> None:
+    """What is wider than the page can be scrolled to."""
+    with browser(tmp_path) as tab:
+        tab.open((pages / f"{name}.html").as_uri(), width, 900)
+        tab.wait(DRAWN, "a page that is drawn")
+        cut = "[...document.querySelectorAll('.card')].filter(c => c.scrollWidth > c.clientWidth)"
+        if width == 1300:
+            assert tab.run(f"{cut}.length") == 0
+        assert tab.run(f"{cut}.every(c => getComputedStyle(c).overflowX == 'auto')")
+        assert tab.run("document.documentElement.scrollWidth <= innerWidth")
+
+
 def test_scheme_and_episode_can_be_chosen(pages: Path, tmp_path: Path) -> None:
     again = f"delete {DRAWN}; picker.value = '2'; picker.dispatchEvent(new Event('change'))"
     with opened(pages / "gap.html", "light", tmp_path) as tab:

@@ -180,6 +180,19 @@ def test_a_near_miss_of_a_urdf_param_is_an_error(load_urdf: Load, near: str, mea
         load_urdf(urdf(param(near, 1), param("baud_rate", 115200)))
 
 
+def test_a_wheel_base_may_be_either_distance(load_urdf: Load) -> None:
+    with pytest.raises(
+        ConfigError, match=r"unknown param 'wheel_base'; write wheel_separation for"
+    ):
+        load_urdf(urdf(param("wheel_base", 0.3), param("baud_rate", 115200)))
+
+
+def test_a_diameter_is_twice_a_radius(load_urdf: Load) -> None:
+    params = param("wheel_diameter", 0.3), param("baud_rate", 115200)
+    assert load_urdf(urdf(*params)).wheel_radius == 0.15
+    assert load_urdf(urdf(*params, param("wheel_radius", 0.14))).wheel_radius == 0.14
+
+
 def test_an_entity_bomb_is_refused_unexploded(load_urdf: Load) -> None:
     bomb = urdf(param("baud_rate", 115200), param("odom_frame", "&e9;"), doctype=BILLION_LAUGHS)
     with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:

@@ -257,3 +257,52 @@ def test_a_log_is_decoded_into_wheels() -> None:
     assert log.commands(config)[1].tolist() == [[2.0, -1.0, 4.0, -3.0]]
     assert log.feedback(config)[1].tolist() == [[-3.0, 4.0, 1.0, -2.0]]
     assert Decoder().feed(line)[0].speeds == (1.0, 2.0, 3.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        ({"wheel_radius": 6}, "wheel_radius = 6: must be 0.005 to 1 m"),
+        ({"wheel_radius": 0.0005}, "wheel_radius = 0.0005: must be 0.005 to 1 m"),
+        ({"wheel_separation": 30}, "wheel_separation = 30: must be 0.02 to 10 m"),
+        ({"wheelbase": 22}, "wheelbase = 22: must be 0.02 to 10 m"),
+        ({"wheel_separation": 4.2}, "must be at most 2.5 m with wheels of 0.05 m"),
+        ({"body": {"length": 34}}, "body.length = 34: must be at most 6 m"),
+        ({"body": {"height": 12}}, "body.height = 12: must be at most 6 m"),
+        ({"lidar_z_offset": -37}, "lidar_z_offset = -37: must be at most 6 m"),
+        ({"footprint": [(20, 17), (-20, 17), (-20, -17), (20, -17)]}, "footprint's reach = 26.2"),
+    ],
+)
+def test_sizes_that_no_robot_has_are_refused_with_their_unit(
+    values: dict[str, Any], found: str
+) -> None:
+    message = refusal(RobotConfig, values)
+    assert found in message
+    assert message.endswith("lengths are in metres, not cm or mm")
+
+
+def test_large_and_small_robots_are_robots() -> None:
+    config_of(wheel_radius=0.9, wheel_separation=2.2, wheelbase=3.6, body={"length": 9.0})
+    config_of(wheel_radius=0.01, wheel_separation=0.06, wheelbase=0.05, lidar_x_offset=0.0)
+
+
+def test_names_of_other_programs_are_told_apart() -> None:
+    message = refusal(RobotConfig, {"wheel_radius": 0.1, "wheel_base": 0.3})
+    assert "wheel_separation for the distance between left and right wheels" in message
+    assert "wheelbase for that between the axles" in message
+    assert "write wheel_radius, half of it" in refusal(RobotConfig, {"wheel_diameter": 0.2})
+
+
+def test_a_mapping_of_something_else_is_one_short_line() -> None:
+    message = refusal(RobotConfig, {f"key{number}": {"x": 1} for number in range(200)})
+    assert "unknown field 'key0', and none of the 200 is known here" in message
+    assert len(message) < 200
+
+
+@pytest.mark.parametrize("axis", ["linear_limits", "angular_limits"])
+def test_what_ros_calls_no_limit_is_none(axis: str) -> None:
+    unset = {"max_jerk": 0.0, "min_jerk": math.nan, "max_acceleration": math.nan}
+    limits = getattr(config_of(**{axis: unset}), axis)
+    assert limits.model_dump(exclude_none=True) == {}
+    assert getattr(config_of(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
+    assert "must be greater than 0" in refusal(RobotConfig, {axis: {"max_acceleration": 0.0}})

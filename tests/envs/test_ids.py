@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import math
 import subprocess
@@ -10,6 +11,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
@@ -18,7 +20,15 @@ from gymnasium.wrappers import RecordVideo
 
 from acsar_gym import RobotConfig, World
 from acsar_gym.envs.base import EnvOptions
-from acsar_gym.errors import AcsarError, LidarError, LinkError, MissingExtraError, OffScreenWarning
+from acsar_gym.envs.ids import find_id
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    LidarError,
+    LinkError,
+    MissingExtraError,
+    OffScreenWarning,
+)
 from acsar_gym.sensors.scan import Revolution
 from acsar_gym.worlds import Region, Scene
 
@@ -226,11 +236,32 @@ def test_videos_can_be_recorded(tmp_path: Path) -> None:
 def test_a_picture_that_cannot_be_drawn_leaves_no_robot_driving(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(sys.modules, "PIL", None)
+    env = make("acsar_gym/PointGoal-v0", render_mode="human")
+    monkeypatch.setitem(sys.modules, "PIL", None)  # it is there, and can't be imported
     monkeypatch.delitem(sys.modules, "acsar_gym.render.top_view", raising=False)
     monkeypatch.delitem(sys.modules, "acsar_gym.render.canvas", raising=False)
-    env = make("acsar_gym/PointGoal-v0", render_mode="human")
     with pytest.raises(MissingExtraError, match="pictures"):
         env.reset(seed=0)
     assert not inner(env).robot.active
     env.close()
+
+
+def test_finding_an_id_leaves_the_program_s_path_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place])
+    (tmp_path / "mine_here.py").write_text(
+        "import gymnasium\ngymnasium.register('mine/Here-v0', 'acsar_gym.envs:PointGoalEnv')\n"
+    )
+    (tmp_path / "mine_broken.py").write_text("raise ValueError('no')\n")
+    importlib.invalidate_caches()
+    before = list(sys.path)
+    try:
+        assert find_id("mine_here:mine/Here-v0") == "mine_here:mine/Here-v0"
+        with pytest.raises(ConfigError, match="ValueError: no"):
+            find_id("mine_broken:mine/Here-v0")
+        assert sys.path == before
+    finally:
+        gymnasium.registry.pop("mine/Here-v0", None)
+        sys.modules.pop("mine_here", None)

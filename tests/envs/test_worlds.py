@@ -10,8 +10,9 @@ import gymnasium
 import numpy as np
 import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
+from gymnasium.envs.registration import EnvSpec
 
-from acsar_gym import World
+from acsar_gym import RobotConfig, World
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.sensors.map import MAP_NAMES
 from acsar_gym.vector.env import RobotVectorEnv
@@ -35,6 +36,29 @@ def test_options_of_a_reset_choose_world_goal_and_path() -> None:
     env.close()
 
 
+@pytest.mark.parametrize(
+    ("env_id", "options", "named"),
+    [
+        (SEEING[0], {"world": 3, "difficulty": (0.0, 1.0)}, "'world' and 'difficulty'"),
+        ("PathFollow-v0", {"path": [(0, 0), (1, 0)], "world": 3}, "'path' and 'world'"),
+        (
+            "PathFollow-v0",
+            {"path": [(0, 0), (1, 0)], "difficulty": (0.0, 1.0)},
+            "'path' and 'difficulty'",
+        ),
+    ],
+)
+def test_options_of_a_reset_that_contradict_each_other_are_refused(
+    env_id: str, options: dict[str, Any], named: str
+) -> None:
+    env = make(f"acsar_gym/{env_id.removeprefix('acsar_gym/')}")
+    with pytest.raises(ConfigError, match=f"{named} contradict each other") as caught:
+        env.reset(options=options)
+    assert "\n" not in str(caught.value)
+    env.reset(options={**dict.fromkeys(options), next(iter(options)): next(iter(options.values()))})
+    env.close()
+
+
 def test_barns_rules() -> None:
     env = make("acsar_gym/Barn-v1")
     assert env.spec is not None
@@ -55,6 +79,37 @@ def test_barn_takes_a_folder_of_published_worlds() -> None:
         lengths.append(inner(env).episode.assignment.length)
     assert sorted(lengths) == pytest.approx([10.029, 10.738, 10.758, 12.312, 13.446], abs=0.01)
     env.close()
+
+
+def test_a_file_is_passed_with_what_it_does_not_say(tmp_path: Path) -> None:
+    path = tmp_path / "hall.sdf"
+    path.write_text(
+        "<sdf version='1.9'><world name='w'><model name='m'><pose>3 0 0.4 0 0 0</pose>"
+        "<link name='l'><collision name='c'><geometry><capsule><radius>0.2</radius>"
+        "<length>0.01</length></capsule></geometry></collision></link></model></world></sdf>",
+        encoding="utf-8",
+    )
+    with pytest.raises(WorldError, match="has no start and no goal"):
+        make(SEEING[0], worlds=path)
+    worlds = {"path": path, "start": (1.0, 2.0, 0.5), "goal": [5.0, 2.0]}
+    env = make(SEEING[0], worlds=worlds)
+    _, info = env.reset(seed=0)
+    assert info["goal_distance"] == pytest.approx(4.0)
+    assert inner(env).episode.assignment.start == (1.0, 2.0, 0.5)
+    again = gymnasium.make(EnvSpec.from_json(cast("EnvSpec", env.spec).to_json()))
+    pools = [inner(one).pool for one in (env, again)]
+    assert [pool.kind for pool in pools if pool] == [str(path)] * 2
+    taller = RobotConfig.preset("acsar").with_(lidar_z_offset=0.45)
+    other = make(SEEING[0], worlds=worlds, robot=taller)
+    circles = [world.circles for one in (env, other) for world in inner(one).pool or ()]
+    expected = [math.sqrt(0.2**2 - gap**2) for gap in (0.395 - 0.37, 0.45 - 0.405)]
+    assert [rows[0, 2] for rows in circles] == pytest.approx(expected), (
+        "cut at the robot's own LiDAR"
+    )
+    for one in (env, again, other):
+        one.close()
+    with pytest.raises(ConfigError, match=r"unknown field 'worlds\.gaol'; did you mean 'goal'"):
+        make(SEEING[0], worlds={"path": path, "gaol": (1.0, 2.0)})
 
 
 WORLDS = [env_id for env_id in IDS if env_id != "acsar_gym/PointGoal-v0"]

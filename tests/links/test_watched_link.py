@@ -20,11 +20,13 @@ from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
 from watchdog_tools import HASTY, TURNING, ZEROS, children
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links import ports, serial, watchdog
+from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.links.watchdog_child import BEAT, ZERO_INTERVAL
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.recording import Recorder
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline", "nursery")
@@ -61,6 +63,33 @@ def test_none_means_none_and_windows_drives_without(
         assert not robot.link.watchdog.is_alive
         assert not children()
         robot.drive(0.2, 0.0)
+
+
+def test_a_board_without_a_time_out_and_without_a_watchdog_is_told(
+    shared_device: str, config: RobotConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At each first reset, as after closing; a watchdog or a time-out alone is enough."""
+    config = config.with_(firmware={"command_timeout": None})
+    link = open_link(shared_device, config)
+    with pytest.warns(SafetyWarning, match="falls out") as said, Robot(link, config):
+        pass
+    assert "no watchdog" not in str(said[0].message)
+    chosen = config.with_(watchdog_timeout=None)
+    robot = Robot(open_link(shared_device, chosen), chosen)
+    for _ in range(2):
+        with pytest.warns(SafetyWarning, match=r"no watchdog \(watchdog_timeout: null\)") as said:
+            robot.reset(Scene())
+        assert len(said) == 1
+        robot.reset(Scene())
+        robot.close()
+    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", False)
+    recorder = Recorder(tmp_path / "drive.mcap", {})
+    with (
+        pytest.warns(SafetyWarning, match=r"no watchdog \(not on this system") as said,
+        Robot(FaultyLink(open_link(shared_device, config), {}), config, recorder=recorder) as one,
+    ):
+        one.drive(0.0, 0.0)
+    assert len(said) == 1
 
 
 FEW_FILES = """

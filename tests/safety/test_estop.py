@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import errno
 import os
+import pickle
 import re
 import socket
 import stat
@@ -17,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from board_like import LikeABoard
 from serial_tools import (
     DRIVER,
     TIMEOUT,
@@ -39,6 +43,7 @@ from acsar_gym.safety.rules import Reason
 from acsar_gym.tools.doctor import checks as doctor
 from acsar_gym.worlds import Scene
 
+ACSAR = RobotConfig.preset("acsar")
 pytestmark = pytest.mark.usefixtures("deadline", "place")
 
 
@@ -61,6 +66,25 @@ def answering(listener: estop.StopListener) -> threading.Thread:
     thread = threading.Thread(target=loop, daemon=True)
     thread.start()
     return thread
+
+
+@contextlib.contextmanager
+def answering_all(listeners: list[estop.StopListener]) -> Iterator[None]:
+    """A control loop that heeds the stops of all of them."""
+    ended = threading.Event()
+
+    def loop() -> None:
+        while not ended.is_set():
+            for listener in listeners:
+                if listener.is_requested():
+                    listener.confirm()
+            time.sleep(0.001)
+
+    thread = threading.Thread(target=loop, daemon=True)
+    thread.start()
+    yield
+    ended.set()
+    thread.join()
 
 
 def estop_command(
@@ -156,37 +180,164 @@ def test_the_socket_of_a_dead_process_is_forgotten() -> None:
 
 
 def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
-    socket_at(f"estop-{os.getpid()}").close()
+    """It is removed once it is too old to be that of a stop which has just begun."""
+    young, old = f"estop-{os.getpid()}-1", f"estop-{os.getpid()}-2"
+    for name in (young, old):
+        socket_at(name).close()
+    os.utime(folder() / old, (0.0, 0.0))
+    with socket_at("estop-1-1") as other:
+        os.utime(other.getsockname(), (0.0, 0.0))
+        listener = estop.StopListener()
+        thread = answering(listener)
+        assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
+        thread.join()
+        listener.close()
+        estop.release_process()
+        assert {path.name for path in folder().iterdir()} == {young, "estop-1-1"}
+
+
+def test_what_a_listener_has_left_half_made_is_removed() -> None:
+    socket_at(".99999999-1").close()
+    (folder() / ".hidden").write_text("not ours")
+    with socket_at(".1-1") as half_made:
+        assert estop.stop_all() == []
+        assert {path.name for path in folder().iterdir()} == {".1-1", ".hidden"}
+        half_made.close()
+
+
+@pytest.mark.parametrize("half", ["chmod", "rename"])
+def test_a_listener_whose_half_made_socket_was_removed_makes_another(
+    half: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stop that looks between the two halves of a bind finds a socket that refuses."""
+    go_on, removed = getattr(Path, half), list[Path]()
+
+    def remove_first(path: Path, *arguments: object) -> object:
+        if not removed and path.is_socket():
+            removed.append(path)
+            path.unlink()
+        return go_on(path, *arguments)
+
+    monkeypatch.setattr(Path, half, remove_first)
     listener = estop.StopListener()
+    assert removed
     thread = answering(listener)
     assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     thread.join()
     listener.close()
-    estop.release_process()
-    assert not list(folder().iterdir())
 
 
-def test_what_is_no_socket_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor does a folder in place of the asker's own socket keep it from asking."""
-    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
-    for name in ("1234-1", f"estop-{os.getpid()}", "1x-1", "²-1"):
-        (folder() / name).mkdir()
-    (folder() / "1235-1").write_text("")
+def test_a_folder_that_is_removed_meanwhile_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = folder() / "gone"
+    monkeypatch.setattr(estop, "find_folders", lambda: ([gone], []))
+    assert "no socket: No such file or directory" in estop.StopListener().unavailable
+
+
+def look_for_dead_ones() -> None:
+    """Remove the sockets of dead processes, as each stop does, without stopping anybody."""
+    estop._remove_leftovers(folder())
+    for path in estop._find_sockets(folder()):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asker:
+            asker.setblocking(False)
+            estop._send_request(asker, path, b"go on", {})
+
+
+@pytest.mark.parametrize("threads", [2, 4, 8])
+def test_robots_made_at_one_moment_all_hear_a_stop(threads: int) -> None:
+    """In two rounds of three, others stop robots meanwhile, and remove what dead ones have left."""
+    for number in range(15):
+        barrier, ended = threading.Barrier(threads + 1, timeout=TIMEOUT), threading.Event()
+        robots: list[Robot] = []
+
+        def drive(barrier: threading.Barrier, ended: threading.Event, robots: list[Robot]) -> None:
+            robot = Robot(LikeABoard(open_link("planar", ACSAR)), ACSAR)
+            barrier.wait()
+            with robot:
+                robots.append(robot)
+                barrier.wait()
+                while not ended.is_set():
+                    robot.drive(0.2, 0.0)
+
+        with ThreadPoolExecutor(threads) as pool, contextlib.ExitStack() as at_end:
+            at_end.callback(ended.set)
+            drives = [pool.submit(drive, barrier, ended, robots) for _ in range(threads)]
+            barrier.wait()
+            for _ in range(number % 3):
+                socket_at(".99999999-1").close()
+                look_for_dead_ones()
+            barrier.wait()
+            assert len(list(folder().iterdir())) == threads
+            assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)] * threads
+            assert all(robot.safety.stopped for robot in robots)
+            ended.set()
+            for one in drives:
+                one.result(TIMEOUT)
+        estop.release_process()
+        assert not list(folder().iterdir())
+
+
+MAKING = """
+from acsar_gym.safety import estop
+
+print("begins", flush=True)
+for number in range(2000):
     listener = estop.StopListener()
-    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=False)]
-    assert listener.is_requested()
-    listener.confirm()
-    estop.release_process()
+    assert all(path.is_socket() for path in listener.paths) and listener.paths
     listener.close()
-    assert len(list(folder().iterdir())) == 5
+print("done", flush=True)
+"""
+"""Listens for a moment, again and again."""
+
+
+def test_no_stop_of_another_process_removes_a_live_socket() -> None:
+    with program(MAKING) as process:
+        assert first_line(process) == "begins"
+        while process.poll() is None:
+            look_for_dead_ones()
+        assert first_line(process) == "done"
+
+
+def test_more_robots_answer_than_fit_into_a_queue() -> None:
+    """A stop that was asked by hand reads nothing until all have answered once."""
+    listeners = [estop.StopListener() for _ in range(40)]
+    with socket_at("estop-1-1") as asker:
+        for listener in listeners:
+            asker.sendto(b"stop", str(listener.paths[0]))
+            assert listener.is_requested()
+            listener.confirm()
+        asker.settimeout(0.0)
+        answers = 0
+        while answers < len(listeners):
+            with contextlib.suppress(BlockingIOError):
+                while asker.recv(100) == b"stop":
+                    answers += 1
+            for listener in listeners:
+                assert not listener.is_requested()
+    for listener in listeners:
+        listener.close()
+    estop.release_process()
+
+
+def test_two_stops_at_once_both_get_answers(two: list[estop.StopListener]) -> None:
+    with ThreadPoolExecutor(4) as people:
+        stops = [people.submit(estop.stop_all) for _ in range(20)]
+        for stop in stops:
+            assert stop.result() == [estop.StopResult(os.getpid(), answered=True)] * 2
+
+
+def test_a_copy_hears_a_stop_by_the_same_name() -> None:
+    listener = estop.StopListener("/dev/ttyUSB7", "rover", "/data/a.mcap")
+    listeners = [listener, copy.deepcopy(listener), pickle.loads(pickle.dumps(listener))]  # noqa: S301
+    assert len({path for each in listeners for path in each.paths}) == 3
+    with answering_all(listeners):
+        assert len(estop.stop_all("rover")) == 3
+        assert {each.recording for each in estop.list_drivers()} == {"/data/a.mcap"}
+    estop.release_process()
+    for each in listeners:
+        each.close()
 
 
 def test_processes_of_one_number_in_two_containers_hear_both() -> None:
-    with socket_at(f"{os.getpid()}-1"):
-        listener = estop.StopListener()
-        assert listener.paths == [folder() / f"{os.getpid()}-2"]
-        listener.close()
-        assert (folder() / f"{os.getpid()}-1").is_socket()
     other = estop.StopListener()
     listener = estop.StopListener()
     assert not set(other.paths) & set(listener.paths)
@@ -199,13 +350,18 @@ def test_processes_of_one_number_in_two_containers_hear_both() -> None:
     other.close()
 
 
-def test_where_no_address_is_free_a_robot_drives_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "MAX_LISTENERS", 2)
-    with socket_at(f"{os.getpid()}-1"), socket_at(f"{os.getpid()}-2"):
-        listener = estop.StopListener()
-        assert f"{folder()}: no socket" in listener.unavailable
-        assert not listener.is_requested()
-        listener.close()
+def test_where_no_socket_can_be_opened_a_robot_drives_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(path: Path) -> socket.socket:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(estop, "_bind_socket", fail)
+    listener = estop.StopListener()
+    assert f"{folder()}/{os.getpid()}-" in listener.unavailable
+    assert "Too many open files: close robots" in listener.unavailable
+    assert not listener.is_requested()
+    listener.close()
 
 
 def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,20 +384,8 @@ def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.Mon
 def two(place: Path) -> Iterator[list[estop.StopListener]]:
     """The listeners of two robots, with a control loop that answers for both."""
     listeners = [estop.StopListener("/dev/ttyUSB7", "rover"), estop.StopListener("usb:A50285BI")]
-    ended = threading.Event()
-
-    def loop() -> None:
-        while not ended.is_set():
-            for listener in listeners:
-                if listener.is_requested():
-                    listener.confirm()
-            time.sleep(0.001)
-
-    thread = threading.Thread(target=loop, daemon=True)
-    thread.start()
-    yield listeners
-    ended.set()
-    thread.join()
+    with answering_all(listeners):
+        yield listeners
     for listener in listeners:
         listener.close()
 
@@ -458,12 +602,12 @@ def test_who_is_told_of_a_release_may_drive_at_once(
 ) -> None:
     answer, held = estop.StopListener._answer, []
 
-    def look(own: socket.socket, data: bytes, sender: str) -> None:
+    def look(listener: estop.StopListener, own: socket.socket, data: bytes, sender: str) -> None:
         held.append((data, len(estop.StopListener.held)))
-        answer(own, data, sender)
+        answer(listener, own, data, sender)
 
     assert estop.stop_all("rover")[0].answered
-    monkeypatch.setattr(estop.StopListener, "_answer", staticmethod(look))
+    monkeypatch.setattr(estop.StopListener, "_answer", look)
     assert estop.release_all("rover")[0].was_stopped
     assert (estop.RELEASE_REQUEST, 0) in held
 
@@ -580,20 +724,77 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize(
-    ("base", "said"),
-    [("/acsar-missing", "can't be made a folder"), ("/tmp/" + "long" * 30, "too long")],  # noqa: S108
+    ("base", "said", "fix"),
+    [
+        ("/dev/null/x", "can't be made a folder: /dev/null is no folder", "remove it, or set"),
+        ("{place}/file/x/y", "can't be made a folder: {place}/file is no folder", "remove it"),
+        ("{place}/link", "can't be made a folder: {place}/link is no folder", "remove it"),
+        ("/proc/acsar-missing/x", "can't be made a folder: ", "set ACSAR_GYM_RUNTIME_DIR"),
+        ("here/x", "isn't an absolute path", "set ACSAR_GYM_RUNTIME_DIR"),
+        ("/tmp/" + "long" * 30, "too long for the address of a socket", "a shorter path"),  # noqa: S108
+    ],
 )
 def test_a_folder_that_cannot_be_is_one_line(
     base: str,
     said: str,
+    fix: str,
+    place: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    (place / "file").write_text("a file")
+    (place / "link").symlink_to(place / "nothing")
+    base = base.format(place=place)
     monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
     code, output, error = estop_command(capsys, monkeypatch)
     assert (code, output, error.count("\n")) == (3, "", 1)
-    assert error.startswith(f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said}")
-    assert said in estop.StopListener().unavailable
+    start = f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said.format(place=place)}"
+    assert error.startswith(start)
+    assert fix in error
+    assert said.format(place=place) in estop.StopListener().unavailable
+    assert (place / "file").read_text() == "a file"
+
+
+def test_a_folder_that_is_missing_is_made_with_its_parents(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For its owner alone, whatever the mask; what there was before keeps its mode."""
+    place.chmod(0o755)
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(place / "run" / "acsar"))
+    mask = os.umask(0)
+    try:
+        listener = estop.StopListener()
+    finally:
+        os.umask(mask)
+    assert not listener.unavailable
+    made = folder()
+    assert made == place / "run" / "acsar" / f"acsar_gym-{os.getuid()}"
+    for path in (made, made.parent, made.parent.parent):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o700
+    assert stat.S_IMODE(place.stat().st_mode) == 0o755
+    thread = answering(listener)
+    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
+    thread.join()
+    listener.close()
+
+
+@pytest.mark.parametrize(
+    ("number", "fix"),
+    [(errno.ENOSPC, "make room, or set"), (errno.EROFS, "set ACSAR"), (errno.EACCES, "set ACSAR")],
+)
+def test_what_keeps_a_folder_or_socket_from_being_made_is_said(
+    number: int, fix: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    folder()
+    monkeypatch.setattr(estop, "_bind_socket", fail)
+    assert f"no socket: {os.strerror(number)}: {fix}" in estop.StopListener().unavailable
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(place / "missing"))
+    monkeypatch.setattr(Path, "mkdir", fail)
+    why = f"can't be made a folder: {os.strerror(number)}: {fix}"
+    assert why in estop.StopListener().unavailable
 
 
 @pytest.fixture

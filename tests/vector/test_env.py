@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.vector import AutoresetMode
 from varied import RANGES
 
@@ -26,6 +27,7 @@ from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds import Region, generators
 
+pytestmark = pytest.mark.xdist_group(__name__)
 ENV_ID = "acsar_gym/PointGoal-v0"
 
 
@@ -189,18 +191,29 @@ def test_a_robots_fate_does_not_depend_on_its_neighbours(randomization: Any) -> 
         assert (single == crowd.step(np.repeat(act, 200, axis=0))[0][0]).all()
 
 
+@pytest.mark.parametrize("limit", [None, -1, np.int64(-1)])
+def test_no_limit_is_none(limit: Any) -> None:
+    env = gymnasium.make_vec(
+        ENV_ID, 2, "vector_entry_point", max_episode_steps=limit, threads=np.int64(1)
+    )
+    env.reset(seed=0)
+    assert not any(env.step(np.zeros((2, 2)))[3].any() for _ in range(205))
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [
         ({"num_envs": 2.5}, "num_envs"),
         ({"num_envs": 10**11}, "num_envs"),
         ({"max_episode_steps": 0}, "max_episode_steps"),
+        ({"max_episode_steps": -2}, "max_episode_steps"),
         ({"max_episode_steps": 10**400}, "max_episode_steps"),
         ({"threads": 0}, "threads"),
         ({"threads": 10_000}, "threads"),
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "'friction'"),
         ({"randomization": {"latency": (0.0, 0.5)}}, "latency"),
-        ({"render_mode": "rgb_array"}, "render_mode"),
+        ({"render_mode": "human"}, "render_mode"),
         ({"link": "bullet"}, "link"),
         ({"autoreset_mode": 3}, "autoreset_mode"),
         ({"faults": {"unplug_rate": 0.1}}, "unplug_rate: a batch knows dropped_lines, late_lines"),
@@ -225,6 +238,17 @@ def test_bad_actions_and_seeds_are_one_clear_error_and_change_nothing() -> None:
     bad[2, 1] = bad[3, 0] = np.nan
     with pytest.raises(CommandError, match="env 2"):
         env.step(bad)
+    unreadable: list[Any] = [
+        torch.zeros((4, 2), requires_grad=True),
+        [["0.5", "0.5"]] * 4,
+        None,
+        [[0.0, 0.0], [0.0]],
+        np.zeros((4, 2), complex),
+    ]
+    for actions in unreadable:
+        with pytest.raises(CommandError, match=r"^action[^\n]*$"):
+            env.step(actions)
+    assert env.batch.read("steps").tolist() == [[0.0] * 4]
     seeds: list[Any] = [[1, 2], "abc", "abcd", -5, [0, 1, 2, -1], 2.5]
     for seed in seeds:
         with pytest.raises(ConfigError, match="seed"):
@@ -340,6 +364,11 @@ PATH = World(goal=Region(3.0, 2.0), path=np.array([[0.0, 0.0], [2.0, 0.0], [3.0,
         (ObstacleGoalVectorEnv, {"goal": [[1.0, 2.0], [np.nan, 1.0]]}, "goal of robot 1"),
         (ObstacleGoalVectorEnv, {"difficulty": 0.5}, "difficulty"),
         (ObstacleGoalVectorEnv, {"difficulty": (0.999, 1.0)}, "none of the env's worlds"),
+        (
+            ObstacleGoalVectorEnv,
+            {"world": [np.nan, 3], "difficulty": (0.0, 1.0)},
+            "'world' and 'difficulty' of robot 1 contradict",
+        ),
         (ObstacleGoalVectorEnv, {"wrld": 3}, "'world'"),
         (ObstacleGoalVectorEnv, {"reset_mask": [True]}, "reset_mask"),
         (ObstacleGoalVectorEnv, 3, "mapping"),

@@ -106,6 +106,7 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
         ({"occupied_thresh": 0.2}, [True, True, True, False, False]),
         ({"mode": "scale"}, [True, True, False, False, False]),
         ({"mode": "raw"}, [False, True, False, False, False]),
+        ({"mode": "raw", "negate": 1}, [False, True, False, False, False]),
     ],
 )
 def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
@@ -165,7 +166,10 @@ def test_obstacles_and_a_path_may_be_added_to_a_map(tmp_path: Path) -> None:
         ({"image": "."}, "image '.': isn't a regular file"),
         ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
-        ({"start": None}, "has no start: add a line like 'start: {x: 0.0, y: 0.0}'"),
+        (
+            {"start": None},
+            "has no start: add --start X,Y,THETA [m, rad], or a line like 'start: {x: 0.0",
+        ),
     ],
 )
 def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:

@@ -1,15 +1,17 @@
-"""Gazebo worlds: poses, shapes, what is left out, and files that mean harm."""
+"""Gazebo worlds: frames, included models, what moves or is left out, and files that mean harm."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, sdf
+from acsar_gym.errors import WorldError, WorldWarning
+from acsar_gym.worlds import files, generators, sdf
+from acsar_gym.worlds.files import Placement
 from acsar_gym.worlds.world import Region
 
 BARN = Path(__file__).parents[2].parent / "shared" / "barn"
@@ -28,6 +30,9 @@ def body(shape: str, pose: str = "") -> str:
     return f"<collision name='c'>{pose}<geometry>{shape}</geometry></collision>"
 
 
+ENDS = Placement(start=(0.0, 0.0, 0.0), goal=(3.0, 0.0))
+
+
 def model(inside: str, pose: str = "", name: str = "m", link: str = "") -> str:
     return f"<model name='{name}'>{pose}<link name='l'>{link}{inside}</link></model>"
 
@@ -41,8 +46,8 @@ def sdf_of(*models: str) -> bytes:
 
 
 def drawn(*models: str) -> tuple[list[list[float]], list[list[float]]]:
-    circles, segments = sdf.read_obstacles(sdf_of(*models))
-    return circles.tolist(), segments.tolist()
+    found = sdf.read_obstacles(sdf_of(*models))
+    return found.circles.tolist(), found.segments.tolist()
 
 
 @published
@@ -62,6 +67,23 @@ def test_published_worlds(number: int) -> None:
 
 QUARTER = math.pi / 2.0
 AHEAD = body(CYLINDER, pose(1, 0, 0, 0, 0, 0))
+QUATERNION = pose(1, 2, 0, 0, 0, 3, 3, attributes="rotation_format='quat_xyzw'")
+
+
+def relative(frame: str, *numbers: float) -> str:
+    return pose(*numbers, attributes=f"relative_to='{frame}'")
+
+
+FRAME = f"</link><frame name='f'>{pose(0, 1, 0, 0, 0, QUARTER)}</frame><link name='k'>"
+ABOVE_FRAME = relative("f", 1, 1, 0, 0, 0, 0)
+WITH_JOINT = (
+    f"<model name='o'>{pose(2, 0, 0, 0, 0, 0)}"
+    f"<joint name='j'><child>i::l</child>{pose(0, 0, 1, 0, 0, QUARTER)}</joint>"
+    f"<model name='i'>{pose(0, 3, 0, 0, 0, 0)}<link name='l'/></model>"
+    f"<link name='a'>{relative('j', 1, 0, -1, 0, 0, 0)}{body(CYLINDER)}</link></model>"
+)
+LINK_IN_FRAME = f"</link><frame name='f'>{pose(0, 1, 0, 0, 0, QUARTER)}</frame><link name='k'>"
+LINK_IN_FRAME += relative("f", 1, 1, 0, 0, 0, 0)
 STATE = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model></state>"
 
 
@@ -79,8 +101,49 @@ STATE = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model>
             [1.0, 5.0, 0.1],
         ),
         ([model(body(CYLINDER), pose(1, 2, 0, 0, 0, 0)), STATE], [7.0, 8.0, 0.1]),
+        (  # as Gazebo classic saves what was scaled by hand
+            [model(body(CYLINDER)), STATE.replace("</pose>", "</pose><scale>3 2 1</scale>")],
+            [7.0, 8.0, 0.3],
+        ),
+        ([f"<state><insertions>{model(AHEAD)}</insertions></state>"], [1.0, 0.0, 0.1]),
+        ([model(body(CYLINDER), pose(1, 2, 0, 0, 0, 0), link=LINK_IN_FRAME)], [0.0, 4.0, 0.1]),
+        ([model(body(CYLINDER, ABOVE_FRAME), pose(1, 2, 0, 0, 0, 0), link=FRAME)], [0, 4, 0.1]),
+        (  # a model in another one's frame, and in a frame of the world
+            [
+                f"<frame name='f' attached_to='n'>{pose(0, 1, 0, 0, 0, 0)}</frame>",
+                model(body(CYLINDER), relative("f", 1, 0, 0, 0, 0, 0)),
+                model("", pose(5, 0, 0, 0, 0, QUARTER), name="n"),
+            ],
+            [4.0, 1.0, 0.1],
+        ),
+        (  # the frame in it that a pose places
+            [
+                model(body(CYLINDER), pose(5, 5, 0, 0, 0, QUARTER), link=FRAME).replace(
+                    "'m'", "'m' placement_frame='f'"
+                )
+            ],
+            [5.0, 4.0, 0.1],
+        ),
+        (  # a joint's frame is its child's, a name may lead into another model
+            [WITH_JOINT],
+            [2.0, 4.0, 0.1],
+        ),
+        ([model(AHEAD, QUATERNION)], [1.0, 3.0, 0.1]),
+        ([model(body(SPHERE.replace("0.2", "1")), pose(0, 0, 1.3, 0, 0, 0))], [0, 0, 0.6]),
     ],
-    ids=["composed", "degrees", "sphere", "nested", "state"],
+    ids=[
+        *(
+            "composed",
+            "degrees",
+            "sphere",
+            "nested",
+            "state",
+            "scaled",
+            "inserted",
+            "link in frame",
+        ),
+        *("collision in frame", "model in frame", "placement frame", "joint", "quaternion", "high"),
+    ],
 )
 def test_round_bodies_lie_where_their_poses_say(models: list[str], expected: list[float]) -> None:
     np.testing.assert_allclose(drawn(*models)[0], [expected], atol=1e-12)
@@ -94,8 +157,8 @@ def test_boxes_become_four_segments() -> None:
 
 
 def test_a_model_file_has_no_world() -> None:
-    circles, _ = sdf.read_obstacles(f"<sdf>{model(body(CYLINDER))}</sdf>".encode())
-    assert circles.tolist() == [[0.0, 0.0, 0.1]]
+    found = sdf.read_obstacles(f"<sdf>{model(body(CYLINDER))}</sdf>".encode())
+    assert found.circles.tolist() == [[0.0, 0.0, 0.1]]
 
 
 @pytest.mark.parametrize(
@@ -103,6 +166,12 @@ def test_a_model_file_has_no_world() -> None:
     [
         "<include><uri>model://sun</uri></include>",
         "<include><uri>model://ground_plane/</uri></include>",
+        *(
+            f"<include><uri>https://fuel.{home}.org/1.0/OpenRobotics/models/{name}</uri></include>"
+            for home in ("gazebosim", "ignitionrobotics")
+            for name in ("Ground Plane", "Sun", "sun/2", "Ground%20Plane/tip")
+        ),
+        "<road name='r'><width>3</width><point>0 0 0</point><point>9 0 0</point></road>",
         "<light name='sun'><pose>0 0 10 0.3 0 0</pose></light>",
         model(body("<plane><normal>0 0 1</normal><size>9 9</size></plane>")),
         model(body("<empty/>")),
@@ -116,30 +185,44 @@ def test_what_is_no_obstacle_is_left_out(harmless: str) -> None:
     assert drawn(harmless) == ([], [])
 
 
+IN_A_CIRCLE = (
+    "</link><frame name='a' attached_to='b'/><frame name='b' attached_to='a'/><link name='k'>"
+)
+
+
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        (model(body(CYLINDER), pose(0, 0, 0, 0.1, 0, 0)), "tilted"),
         (model(body(SPHERE), pose("nan", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
         (model(body(SPHERE), pose(1e9, 2, 3, 4, 5, 6)), "at most 10000"),
         (model(body(SPHERE.replace("0.2", "-1"))), "radius must not be negative"),
         (model(body(SPHERE.replace("0.2", "wide"))), "is 'wide'"),
         (model(body("<sphere/>")), "its sphere has no <radius>"),
-        (model(body("<mesh><uri>x.dae</uri></mesh>")), "a mesh can't be read"),
+        (model(body("<mesh><uri>x.dae</uri></mesh>")), "there is no mesh 'x.dae'"),
+        (model(body("<heightmap><uri>x.png</uri></heightmap>")), "a heightmap is uneven ground"),
+        (model(body("<torus/>")), "a torus can't be read"),
+        (
+            model(body("<polyline><height>1</height></polyline>"), pose(0, 0, 0, 1, 0, 0)),
+            "a polyline is tilted",
+        ),
         (model(body("<plane><normal>1 0 0</normal></plane>")), "a plane must be level"),
         (model(body(CYLINDER), pose(0, 0, 0, 0, 0, 0, attributes="relative_to='x'")), "'x'"),
         (
             model(body(CYLINDER), pose(*[0] * 7, attributes="rotation_format='quat_xyzw'")),
-            "roll, pitch and yaw",
+            "a quaternion of a pose is zero",
         ),
-        (model(body(CYLINDER)).replace("'m'", "'m' placement_frame='f'"), "placement_frame"),
+        (
+            model(body(CYLINDER, relative("a", *[0] * 6)), link=IN_A_CIRCLE),
+            "frames are relative to each other in a circle",
+        ),
+        (model(body(CYLINDER)).replace("'m'", "'m' placement_frame='f'"), "'f'"),
     ],
 )
 def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.world"
     path.write_bytes(sdf_of(model(body(CYLINDER), name="fine"), broken))
     with pytest.raises(WorldError, match=r"bad\.world: model 'm': ") as caught:
-        files.load_world(path)
+        files.load_world(path, ENDS)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -177,10 +260,19 @@ def test_a_million_bodies_are_refused_at_once(piece: str, count: int) -> None:
         sdf.read_obstacles(data)
 
 
+CORRIDOR = [
+    model(body(CYLINDER.replace("0.1", str(radius))), pose(x, y, 0, 0, 0, 0), name=f"c{number}")
+    for number, (x, y, radius) in enumerate(
+        generators.place_cylinders(np.zeros((0, 0), np.bool_)).tolist()
+    )
+]
+"""The walls that all of BARN's worlds have."""
+
+
 def world_with_path(folder: Path, cells: bytes) -> Path:
     (folder / "path_3.npy").write_bytes(cells)
     path = folder / "world_3.world"
-    path.write_bytes(sdf_of(model(body(CYLINDER))))
+    path.write_bytes(sdf_of(*CORRIDOR))
     return path
 
 
@@ -201,6 +293,24 @@ def test_a_world_without_a_path_beside_it(tmp_path: Path) -> None:
     (tmp_path / "path_3.npy").unlink()
     assert files.load_world(path).path is None
     assert files.load_world(path.rename(tmp_path / "other.world")).path is None
+
+
+def test_only_barns_own_worlds_have_its_start_and_goal(tmp_path: Path) -> None:
+    path = world_with_path(tmp_path, npy(tmp_path, [[0, 0], [10, 20]]))
+    world = files.load_world(path)
+    assert (world.start, world.goal) == (generators.BARN_START, generators.BARN_GOAL)
+    world = files.load_world(path, Placement(goal=(0.0, 12.0)))
+    assert (world.start, world.goal) == (generators.BARN_START, Region(0.0, 12.0))
+    assert world.path is None, "it leads elsewhere"
+    for others in (CORRIDOR[1:], [model(body(BOX))], []):
+        path.write_bytes(sdf_of(*others))
+        with pytest.raises(WorldError, match="has no start and no goal: add --start X,Y,THETA"):
+            files.load_world(path)
+        with pytest.raises(WorldError, match=r"has no goal: add --goal X,Y \[m, rad\] in"):
+            files.load_world(path, Placement(start=(1.0, 2.0)))
+    world = files.load_world(path, Placement(start=(1.0, 2.0, 0.5), goal="-1,3.5"))
+    assert (world.start, world.goal) == (Region(1.0, 2.0, 0.0, 0.5), Region(-1.0, 3.5))
+    assert files.load_world(path, Placement(start="1, 2", goal=[0, 0])).start.theta is None
 
 
 HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
@@ -225,3 +335,252 @@ def test_wrong_broken_or_hostile_cells_are_refused(cells: object, tmp_path: Path
         data, problem = npy(tmp_path, cells), r"world_3\.world: path"
     with pytest.raises(WorldError, match=problem):
         files.load_world(world_with_path(tmp_path, data))
+
+
+WALKER = "<plugin name='walk' filename='libwalk_back_and_forth.so'/>"
+ACTOR = "<actor name='person'><script><trajectory id='0' type='walk'/></script></actor>"
+
+
+def moving(plugin: str, name: str = "m") -> str:
+    return model(body(CYLINDER), name=name).replace("</model>", f"{plugin}</model>")
+
+
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ([moving(WALKER)], "model 'm' (plugin 'libwalk_back_and_forth.so') stands where it begins"),
+        ([ACTOR], "actor 'person' is left out"),
+        (
+            [moving(WALKER, "a"), moving(WALKER, "b"), ACTOR],
+            (
+                "model 'a' (plugin 'libwalk_back_and_forth.so'), model 'b' (plugin "
+                "'libwalk_back_and_forth.so') stand where they begin; actor 'person' is left out"
+            ),
+        ),
+        (
+            [f"<model name='o'>{moving(WALKER)}</model>"],
+            "model 'o::m' (plugin 'libwalk_back_and_forth.so')",
+        ),
+        (
+            [moving("<plugin filename='gz-sim-velocity-control-system' name='gz::sim::V'/>")],
+            "model 'm' (plugin 'gz-sim-velocity-control-system')",
+        ),
+        (
+            [
+                model(body(CYLINDER)),
+                "<plugin name='p' filename='libmove.so'><target>m</target></plugin>",
+            ],
+            "model 'm' (plugin 'libmove.so') stands where it begins",
+        ),
+    ],
+    ids=["plugin", "actor", "several", "nested", "new Gazebo", "plugin of the world"],
+)
+def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "moving.world"
+    path.write_bytes(sdf_of(*parts))
+    with pytest.warns(WorldWarning) as caught:
+        files.load_world(path, ENDS)
+    (warning,) = caught
+    start = f"{path}: what moves in Gazebo doesn't move here: {said}"
+    assert str(warning.message).startswith(start)
+    assert "\n" not in str(warning.message)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        [model("<sensor name='s' type='ray'><plugin name='p' filename='libx.so'/></sensor>")],
+        *(
+            [moving(f"<plugin name='p' filename='{file}'/>")]
+            for file in (
+                *("libgazebo_ros_camera.so", "libRayPlugin.so", "libgazebo_ros_p3d.so"),
+                *("gz-sim-pose-publisher-system", "libgazebo_ros_joint_state_publisher.so"),
+            )
+        ),
+        ["<plugin name='gazebo_ros_state' filename='libgazebo_ros_state.so'/>", model("")],
+        ["<plugin name='p' filename='libx.so'/>", model("")],
+        ["<light name='l' type='point'/>", model(body(CYLINDER))],
+    ],
+)
+def test_what_only_measures_or_shines_is_no_mover(parts: list[str]) -> None:
+    found = sdf.read_obstacles(sdf_of(*parts))
+    assert (found.movers, found.actors) == ((), ())
+
+
+# Models of other files
+
+
+def write_model(folder: Path, name: str, content: str, file: str = "model.sdf") -> None:
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / name / file).write_text(f"<sdf version='1.6'>{content}</sdf>", encoding="utf-8")
+
+
+def include(uri: str, inside: str = "", attributes: str = "") -> str:
+    return f"<include {attributes}><uri>{uri}</uri>{inside}</include>"
+
+
+def load_included(folder: Path, *parts: str, models: str = "") -> Any:
+    path = folder / "hall.world"
+    path.write_bytes(sdf_of(*parts))
+    placement = Placement(start=(0, 0, 0), goal=(3, 0), models=models)
+    return files.load_world(path, placement).circles.round(9).tolist()
+
+
+MOVED = model(AHEAD, pose(1, 0, 0, 0, 0, QUARTER), name="table")
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected"),
+    [
+        ("", [1.0, 1.0, 0.1]),
+        (pose(5, 5, 0, 0, 0, 0), [6.0, 5.0, 0.1]),
+        (f"<name>t2</name>{pose(5, 5, 0, 0, 0, QUARTER)}<static>true</static>", [5.0, 6.0, 0.1]),
+        (f"<placement_frame>l</placement_frame>{pose(5, 5, 0, 0, 0, 0)}", [6.0, 5.0, 0.1]),
+        (f"<name>n</name>{relative('base', 1, 0, 0, 0, 0, 0)}", [2.0, 3.0, 0.1]),
+    ],
+)
+def test_an_include_names_and_places_a_model(
+    inside: str, expected: list[float], tmp_path: Path
+) -> None:
+    write_model(tmp_path / "models", "table", MOVED)
+    base = f"<frame name='base'>{pose(2, 2, 0, 0, 0, QUARTER)}</frame>"
+    where = load_included(tmp_path, base, include("model://table", inside))
+    expected = [2.0, 4.0, 0.1] if "base" in inside else expected
+    assert where == [expected]
+
+
+def test_a_state_places_an_included_model_by_its_new_name(tmp_path: Path) -> None:
+    write_model(tmp_path / "models", "table", MOVED)
+    names = [include("model://table", f"<name>t{number}</name>") for number in range(2)]
+    state = f"<state><model name='t1'>{pose(7, 8, 0, 0, 0, 0)}</model></state>"
+    assert load_included(tmp_path, *names, state) == [[1.0, 1.0, 0.1], [8.0, 8.0, 0.1]]
+
+
+@pytest.mark.parametrize("way", ["option", "GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "itself"])
+def test_models_are_found_where_gazebo_finds_them(
+    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_model(tmp_path / "elsewhere", "table", MOVED)
+    (tmp_path / "worlds").mkdir()
+    folders = f"{tmp_path / 'none'}:{tmp_path / 'elsewhere'}"
+    if way in ("option", "itself"):
+        models = folders if way == "option" else str(tmp_path / "elsewhere" / "table")
+        where = load_included(tmp_path / "worlds", include("model://table"), models=models)
+    else:
+        monkeypatch.setenv(way, folders)
+        where = load_included(tmp_path / "worlds", include("model://table"))
+    assert where == [[1.0, 1.0, 0.1]]
+
+
+@pytest.mark.parametrize(
+    "uri", ["package://my_gazebo/models/table", "..\\models\\table", ".\\own\\table", "own/table"]
+)
+def test_models_are_found_by_package_and_path(uri: str, tmp_path: Path) -> None:
+    """A world of a ROS package names its models so; one of Windows with backslashes."""
+    package = tmp_path / "my_gazebo"
+    write_model(package / "models", "table", MOVED)
+    write_model(package / "worlds" / "own", "table", MOVED)
+    assert load_included(package / "worlds", include(uri)) == [[1.0, 1.0, 0.1]]
+
+
+def test_a_folder_without_a_model_hides_none(tmp_path: Path) -> None:
+    (tmp_path / "table").mkdir()
+    write_model(tmp_path / "models", "table", MOVED)
+    assert load_included(tmp_path, include("model://table")) == [[1.0, 1.0, 0.1]]
+
+
+def test_the_newest_file_of_a_model_counts(tmp_path: Path) -> None:
+    write_model(tmp_path, "table", model(""), "old.sdf")
+    write_model(tmp_path, "table", MOVED, "new.sdf")
+    (tmp_path / "table" / "model.config").write_text(
+        "<?xml version='1.0'?><model><name>Table</name><sdf version='1.9'>old.sdf</sdf>"
+        "<sdf version='1.10'>new.sdf</sdf></model>",
+        encoding="utf-8",
+    )
+    assert load_included(tmp_path, include("model://table")) == [[1.0, 1.0, 0.1]]
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Work Table",
+        "https://fuel.gazebosim.org/1.0/OpenRobotics/models/Work%20Table/2",
+        "model://work_table",
+    ],
+)
+@pytest.mark.parametrize("kept", ["work table/2", "work_table"])
+def test_models_of_fuel_are_read_where_they_were_downloaded(
+    uri: str, kept: str, tmp_path: Path
+) -> None:
+    write_model(tmp_path / "fuel", kept, MOVED)
+    parts = [include(uri)]
+    if uri.startswith("model") and " " in kept:
+        parts = [include("model://work table")]
+    assert load_included(tmp_path, *parts, models=str(tmp_path / "fuel")) == [[1.0, 1.0, 0.1]]
+
+
+def test_models_include_models(tmp_path: Path) -> None:
+    write_model(tmp_path, "leg", model(body(CYLINDER), pose(0, 1, 0, 0, 0, 0), name="leg"))
+    legs = include("model://leg") + include("model://leg", pose(0, 2, 0, 0, 0, 0))
+    write_model(tmp_path, "table", f"<model name='table'>{legs}</model>")
+    where = load_included(tmp_path, include("model://table", pose(5, 0, 0, 0, 0, 0)))
+    assert where == [[5.0, 1.0, 0.1], [5.0, 2.0, 0.1]]
+    merged = include("model://leg", attributes="merge='true'")
+    on_leg = f"<link name='top'>{relative('l', 1, 0, 0, 0, 0, 0)}{body(CYLINDER)}</link>"
+    write_model(tmp_path, "table", f"<model name='table'>{merged}{on_leg}</model>")
+    assert load_included(tmp_path, include("model://table")) == [[1.0, 1.0, 0.1], [0.0, 1.0, 0.1]]
+
+
+def test_an_included_mover_is_named(tmp_path: Path) -> None:
+    write_model(tmp_path, "walker", moving(WALKER, "walker"))
+    write_model(tmp_path, "person", ACTOR)
+    parts = [include("model://walker", "<name>w2</name>"), include("model://person")]
+    with pytest.warns(WorldWarning, match="model 'w2' .* actor 'person' is left out"):
+        load_included(tmp_path, *parts)
+
+
+def refuse_included(folder: Path, *parts: str) -> str:
+    with pytest.raises(WorldError) as caught:
+        load_included(folder, *parts)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_missing_models_are_named_together(tmp_path: Path) -> None:
+    name = "Construction Barrel of the longest name that anybody has ever given to one"
+    fuel = f"https://fuel.gazebosim.org/1.0/OpenRobotics/models/{name}"
+    parts = [include("model://table"), include(fuel), include("model://table")]
+    assert (
+        f"includes 'model://table', {name!r} of Fuel, which no model folder has: name the folder "
+        "with --models FOLDER"
+    ) in refuse_included(tmp_path, *parts)
+    many = refuse_included(tmp_path, *(include(f"model://t{number}") for number in range(9)))
+    assert "'model://t4' and 4 others, which" in many
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (f"<model name='m'>{include('model://m')}</model>", "models are nested too deeply"),
+        ("<model name='m'><link>", "included .*: not valid XML"),
+        ("<!DOCTYPE sdf [<!ENTITY e 'x'>]><model name='m'/>", "not valid XML|entities"),
+    ],
+)
+def test_hostile_models_are_refused(content: str, said: str, tmp_path: Path) -> None:
+    write_model(tmp_path, "m", content)
+    with pytest.raises(WorldError, match=said):
+        load_included(tmp_path, include("model://m"))
+
+
+def test_models_that_include_each_other_many_times_are_refused_soon(tmp_path: Path) -> None:
+    for number in range(9):
+        inner = include(f"model://m{number + 1}") * 10
+        write_model(tmp_path, f"m{number}", f"<model name='m'>{inner}</model>")
+    write_model(tmp_path, "m9", model(body(CYLINDER)))
+    assert "includes more than 10,000 models" in refuse_included(tmp_path, include("model://m0"))
+
+
+@pytest.mark.parametrize("uri", ["model://", "", "file:///", "model://hall.world", "m" * 5000])
+def test_what_is_no_model_is_refused(uri: str, tmp_path: Path) -> None:
+    said = "holds no model" if "hall" in uri else "which no model folder has"
+    assert said in refuse_included(tmp_path, include(uri))

@@ -67,6 +67,19 @@ def around(start: Any, goal: Any, centre: Any, radius: float, *, reflex: bool = 
     return sum(tangents) + radius * (angle - sum(math.acos(radius / d) for d in far))
 
 
+def test_cells_are_numbered_as_older_versions_of_scipy_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before 1.15, `dijkstra` refuses a graph with indices of 64 bits."""
+    widths = []
+
+    def search_from(graph: Any, **options: Any) -> Any:
+        widths.extend([graph.indices.itemsize, graph.indptr.itemsize])
+        return dijkstra(graph, **options)
+
+    monkeypatch.setattr("scipy.sparse.csgraph.dijkstra", search_from)
+    shortest_path(between((-2, 0), (2, 0), PILLAR), 0.2)
+    assert widths == [4, 4]
+
+
 def random_world(seed: int, radius: float) -> World:
     """Circles and segments, start and goal with room around them."""
     rng = np.random.default_rng(seed)

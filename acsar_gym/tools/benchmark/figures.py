@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from acsar_gym.errors import ConfigError, require_extra, show_value, suggest_name
 from acsar_gym.tasks import Task
-from acsar_gym.tasks.base import info_names
+from acsar_gym.tasks.base import info_names, says_shortest_path
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
@@ -49,7 +49,7 @@ Place = tuple[str, str, str, str]
 """Id, set of scenes, link and condition, which the rows to be compared share."""
 
 
-COMPLETION_TIME, CROSS_TRACK = "completion_time", "cross_track"
+COMPLETION_TIME, CROSS_TRACK, SUCCESS = "completion_time", "cross_track", "success"
 """Names of scores that every task has; others are names of what a task tells."""
 
 
@@ -58,7 +58,7 @@ class Scoring:
     """What the score of an episode depends on besides its result."""
 
     name: str
-    """COMPLETION_TIME, CROSS_TRACK, or one of the numbers that the task tells."""
+    """COMPLETION_TIME, CROSS_TRACK, SUCCESS, or one of the numbers that the task tells."""
     top_speed: float
     """Of the robot [m/s]."""
     tolerance: float
@@ -66,7 +66,12 @@ class Scoring:
 
     def check(self, task: Task) -> None:
         """Raise ConfigError where a task doesn't tell the number that is to be the score."""
-        known = (COMPLETION_TIME, CROSS_TRACK, *info_names(task))
+        if self.name == COMPLETION_TIME and not says_shortest_path(task):
+            raise ConfigError(
+                f"{task_name(task)}: score {COMPLETION_TIME!r}: the task has no method "
+                "shortest_path(): write one, or score 'success'"
+            )
+        known = (COMPLETION_TIME, CROSS_TRACK, SUCCESS, *info_names(task))
         if self.name not in known:
             raise ConfigError(
                 f"{task_name(task)}: score {show_value(self.name)}{suggest_name(self.name, known)}"
@@ -100,16 +105,16 @@ def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
     COMPLETION_TIME is success weighted by completion time (Yokoyama, Ha & Batra 2021): T* / max(T,
     T*), where T is the time that it took, and T* that of the shortest path, up to the goal's
     tolerance, at the robot's top speed; 1 where the shortest path isn't known. CROSS_TRACK is 1 -
-    mean cross-track error / 10 cm. Any other name is that of a number which the task tells at the
-    end, such as "barn_score".
+    mean cross-track error / 10 cm, SUCCESS 1. Any other name is that of a number which the task
+    tells at the end, such as "barn_score".
     """
     if not result.success:
         return 0.0
     if scoring.name == CROSS_TRACK:
         return max(0.0, 1.0 - result.cross_track / WORST_CROSS_TRACK)
-    if scoring.name != COMPLETION_TIME:
+    if scoring.name not in (COMPLETION_TIME, SUCCESS):
         return result.told[scoring.name]
-    if math.isnan(result.shortest):
+    if scoring.name == SUCCESS or math.isnan(result.shortest):
         return 1.0
     fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
     return fastest / max(result.time, fastest, 1e-9)

@@ -6,6 +6,7 @@ Agents, conditions, its cells, and the jobs that they are cut into.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
@@ -25,6 +26,7 @@ from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cel
 from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.shards import PortablePolicy
+from acsar_gym.tools.policies import CallablePolicy, is_callable
 
 PACKAGED = "packaged"
 """Name of the agent that consists of the policies which come with the package."""
@@ -90,15 +92,17 @@ def choose_agents(
     """Find agents by their names.
 
     Args:
-        names: "packaged", baselines, and folders in `trained`; empty for all.
+        names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
+            such as mine.planner:Planner; empty for all of the first three.
         ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
 
     Raises:
-        ConfigError: a name is unknown, or the folder holds no policy.
+        ConfigError: a name is unknown, two agents have the same one, or the folder holds no policy.
         PolicyError: a policy can't be used.
     """
+    given = [name for name in dict.fromkeys(names) if _is_policy(name)]
     learned = [
         _read_agent(PACKAGED, str(file), None)
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
@@ -107,8 +111,40 @@ def choose_agents(
     own = {cell_id(env_id) for env_id in ids}
     found = [each for each in (*learned, *baseline_agents(ids)) if each.id in own]
     known = list(dict.fromkeys([*(each.name for each in learned), *BASELINES]))
-    check_names("--agents", names, known)
-    return [each for each in found if not names or each.name in names]
+    check_names("--agents", [name for name in names if name not in given], known)
+    found = [each for each in found if not names or each.name in names]
+    found += [agent for name in given for agent in given_agents(name, ids)]
+    counts = Counter((each.name, each.env, each.training_seed) for each in found)
+    for (name, env_id, _), count in counts.items():
+        if count > 1:
+            said = f"{count} of them are called {show_value(name)} on {env_id}"
+            raise ConfigError(f"--agents: {said}: rename a file, function or class")
+    return found
+
+
+def _is_policy(name: str) -> bool:
+    """Return whether a name of --agents is a file or Python code."""
+    return ":" in name or Path(name).suffix in (".py", ".onnx")
+
+
+def given_agents(policy: str, ids: Sequence[str]) -> list[Agent]:
+    """Return a file, or Python code, as an agent on every id that it can be for.
+
+    Args:
+        policy: an ONNX file, or a function or class such as mine.py:act or mine.module:Planner. One
+            that names no id drives on all of these, as a baseline does.
+        ids: as `find_env` returns them.
+
+    Raises:
+        ConfigError: it is for an id that isn't among these.
+        PolicyError: it can't be used.
+    """
+    if is_callable(policy) and not CallablePolicy(policy, ids[0]).said_id:
+        return [submitted_agent(policy, env_id) for env_id in ids]
+    agent = submitted_agent(policy)
+    if agent.id not in map(cell_id, ids):
+        raise ConfigError(f"--agents {policy}: drives on {agent.id}: name it with --env, too")
+    return [agent]
 
 
 def baseline_agents(ids: Iterable[str]) -> list[Agent]:

@@ -56,6 +56,8 @@ MAX_PLAN_BYTES = 10_000_000
 """Largest accepted plan [bytes]."""
 MAX_ROW_BYTES = 30_000_000
 """Largest accepted row [bytes]; 40,000 episodes have 10 MB."""
+TABLE_MARK = "`acsar-gym benchmark` writes this page"
+"""At the beginning of a page of tables."""
 RESULT_FILE, TABLE_FILE, ROW_SUFFIX = "benchmark.json", "benchmark.md", ".row.json"
 NOT_A_ROW = "isn't a row of 'acsar-gym benchmark --policy'"
 ROUNDING_TOLERANCE = 1e-6
@@ -110,7 +112,7 @@ def write_outputs(
     """
     page = format_tables(told)
     for path in filter(None, (folder / RESULT_FILE, json_file)):
-        write_result(path, told)
+        write_result(path, {"origin": reading.describe_origin(), **told})
     for path in filter(None, (folder / TABLE_FILE, table)):
         reading.write_atomically(path, page.encode())
         print(escape_unprintable(f"tables: {path}"))

@@ -9,12 +9,13 @@ makes it a failure.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import math
 import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,9 @@ from rich.progress import (
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CancelledError, PolicyError
-from acsar_gym.tasks.episode import Assignment
+from acsar_gym.tasks.base import says_shortest_path
+from acsar_gym.tasks.episode import RunningEpisode
+from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.benchmark.figures import Scoring, record_episode
 from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
 from acsar_gym.tools.benchmark.scenes import SceneSet
@@ -104,6 +107,8 @@ def run_plan(
             f"interrupted: {len(done)} of {len(every)} parts are kept in {store.folder}; the same "
             "command goes on with the others"
         ) from None
+    finally:
+        close_kept_env()
     return [done[job.cell, job.first] for job in every if (job.cell, job.first) in done]
 
 
@@ -147,12 +152,26 @@ def run_job(job: BenchmarkJob) -> Part:
     return Part(cell, job.first, told, round(time.process_time() - begin, 3))
 
 
-@lru_cache(maxsize=1)
+_KEPT: dict[tuple[FilePolicy, str, str, SceneSet], Any] = {}
+"""The env of the last job of this process, by what it was made for."""
+
+
 def keep_env(policy: FilePolicy, link: str, condition: str, scenes: SceneSet) -> Any:
-    """Make an env for a policy; kept for the next job of the same cell."""
-    under = CONDITIONS[condition]
-    config = scenes.config.with_(**under.changes)
-    return runs.make_env(policy, link, config, under.options(scenes, config))
+    """Make an env for a policy; kept for the next job of the same cell, see `close_kept_env`."""
+    wanted = policy, link, condition, scenes
+    if wanted not in _KEPT:
+        close_kept_env()
+        under = CONDITIONS[condition]
+        config = scenes.config.with_(**under.changes)
+        _KEPT[wanted] = runs.make_env(policy, link, config, under.options(scenes, config))
+    return _KEPT[wanted]
+
+
+@atexit.register  # in the processes of the jobs
+def close_kept_env() -> None:
+    """Close the env that `keep_env` has kept, if there is one."""
+    while _KEPT:
+        _KEPT.popitem()[1].close()
 
 
 def _drive_over_port(
@@ -187,18 +206,19 @@ def _drive_over_port(
             inner: Any = env.unwrapped
             with contextlib.closing(env):
                 (result,) = episodes.run_episodes(env, policy, 1, seed, **reset)
-                assignment = inner.episode.assignment
-        return add_emulator_truth(result, assignment, config, log)
+                episode = inner.episode
+        return add_emulator_truth(result, episode, config, log)
 
 
 def add_emulator_truth(
-    result: EpisodeResult, assignment: Assignment, config: RobotConfig, log: Path
+    result: EpisodeResult, episode: RunningEpisode, config: RobotConfig, log: Path
 ) -> EpisodeResult:
     """Complete a result with what the emulator's log knows.
 
     Args:
         result: of an episode over the port.
-        assignment: its world, start and goal.
+        episode: with its world, start and goal; of another task than those with a goal no shortest
+            path is known.
         config: of the robot.
         log: of the emulator.
 
@@ -211,16 +231,19 @@ def add_emulator_truth(
     length = path_length(np.concatenate([track[:-1:POSE_STRIDE], track[-1:]])[:, :2])
     (error,) = episodes.odometry_errors([result], log)
     result = replace(result, driven=length, odometry_error=error)
+    assignment = episode.assignment
     world = assignment.world
     if world is None or not world.obstacles:
         return result
     clearance = episodes.footprint_clearance(track, config.outline, world)
     touched = clearance < PORT_TOUCH_DISTANCE
-    goal = Region(*point_in_world(assignment.start, assignment.goal))
-    shortest, left = (
-        remaining_distance(world, footprint_radius(config), Region(*end[:2]), goal)
-        for end in (track[0], track[-1])
-    )
+    shortest = left = math.nan
+    if isinstance(episode.task, GoalTask) and says_shortest_path(episode.task):
+        goal = Region(*point_in_world(assignment.start, assignment.goal))
+        shortest, left = (
+            remaining_distance(world, footprint_radius(config), Region(*end[:2]), goal)
+            for end in (track[0], track[-1])
+        )
     return replace(
         result,
         success=result.success and not touched,

@@ -45,6 +45,7 @@ from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
 from acsar_gym.tasks import PointGoal
+from acsar_gym.tasks.base import says_shortest_path
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.worlds import World, registry
 from acsar_gym.worlds.cache import keep_worlds
@@ -264,6 +265,7 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
     found = []
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds
+        score = choice.score or default_score(env_id)
         split = TEST if not source or registry.parse_known_name(source) else GIVEN
         numbers = (
             range(len(read_pool(source, None, DEFAULT_ROBOT)))
@@ -273,9 +275,7 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
         for robot in dict.fromkeys(robots or choice.robots):
             label = Path(robot).stem if Path(robot).suffix else robot
             full = name if choice.robots == (robot,) else f"{name}/{label}"
-            found.append(
-                SceneSet(cell_id(env_id), full, source, numbers, split, robot, choice.score)
-            )
+            found.append(SceneSet(cell_id(env_id), full, source, numbers, split, robot, score))
     names = [some.name for some in found]
     if twice := next((one for one in names if names.count(one) > 1), None):
         raise ConfigError(f"--robots: two of them are {twice.partition('/')[2]}: rename a file")
@@ -299,12 +299,35 @@ def choose_sets(found: Sequence[SceneSet], names: Collection[str]) -> list[Scene
     ]
 
 
+def default_score(env_id: str) -> str:
+    """Return the score of an id's scenes where its registration names none.
+
+    Raises:
+        ConfigError: it isn't an environment of acsar_gym.
+    """
+    return "completion_time" if says_shortest_path(_make_planar(env_id).task) else "success"
+
+
 def task_worlds(env_id: str) -> str:
     """Return the generator or folder that an id's task takes its worlds from; "" for none.
 
     Raises:
         ConfigError: it isn't an environment of acsar_gym, or its worlds have no name.
     """
+    pool = _make_planar(env_id).pool
+    if pool is None:
+        return ""
+    if pool.kind == "given":
+        raise ConfigError(
+            f"--env {show_value(env_id)}: its worlds are objects without a name: name a generator "
+            "or a folder, as in acsar_gym.register(..., scenes={'test': {'worlds': ...}})"
+        )
+    module = registry.home_module(pool.kind) if pool.generated else ""
+    return f"{module}:{pool.kind}" if module else pool.kind
+
+
+def _make_planar(env_id: str) -> RobotEnv:
+    """Make an env of an id, closed; ConfigError where it isn't one of acsar_gym."""
     try:
         env = gymnasium.make(env_id, link="planar").unwrapped
     except (gymnasium.error.Error, ImportError, TypeError) as error:
@@ -315,16 +338,7 @@ def task_worlds(env_id: str) -> str:
     env.close()
     if not isinstance(env, RobotEnv):
         raise ConfigError(f"--env {show_value(env_id)}: not an environment of acsar_gym")
-    pool = env.pool
-    if pool is None:
-        return ""
-    if pool.kind == "given":
-        raise ConfigError(
-            f"--env {show_value(env_id)}: its worlds are objects without a name: name a generator "
-            "or a folder, as in acsar_gym.register(..., scenes={'test': {'worlds': ...}})"
-        )
-    module = registry.home_module(pool.kind) if pool.generated else ""
-    return f"{module}:{pool.kind}" if module else pool.kind
+    return env
 
 
 def published_sets(some: Iterable[SceneSet], folder: Path) -> list[SceneSet]:

@@ -9,13 +9,17 @@ import io
 import operator
 import os
 import pkgutil
-import signal
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, Literal, get_args
 
 import tyro
+
+try:
+    import termios
+except ImportError:  # on Windows
+    termios = None  # type: ignore[assignment]
 
 import acsar_gym
 from acsar_gym.errors import (
@@ -24,10 +28,14 @@ from acsar_gym.errors import (
     PolicyWarning,
     RecordingWarning,
     SafetyWarning,
+    TaskWarning,
+    WorldWarning,
     escape_unprintable,
     show_value,
     suggest_name,
 )
+from acsar_gym.reading import COMMAND
+from acsar_gym.streams import open_streams, print_error, run_guarded
 from acsar_gym.tools.cli import commands
 from acsar_gym.tools.cli.commands import COMMANDS, CommandSection, command
 from acsar_gym.tools.cli.options import report_broken
@@ -117,36 +125,79 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, SafetyWarning | RecordingWarning | PolicyWarning):
+    kinds = SafetyWarning | RecordingWarning | PolicyWarning | TaskWarning | WorldWarning
+    if issubclass(category, kinds):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 
 
 def main() -> None:
     """Run a command; exceptions of this package become one line and an exit code."""
+    open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
     warnings.formatwarning = _format_one_line
-    words, code = sys.argv[1:], 0
+    if "" not in sys.path:
+        sys.path.append("")  # a user's modules are in the current folder
+    words = sys.argv[1:]
+    COMMAND.set(_find_name(words))
+    with _kept_terminal() if _drives(words) else contextlib.nullcontext():
+        code = run_guarded(lambda: _run_words(words))
+    sys.exit(2 if report_broken() and not code else code)
+
+
+def _drives(words: list[str]) -> bool:
+    """Whether the command of a command line drives a robot."""
+    name = _find_name(words)
+    return name in COMMANDS and COMMANDS[name].drives
+
+
+def _find_name(words: list[str]) -> str:
+    """Return the name of the command of a command line, such as "worlds show"; "" for none."""
+    return next((n for n in (" ".join(words[:2]), *words[:1]) if n in COMMANDS), "")
+
+
+def _run_words(words: list[str]) -> int:
+    """Run the command of a command line; returns its exit code."""
     try:
         if words == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
-        elif words[:1] == ["train"]:  # has options of a script
-            code = COMMANDS["train"].function()
-        else:
-            code = parse_command(words)
-        sys.stdout.flush()
+            return 0
+        if words[:1] == ["train"]:  # has options of a script
+            return int(COMMANDS["train"].function())
+        return int(parse_command(words))
     except AcsarError as error:
-        print(f"acsar-gym: {escape_unprintable(str(error))}", file=sys.stderr)
-        code = error.exit_code
+        print_error(f"acsar-gym: {escape_unprintable(str(error))}")
+        return error.exit_code
     except KeyboardInterrupt:
-        named = COMMANDS.get(" ".join(words[:2])) or COMMANDS.get(" ".join(words[:1]))
-        drives = named is not None and named.drives
-        stopped = ", the wheels were commanded to stop" if drives else ""
-        print(f"\nacsar-gym: interrupted{stopped}", file=sys.stderr)
-        code = 130
-    except BrokenPipeError:  # such as `| head -1`: nobody reads on
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = 128 + signal.SIGPIPE
-    sys.exit(2 if report_broken() and not code else code)
+        stopped = ", the wheels were commanded to stop" if _drives(words) else ""
+        print_error(f"\nacsar-gym: interrupted{stopped}")
+        return 130
+    except SystemExit as ended:  # of tyro, after help and for what it can't parse
+        if isinstance(ended.code, str):
+            print_error(ended.code)
+        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+
+
+@contextlib.contextmanager
+def _kept_terminal() -> Iterator[None]:
+    """Give the terminal back as it was, on any way out but SIGKILL: keys weren't echoed."""
+    if termios is None or not os.isatty(0):
+        yield
+        return
+    before = termios.tcgetattr(0)
+    from acsar_gym.links import shutdown  # noqa: PLC0415
+
+    def restore() -> None:
+        with contextlib.suppress(OSError, termios.error):
+            # In the background it is another program's, which may have changed it.
+            if os.tcgetpgrp(0) == os.getpgrp() and termios.tcgetattr(0) != before:
+                termios.tcsetattr(0, termios.TCSANOW, before)
+
+    shutdown.call_at_end(restore)
+    shutdown.install_handlers()
+    try:
+        yield
+    finally:
+        restore()

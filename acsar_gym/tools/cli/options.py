@@ -6,14 +6,16 @@ import contextlib
 import select
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from acsar_gym.errors import CancelledError, ConfigError, escape_unprintable
+from acsar_gym.errors import CancelledError, ConfigError, LinkError, escape_unprintable
+from acsar_gym.reading import check_replaceable, describe_origin
+from acsar_gym.streams import print_error
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,7 +31,35 @@ OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
+Force = Annotated[bool, tyro.conf.arg(help="Replace files that this command didn't write, too.")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+
+
+@dataclass(frozen=True)
+class WorldFileOptions:
+    """What a Gazebo world or a ROS map doesn't say."""
+
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None
+    """Where the robot starts in a world of a file [m, rad], as in --start -2,3,1.57; without theta
+    it faces any way."""
+    goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    """Where the goal is in a world of a file [m]."""
+    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder of the models that a Gazebo world includes; several as in PATH. Those in
+    GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH come next, then those beside the world."""
+
+    def place(self, worlds: str | None) -> Any:
+        """Return what an env takes as `worlds=`: the name alone, or with these options.
+
+        Args:
+            worlds: kind, file or folder; None for an env's own.
+
+        Raises:
+            ConfigError: these options are given without a name.
+        """
+        from acsar_gym.worlds.pool import place_worlds  # noqa: PLC0415
+
+        return place_worlds(worlds, self.start, self.goal, self.models)
 
 
 def say(text: str) -> None:
@@ -37,29 +67,56 @@ def say(text: str) -> None:
     print(escape_unprintable(text), flush=True)
 
 
-def print_results(*tables: Table, json: Path | None = None, data: Any = None) -> None:
+def print_results(
+    *tables: Table, json: Path | None = None, data: Mapping[str, Any] | None = None
+) -> None:
     """Print tables, and write the figures to a JSON file, if one is named."""
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    report.print_tables(*tables)
-    report.write_json(json, data)
+    try:
+        report.print_tables(*tables)
+    finally:  # also where nobody reads the tables
+        if json is not None:
+            report.write_json(json, {"origin": describe_origin(), **(data or {})})
 
 
-def check_writable(*paths: Path | None, robot: Path | None = None) -> None:
-    """Check before the work that results can be written.
+def check_writable(
+    *paths: Path | None, robot: Path | None = None, force: bool = False, mark: str | None = None
+) -> None:
+    """Check before the work that results can be written, and replace nothing that others wrote.
 
     Args:
         *paths: files; None is accepted.
-        robot: file of a robot, likewise.
+        robot: file of a robot, which is edited in place; None is accepted.
+        force: whether files may be replaced that another command or person wrote.
+        mark: text at the beginning of files that the command wrote, where it isn't the usual one;
+            "" where it can't know them again.
 
     Raises:
         ConfigError: one of them can't be written.
     """
-    from acsar_gym.config import files  # noqa: PLC0415
+    from acsar_gym.config import RobotConfig, saving  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    for path in (*paths, None if robot is None else files.check_target(robot)):
+    if robot is not None:
+        saving.check_target(robot, RobotConfig, force=force)
+        report.check_writable(robot)
+    for path in filter(None, paths):
         report.check_writable(path)
+        check_replaceable(path, mark, force=force)
+
+
+@dataclass(frozen=True)
+class ResultOptions:
+    """Results in a file."""
+
+    json: File = None
+    """Also write the figures to this file."""
+    force: Force = False
+
+    def check(self) -> None:
+        """Check before the work as `check_writable` does."""
+        check_writable(self.json, force=self.force)
 
 
 def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:
@@ -218,21 +275,39 @@ def report_broken() -> bool:
     ]
     _command_recorders.clear()
     for name in broken:
-        print(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"), file=sys.stderr)
+        print_error(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"))
     return bool(broken)
 
 
 @dataclass(frozen=True)
 class HostOptions:
-    """Process priority and cores."""
+    """Process priority and cores, and whether the emergency stop may be missing."""
 
     realtime: Annotated[int | None, tyro.conf.arg(metavar="PRIORITY")] = None
     """Real-time priority (SCHED_FIFO), 1 to 98."""
     cores: Annotated[tuple[int, ...] | None, tyro.conf.arg(metavar="N [N ...]")] = None
     """Numbers of the cores to run on."""
+    without_estop: bool = False
+    """Drive real wheels even where 'acsar-gym estop' couldn't stop them."""
 
-    def prepare(self) -> None:
-        """Set priority and cores; ConfigError if that isn't allowed."""
+    def prepare(self, drives: str | None = None) -> None:
+        """Set priority and cores, and check that a real robot can be stopped.
+
+        Args:
+            drives: link whose wheels will turn; None where none will.
+
+        Raises:
+            ConfigError: the priority or cores aren't allowed.
+            LinkError: `acsar-gym estop` couldn't stop the robot, and that isn't allowed.
+        """
+        from acsar_gym.links.factory import is_device  # noqa: PLC0415
+        from acsar_gym.safety.estop import StopListener  # noqa: PLC0415
         from acsar_gym.tools.doctor import host  # noqa: PLC0415
 
+        if drives is not None and not self.without_estop and is_device(drives):
+            try:
+                StopListener.check_available(drives)
+            except LinkError as error:
+                fix = f"{error.fix}; or drive without an emergency stop: --without-estop"
+                raise LinkError(error.found, fix) from error
         host.prepare_realtime(self.realtime, self.cores)

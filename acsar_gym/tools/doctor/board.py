@@ -11,10 +11,23 @@ from itertools import pairwise
 from statistics import fmean, median
 from typing import NamedTuple
 
+import numpy as np
+
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, echoes_of
 from acsar_gym.links.handshake import shown_bytes, silence_error, still_turning_error
-from acsar_gym.protocol import MOTORS, ZERO, Decoder, Speeds, encode_line, line_end
+from acsar_gym.protocol import (
+    ECHO_PROBE,
+    ECHO_ZERO,
+    MOTORS,
+    PRINTED_STEP,
+    ZERO,
+    Decoder,
+    EchoDecoder,
+    Speeds,
+    encode_line,
+    line_end,
+)
 from acsar_gym.tools.doctor.checks import Check, warn_if
 
 PROBE_POLL = 0.001
@@ -29,6 +42,10 @@ LONGEST_STALL = 0.05
 """Time that this program was held up counts as silence of the board only up to this [s]."""
 CLEAR_TIME = 0.1
 """How long old lines may come [s]."""
+ECHO_TIME = 0.5
+"""How long an echo may take [s]."""
+ECHO_PROBES = 10
+"""Commands whose echoes may still come after that."""
 MAX_RAW_LINES = 400
 """Newest raw lines that are kept."""
 
@@ -47,9 +64,11 @@ class FeedbackLine(NamedTuple):
 class BoardProbe:
     """Sends commands to the letters of a board, and hears its lines.
 
-    Attributes: `decoder`; `gaps`, how long the board was silent each time that it was reset [s];
-    `raw`, the newest lines as they came; `sent`, when the last byte of the newest command had left
-    [s]; `trailing_comma`, of the commands.
+    Attributes: `decoder`; `lines`, all that came; `gaps`, how long the board was silent each time
+    that it was reset [s]; `raw`, the newest lines as they came; `sent`, when the last byte of the
+    newest command had left [s]; `trailing_comma` and `upper_case`, of the commands; `echoes`,
+    whether the board sends commands back, and `rate`, the lines that it sends per second [Hz], both
+    once `check_feedback` has found them.
 
     Args:
         link: to the board, open.
@@ -60,7 +79,11 @@ class BoardProbe:
         self._link = link
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self.decoder = Decoder()
+        self.lines: list[FeedbackLine] = []
         self.trailing_comma = True
+        self.upper_case = False
+        self.echoes = bool(echoes_of(link))
+        self.rate = 0.0
         self.gaps: list[float] = []
         self.raw: deque[bytes] = deque(maxlen=MAX_RAW_LINES)
         self.sent = 0.0
@@ -69,8 +92,6 @@ class BoardProbe:
         self._begin: float | None = None
         self._polled = link.now()
         self._quiet = 0.0
-        self._counted = 0
-        self._since = self._until = self._polled
 
     def command(self, speeds: Speeds, order: str = MOTORS) -> None:
         """Send one command line.
@@ -82,6 +103,9 @@ class BoardProbe:
         parts = encode_line(*speeds, b"").split(b",")
         line = b",".join(parts[MOTORS.index(letter)] for letter in order)
         line += line_end(trailing_comma=self.trailing_comma)
+        line = line.upper() if self.upper_case else line
+        if isinstance(self.decoder, EchoDecoder):
+            line = self.decoder.mark(line)
         self.sent = self._link.now() + len(line) * self._byte_time
         self._link.write(line)
 
@@ -113,20 +137,11 @@ class BoardProbe:
         if lines:
             if self._quiet > RESET_GAP:
                 self.gaps.append(self._quiet)
-                self._counted = 0
-            if not self._counted:
-                self._since = now
-            self._counted += len(lines) if self._counted else 1
-            self._quiet, self._until = 0.0, now
+            self._quiet = 0.0
+            self.lines += lines
         elif self._quiet > SILENCE_TIMEOUT:
             raise silence_error(self._quiet, self.decoder)
         return lines
-
-    @property
-    def rate(self) -> float:
-        """Lines that the board sends per second [Hz]; 0 where too few have come."""
-        lasted = self._until - self._since
-        return (self._counted - 1) / lasted if self._counted > 1 and lasted > 0.0 else 0.0
 
     def hear(
         self,
@@ -166,9 +181,18 @@ class BoardProbe:
         return self.hear(speeds, lambda _: False, lasting, repeat=repeat)
 
     def clear(self) -> None:
-        """Take what has arrived before; nothing of it counts."""
+        """Take what has arrived before."""
         self.listen(CLEAR_TIME)
-        self._counted = 0
+
+    def find_echo(self) -> None:
+        """Send zero commands unlike feedback for a while, and see whether they come back."""
+        begin = self._link.now()
+        while not self.echoes and self._link.now() - begin < ECHO_TIME:
+            self._link.write(ECHO_PROBE + line_end(trailing_comma=self.trailing_comma))
+            self.listen(COMMAND_INTERVAL)
+            self.echoes = any(ECHO_PROBE in line for line in self.raw)
+        if self.echoes:
+            self.decoder = EchoDecoder(*[ECHO_PROBE] * ECHO_PROBES)
 
 
 def since(lines: Sequence[FeedbackLine], begin: float) -> list[FeedbackLine]:
@@ -180,6 +204,8 @@ def since(lines: Sequence[FeedbackLine], begin: float) -> list[FeedbackLine]:
 
 LISTEN_TIME = 2.0
 """Time during which feedback is counted [s]."""
+MOST_RATE_LINES = 400
+"""Lines between which slopes are computed."""
 BOARD_RATES = (5, 10, 20, 25, 30, 40, 50, 60, 80, 100, 125, 150, 200)
 """Rates that boards are set to [Hz]."""
 RATE_ROUNDING = 0.03
@@ -193,10 +219,43 @@ def round_rate(measured: float) -> float:
     return float(usual) if abs(measured - usual) < RATE_ROUNDING * usual else round(measured, 1)
 
 
+def measure_rate(stamps: Sequence[float], numbers: Sequence[int]) -> float:
+    """Return the rate of lines [Hz]; 0 for fewer than two times.
+
+    It is the Theil-Sen slope of the lines' numbers over their times, whatever a few pauses, bursts
+    or lost lines do to the intervals between them.
+
+    Args:
+        stamps: when lines came [s], ascending.
+        numbers: of these lines among all that came.
+    """
+    if len(stamps) < 2:
+        return 0.0
+    chosen = np.unique(np.linspace(0, len(stamps) - 1, MOST_RATE_LINES).astype(int))
+    times, places = (np.asarray(column, np.float64)[chosen] for column in (stamps, numbers))
+    later, earlier = np.nonzero(times[:, None] > times[None, :])
+    if not len(later):
+        return 0.0
+    return float(np.median((places[later] - places[earlier]) / (times[later] - times[earlier])))
+
+
 def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
     """Command zero at the control rate for a while, and say what the board sends meanwhile."""
     probe.clear()
+    probe.find_echo()
+    if probe.echoes:
+        yield warn_if(
+            not config.echo,
+            "echo",
+            "this board echoes: it sends each command back; echoes don't count as feedback",
+            "take the echo out of the board's program, or write echo: true into the robot's file",
+        )
+    probe.clear()
     lines = probe.listen(LISTEN_TIME, ZERO, repeat=config.period)
+    stamps = [line.stamp for line in lines]
+    probe.rate = round_rate(measure_rate(stamps, range(len(stamps))))
+    if not probe.rate:
+        raise silence_error(LISTEN_TIME, probe.decoder)
     expected = config.feedback_rate
     yield warn_if(
         probe.rate < 0.9 * expected,
@@ -204,7 +263,8 @@ def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
         f"{probe.rate:.1f} lines/s, {expected:g} expected",
         "set firmware.feedback_rate to what the board sends, or speed the board up",
     )
-    newest = probe.raw[-1] if probe.raw else b""
+    echo = ECHO_ZERO if probe.echoes else None
+    newest = next((line for line in reversed(probe.raw) if echo is None or echo not in line), b"")
     padded = PADDED_LINE.fullmatch(newest) is not None
     numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
     comma = "with" if newest.rstrip().endswith(b",") else "without"
@@ -266,6 +326,18 @@ STEADY_SHARE = 0.03
 from one window to the next."""
 SETTLING_TIMEOUT = 1.5
 """Longest wait for a steady speed [s]."""
+STALE_TIME, STALE_FACTOR, STALE_JUMP = 0.12, 2.2, 0.2
+"""Lines were old ones if they were the same for so long [s], and the next one is further from them
+than a wheel's usual largest change by this factor, and than this share of the commanded speed."""
+FEWEST_CHANGES, STALE_CHANGE = 4, 0.5
+"""Changes of a wheel's speed that are needed to know the usual one, each at least by this share of
+the commanded speed."""
+LINE_LOST = 1.8
+"""Factor on the usual gap between lines where one was lost."""
+ODD_SHARES = (0.83, 0.97, 0.89, 0.79)
+"""Commands of four wheels that no other feedback is like, as shares of the commanded speed."""
+SET_POINT_TIME = 0.6
+"""How long they are commanded [s]."""
 LOWEST_RATIO, HIGHEST_RATIO = 0.7, 1.4
 """A wheel's measured speed is right between these shares of the commanded one."""
 
@@ -412,6 +484,80 @@ def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: boo
     lines = probe.hear(None, turns, SINGLE_COMMAND_TIMEOUT)
     stop_wheels(probe, speed)
     return turns(lines)
+
+
+def takes_upper_case(probe: BoardProbe, speed: float) -> bool:
+    """Return whether wheels turn that are commanded in upper-case letters [rad/s]."""
+
+    def turns(lines: list[FeedbackLine]) -> bool:
+        return bool(lines) and max(map(abs, lines[-1].speeds)) > MOVING_SHARE * speed
+
+    probe.upper_case = True
+    lines = probe.hear(command_letters(range(4), speed), turns, START_TIMEOUT)
+    stop_wheels(probe, speed)
+    probe.upper_case = False
+    return turns(lines)
+
+
+def sends_set_points(probe: BoardProbe, speed: float) -> bool:
+    """Return whether feedback is the command itself, at once and to the last digit.
+
+    Args:
+        probe: hears the board.
+        speed: to command at most [rad/s].
+    """
+    a, b, c, d = (round(share * speed, 2) for share in ODD_SHARES)
+    command = a, b, c, d
+
+    def is_command(line: FeedbackLine) -> bool:
+        pairs = zip(line.speeds, command, strict=True)
+        return all(abs(said - wanted) < 1.5 * PRINTED_STEP for said, wanted in pairs)
+
+    lines = probe.listen(SET_POINT_TIME, command)
+    stop_wheels(probe, speed)
+    turning = [line for line in lines if max(map(abs, line.speeds)) > STANDING_SHARE * speed]
+    return bool(turning) and all(map(is_command, turning))
+
+
+def find_stale(lines: Sequence[FeedbackLine], speed: float) -> tuple[float, float] | None:
+    """Find out whether a board repeated old lines while a wheel changed its speed.
+
+    A wheel whose lines were the same for a while then jumps from one line to the next, further than
+    it usually changes at most on its way to a speed.
+
+    Args:
+        lines: all that came.
+        speed: that was commanded [rad/s].
+
+    Returns:
+        The largest such jump, and the wheel's usual one [rad/s]; None where there is none.
+    """
+    if len(lines) < AGREEING_LINES:
+        return None
+    gaps = np.diff([line.stamp for line in lines])
+    for speeds in np.array([line.speeds for line in lines]).T:
+        jumps = np.diff(speeds)
+        changes = np.abs(jumps)
+        places = np.flatnonzero(changes)
+        begins = np.flatnonzero(np.diff(places, prepend=-2) > 1)
+        if not len(begins):
+            continue
+        whole = np.abs(np.add.reduceat(jumps[places], begins)) > STALE_CHANGE * speed
+        largest = np.maximum.reduceat(changes[places], begins)[whole]
+        if len(largest) < FEWEST_CHANGES:
+            continue
+        usual = float(np.median(largest))
+        for place in places[1:]:
+            before = int(places[np.searchsorted(places, place) - 1])
+            repeated = gaps[before + 1 : place].sum() > STALE_TIME
+            whole = gaps[place] < LINE_LOST * float(np.median(gaps))
+            if (
+                repeated
+                and whole
+                and changes[place] > max(STALE_FACTOR * usual, STALE_JUMP * speed)
+            ):
+                return float(changes[place]), usual
+    return None
 
 
 # All wheels together: from a command to its first effect, and the command time-out

@@ -19,11 +19,13 @@ from acsar_gym.tools.doctor.board import (
     BoardProbe,
     StepResponse,
     WheelAnswer,
+    find_stale,
     report_resets,
-    round_rate,
+    sends_set_points,
     spin_wheel,
     stop_wheels,
     takes_last_value,
+    takes_upper_case,
 )
 from acsar_gym.tools.doctor.checks import Check, warn_if
 
@@ -33,6 +35,10 @@ SLOW_RESPONSE = 0.1
 """A command that takes longer to show is worth a warning [s]."""
 RATE_TOLERANCE = 0.05
 """A feedback rate is as configured within this share."""
+TIMEOUT_TRIALS, SAME_TIMEOUT = 4, 0.06
+"""Most measurements of a time-out, of which two must differ by less than this [s]."""
+EXACT_RATIO = 0.005
+"""A measured speed is exactly the commanded one within this share."""
 TIMEOUT_TOLERANCE = 0.03
 """A time-out is as configured within this [s]."""
 RATIO_TOLERANCE = 0.1
@@ -140,14 +146,10 @@ class Commission:
             yield report_resets(probe.gaps)
             return
         if notes := probe.decoder.notes:
-            yield Check(
-                "the board says",
-                "fail" if any(note[1:].startswith(" cut:") for note in notes) else "warn",
-                escape_unprintable("; ".join(notes)),
-                "a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED in "
-                "the board's program; a stalled one: look what blocks it, and at its encoder's "
-                "plug",
-            )
+            yield _report_notes(notes)
+        if (refusal := _refuse_board(probe, answers, speed)) is not None:
+            yield refusal
+            return
         found = infer_wiring(answers, self.eyes, config)
         yield from check_wiring(answers, self.eyes, config, found)
         heard = [answer for answer in answers if answer.encoder is not None]
@@ -158,28 +160,52 @@ class Commission:
             for name in ("line end", DELAY_CHECK, TIMEOUT_CHECK):
                 yield Check(name, "skip", "needs wheels that turn as commanded", "mend them first")
             return
-        yield self._check_line_end(probe, config, heard[-1].letter, speed)
         if found != config.wheels:
             self.changes["wheels"] = found.model_dump()
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
+        if probe.echoes and not config.echo:
+            self.changes["echo"] = True
+        yield from self._measure_board(probe, config, heard, speed)
+
+    def _measure_board(
+        self,
+        probe: BoardProbe,
+        config: RobotConfig,
+        heard: Sequence[WheelAnswer],
+        speed: float,
+    ) -> Iterator[Check]:
+        """Measure how a board answers whose wheels turn as commanded."""
+        yield self._check_line_end(probe, config, heard[-1].letter, speed)
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
         yield report_delays(response.measure_delays(probe.rate))
-        yield self._check_timeout(response, config)
+        timed, agreed = self._check_timeout(response, config)
+        yield timed
         if abs(probe.rate / config.feedback_rate - 1.0) > RATE_TOLERANCE:
-            self._note_firmware("feedback_rate", round_rate(probe.rate))
+            self._note_firmware("feedback_rate", probe.rate)
         if probe.gaps:
             yield report_resets(probe.gaps)
-        self.finished = not probe.gaps
+        stale = find_stale(probe.lines, speed)
+        if stale is not None:
+            yield Check(
+                "stale feedback",
+                "fail",
+                f"the board repeats old lines: after some that were the same a wheel's speed "
+                f"jumped by {stale[0]:.2f} rad/s from one line to the next, where it usually "
+                f"changes by {stale[1]:.2f} at most",
+                f"measure anew for each line {IN_PROGRAM}, or send none",
+            )
+        self.finished = agreed and not probe.gaps and stale is None
 
-    def save(self, config: RobotConfig, path: Path) -> Check:
-        """Write a robot with what was found."""
+    def save(self, config: RobotConfig, path: Path, *, force: bool = False) -> Check:
+        """Write a robot with what was found; `force` replaces a file that isn't a robot's."""
         try:
             robot = config.with_(**self.changes)
         except ConfigError as error:
             return Check("robot file", "fail", f"not written: {error}", "change that field first")
         try:
-            robot.save(path, {"wheels": ASSUMPTION_REMARK} if self.assumed else None)
+            remarks = {"wheels": ASSUMPTION_REMARK} if self.assumed else {}
+            robot.save(path, remarks, outdated=(ASSUMPTION_REMARK,), force=force)
         except ConfigError as error:
             return Check("robot file", "fail", str(error), "give another file with --out")
         names = [name for name in self.changes if name != "firmware"]
@@ -236,21 +262,66 @@ class Commission:
             found = "a value is taken at its comma: the last one needs a trailing comma"
         return warn_if(differs, "line end", found, f"use trailing_comma: {str(wanted).lower()}")
 
-    def _check_timeout(self, response: StepResponse, config: RobotConfig) -> Check:
-        """Say how soon the board stops by itself."""
-        found = response.measure_timeout()
+    def _check_timeout(self, response: StepResponse, config: RobotConfig) -> tuple[Check, bool]:
+        """Say how soon the board stops by itself, and whether two measurements agree on it."""
+        seen: list[float] = []
+        while (found := response.measure_timeout()) is not None:
+            alike = [other for other in seen if abs(found[0] - other) < SAME_TIMEOUT]
+            if alike:
+                found = 0.5 * (found[0] + alike[0]), found[1]
+                break
+            seen.append(found[0])
+            if len(seen) == TIMEOUT_TRIALS:
+                listed = ", ".join(f"{after:.2f}" for after in seen)
+                said = f"another time at each trial: {listed} s"
+                fix = "does the board repeat old lines, or is this computer busy? Try again"
+                return Check(TIMEOUT_CHECK, "fail", said, fix), False
         configured = config.firmware.command_timeout or math.inf
         after = math.inf if found is None else round(found[0], 2)
         if after != configured and not abs(after - configured) <= TIMEOUT_TOLERANCE:
             self._note_firmware("command_timeout", None if found is None else after)
         if found is None:
             fix = "add a command time-out to the firmware"
-            return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
+            return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix), True
         stands = f"; the wheels stand after {found[1]:.2f} s" if found[1] else ""
-        return Check(TIMEOUT_CHECK, "ok", f"{after:.2f} s after the last command{stands}")
+        return Check(TIMEOUT_CHECK, "ok", f"{after:.2f} s after the last command{stands}"), True
 
     def _note_firmware(self, name: str, value: float | None) -> None:
         self.changes.setdefault("firmware", {})[name] = value
+
+
+def _report_notes(notes: Sequence[str]) -> Check:
+    """Say what the board has said in lines of text."""
+    return Check(
+        "the board says",
+        "fail" if any(note[1:].startswith(" cut:") for note in notes) else "warn",
+        escape_unprintable("; ".join(notes)),
+        "a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED in the "
+        "board's program; a stalled one: look what blocks it, and at its encoder's plug",
+    )
+
+
+def _refuse_board(probe: BoardProbe, answers: Sequence[WheelAnswer], speed: float) -> Check | None:
+    """Name a board whose feedback can't be used, or that takes other commands; None for others."""
+    if not any(answer.moving for answer in answers):
+        if not takes_upper_case(probe, speed):
+            return None
+        return Check(
+            "command letters",
+            "fail",
+            "the board takes upper-case letters only: AP03.00 turns a wheel, ap03.00 doesn't",
+            f"take lower-case letters {IN_PROGRAM}, as the wire has them",
+        )
+    exact = all(abs(abs(each.ratio) - 1.0) < EXACT_RATIO for each in answers if each.moving)
+    if not exact or not sends_set_points(probe, speed):
+        return None
+    return Check(
+        "measured speeds",
+        "fail",
+        "feedback is what was commanded, at once and to the last digit: the board's set points, or "
+        "an echo in its own words",
+        f"send what the encoders measure {IN_PROGRAM}",
+    )
 
 
 def report_delays(delays: Sequence[float]) -> Check:

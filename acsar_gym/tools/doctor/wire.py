@@ -169,12 +169,13 @@ def examine_board(
 class StoppableLink(SerialLink):
     """A link that obeys `acsar-gym estop`, as a Robot does.
 
-    Its zero commands, and those of its watchdog, come without and with a trailing comma, as it
-    isn't known yet which of them the board takes.
+    Its zero commands, and those of its watchdog, come in upper case, then without and with a
+    trailing comma, as it isn't known yet which of them the board takes.
     """
 
     def __init__(self, device: str, config: RobotConfig) -> None:
-        super().__init__(device, config, [encode(ZERO, trailing_comma=c) for c in (False, True)])
+        zeros = [encode(ZERO, trailing_comma=comma) for comma in (False, True)]
+        super().__init__(device, config, [zeros[1].upper(), *zeros])
         self.listener = StopListener(device, config.name)
 
     def read_now(self) -> bytes:
@@ -184,6 +185,13 @@ class StoppableLink(SerialLink):
             self.listener.confirm()
             raise EmergencyStopError
         return super().read_now()
+
+    def __reduce__(self) -> tuple[type[StoppableLink], tuple[object, ...]]:
+        """Copy and pickle as a closed link to the same device."""
+        return StoppableLink, (self.device, self._config)
+
+    def report_echo(self) -> None:
+        """Leave that to the checks."""
 
     def close(self) -> None:
         """Command zero and close, also for `acsar-gym estop`."""

@@ -40,6 +40,8 @@ LONGEST_CATCH_UP = 0.5
 give up after 0.5 s without feedback by default; until then they take it that the robot goes on."""
 WARM_UP_TIME = 0.05
 """Simulated time before a client can connect [s]."""
+LOG_MARK = '{"t": '
+"""How a log begins."""
 PATIENCE = {"watchdog_timeout": 5.0, "feedback_timeout": 10.0, "connect_timeout": 60.0}
 """How an emulated robot is driven where the computer may be busy: it can hurt nobody [s]."""
 LIDAR_SAMPLES = 200

@@ -19,6 +19,8 @@ except ImportError:
     raise ConfigError("this operating system has no pseudo-terminals to emulate on") from None
 
 PSEUDO_TERMINALS = Path("/dev/pts")
+DEVICE_PREFIXES = ("/dev/pts/", "/dev/ttys")
+"""Beginnings of pseudo-terminals' paths, on Linux and macOS."""
 READ_SIZE = 4096
 UNNAMED_RATES = (128000, 256000)
 """Baud rates that termios has no name for, and Linux's terminals have all the same."""
@@ -79,6 +81,8 @@ class EmulatedCable:
                 f"{name}: is the name of {other}, perhaps another emulator's: end that, or give "
                 "another name"
             )
+        if other != Path() and not str(other).startswith(DEVICE_PREFIXES):
+            raise ConfigError(f"{name}: is a symbolic link to {other}: name another")
         self._name = name
         self._descriptors: tuple[int, ...] = ()
         self.plug()

@@ -24,6 +24,8 @@ from acsar_gym.worlds import Scene
 
 BOOT_TIME = 1.5
 """How long a board is silent after a reset [s]."""
+STALE_TIME = 0.3
+"""How long a board with stale feedback repeats a line [s]."""
 RUNAWAY_SPEED = 14.4
 """How much faster than commanded a wheel of `assets/firmware` turns where its encoder is reversed,
 so that the speed loop drives it away from its command [rad/s]."""
@@ -39,8 +41,11 @@ NUMBER_QUIRKS = {
     "backward-gain": "",
     "overshoot": "",
     "reversal-hold": "",
+    "echo": "0.005",
+    "stale": "3",
 }
-"""Quirks whose value is a number, and their default; "" where there is none."""
+"""Quirks whose value is a number, and their default; "" where there is none. `echo` is how late
+each command comes back [s], `stale` how often a line is repeated for `STALE_TIME` [s]."""
 MOTOR_QUIRKS = ("backward-gain", "overshoot", "reversal-hold")
 """Quirks of motors, outside the model that `identify` fits."""
 PLAIN_QUIRKS = (
@@ -51,8 +56,25 @@ PLAIN_QUIRKS = (
     "swapped-encoders",
     "swapped-motors",
     "no-timeout",
+    "echo-newest",
+    "set-points",
+    "upper-case",
+    "signs",
+    "upper-case-commands",
 )
-"""Quirks without a value."""
+"""Quirks without a value. `echo-newest` sends the newest command before each line of feedback,
+`set-points` the commanded speeds as feedback."""
+INPUT_QUIRKS = {
+    "at-comma",
+    "no-comma",
+    "dead-wheel",
+    "runaway",
+    "echo",
+    "echo-newest",
+    "set-points",
+    "upper-case-commands",
+}
+"""Quirks of a board that look at single commands."""
 QUIRK_NAMES = (*PLAIN_QUIRKS, *WHEEL_QUIRKS, *NUMBER_QUIRKS)
 MIRRORED_LETTERS = str.maketrans("abcd", "badc")
 """Letters of the wheels on the other side."""
@@ -215,9 +237,9 @@ class QuirkyLink(ForwardingLink):
         for name, factor in (("runaway", -1.0), ("dead-encoder", 0.0)):
             if (encoder := letter_of(name, "encoder")) is not None:
                 self._factors[encoder] *= factor
-        self._filters_input = not {"at-comma", "no-comma", "dead-wheel", "runaway"}.isdisjoint(
-            quirks
-        )
+        self._filters_input = not INPUT_QUIRKS.isdisjoint(quirks)
+        self._echo_delay = float(quirks.get("echo", "inf"))
+        self._stale_every = float(quirks.get("stale", "inf"))
         self._format_speed: Callable[[float], str] | None = None
         if "unpadded" in quirks:
             self._format_speed = "{:.2f}".format
@@ -233,8 +255,10 @@ class QuirkyLink(ForwardingLink):
         self._decoder = Decoder()
         self._speeds: Speeds = ZERO
         self._arrived: Arrivals = []
+        self._echoes: list[tuple[float, bytes]] = []
+        self._command = self._repeated = b""
         self._begun = self._off = False
-        self._elapsed = 0.0
+        self._clock = self._elapsed = 0.0
         self._stops_at, self._wakes_at = self._pause, math.inf
 
     @property
@@ -252,10 +276,16 @@ class QuirkyLink(ForwardingLink):
             return
         *lines, self._input = (self._input + data).split(b"\n")
         for line in lines:
+            if command := line.strip():
+                self._command = command + b"\r\n"
+                if "echo" in self._quirks:
+                    self._echoes.append((self._clock + self._echo_delay, self._command))
             self.link.write(self.take_line(line) + b"\n")
 
     def take_line(self, line: bytes) -> bytes:
         """Return what the board takes of a line."""
+        if "upper-case-commands" in self._quirks:
+            line = line.lower() if line == line.upper() else b""
         if "at-comma" in self._quirks:
             line = line[: line.rfind(b",") + 1]
         if "no-comma" in self._quirks and line.rstrip().endswith(b","):
@@ -276,6 +306,7 @@ class QuirkyLink(ForwardingLink):
         heard = self.link.advance(period).splitlines(keepends=True)
         lines = [self._send(line) for line in heard]
         self._arrived = []
+        self._clock += period
         self._elapsed += period if self._begun else 0.0
         if self._elapsed >= self._wakes_at:
             self._off, self._stops_at = False, self._elapsed + self._pause
@@ -290,10 +321,27 @@ class QuirkyLink(ForwardingLink):
             return lines[0][: len(lines[0]) // 2]
         stamps = [stamp for stamp, _ in arrivals_of(self.link)]
         self._arrived = list(zip(stamps, lines, strict=False))
-        return b"".join(lines)
+        due = sum(when <= self._clock for when, _ in self._echoes)
+        echoes, self._echoes = self._echoes[:due], self._echoes[due:]
+        if "echo-newest" in self._quirks:
+            lines = [self._command + line for line in lines]
+        return b"".join([*(echo for _, echo in echoes), *lines])
 
     def _send(self, line: bytes) -> bytes:
         """Return how the board writes a line of feedback."""
+        line = self._write_speeds(line)
+        if self._clock % self._stale_every > STALE_TIME or self._stale_every == math.inf:
+            self._repeated = line
+        line = self._repeated or line
+        if "signs" in self._quirks:
+            line = line.translate(bytes.maketrans(b"pn", b"+-"))
+        return line.upper() if "upper-case" in self._quirks else line
+
+    def _write_speeds(self, line: bytes) -> bytes:
+        """Return a line with the speeds that the board reports, in its own numbers."""
+        if "set-points" in self._quirks:
+            commands = Decoder().feed(self._command)
+            return encode(commands[-1].over(ZERO), trailing_comma=self._comma) if commands else line
         if self._format_speed is None and self._factors == [1.0] * len(MOTORS):
             return line
         for reading in self._decoder.feed(line):

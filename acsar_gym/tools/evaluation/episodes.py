@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import itertools
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline
 from acsar_gym.envs.base import RobotEnv
-from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
+from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.safety.rules import Reason
@@ -101,9 +101,10 @@ class EpisodeResult:
     late_ticks: int
     """Ticks that ended over a millisecond late; 0 in simulation."""
     shortest: float = math.nan
-    """Length of the shortest path from start to goal for the robot's footprint [m]."""
+    """Length of the shortest path to success for the robot's footprint [m], see
+    `Task.shortest_path`."""
     left: float = math.nan
-    """Length of the shortest path from the final position to the goal [m]."""
+    """The same from the final position [m]."""
     driven: float = math.nan
     """Length of the path driven [m], by ground truth if there is one, else by odometry."""
     turning: float = math.nan
@@ -157,6 +158,8 @@ class EpisodeResult:
     @property
     def _path_share(self) -> float:
         """The shortest path as a share of the one driven, at most 1."""
+        if math.isnan(self.shortest):
+            return math.nan
         driven = self.path if math.isnan(self.driven) else self.driven
         return _divide(self.shortest, max(driven, self.shortest))
 
@@ -233,6 +236,7 @@ def _run_episode(
     observation, info = env.reset(seed=seed, options=options)
     if (begin := getattr(policy, "reset", None)) is not None:
         begin()
+    way = _ask_way(inner, info)  # measured afterwards: a robot doesn't wait
     steps, scans, rewards, done = [info], [newest_scan(inner.sensors)], 0.0, False
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
@@ -243,8 +247,6 @@ def _run_episode(
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         done = terminated or truncated
-    with contextlib.suppress(LinkError):  # the next reset reports it
-        robot.stop()  # the TimeLimit wrapper doesn't stop the robot
     odom, true = stack_poses(steps, "odom"), stack_poses(steps, "true")
     timing, meter = robot.timing, meter_of(robot.link)
     fault = info.get("fault_reason", "")
@@ -264,7 +266,9 @@ def _run_episode(
         odometry_error=info["odometry_error"],
         ticks=(len(steps) - 1) * inner.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
-        **_measure_ways(inner, odom, true),
+        shortest=_measure_way(inner, *way, known=not math.isnan(true[-1, 0])),
+        left=_measure_way(inner, *_ask_way(inner, info), known=not math.isnan(true[-1, 0])),
+        driven=path_length((odom if math.isnan(true[-1, 0]) else true)[:, :2]),
         turning=total_turning(odom),
         jerk=mean_jerk(odom, inner.ticks_per_step * robot.config.period),
         clearance=_least_clearance(inner, true, touched=info["true_contact"] == 1.0),
@@ -320,20 +324,26 @@ def mean_jerk(poses: Floats, period: float) -> float:
     return float(np.abs(np.diff(speeds, 2)).mean()) / period**2
 
 
-def _measure_ways(env: RobotEnv, odom: Floats, true: Floats) -> dict[str, Any]:
-    """Return lengths of the shortest, remaining and driven path [m], by ground truth if known."""
-    known, assignment = not math.isnan(true[-1, 0]), env.episode.assignment
-    poses = true if known else odom
-    driven = path_length(poses[:, :2])
-    if assignment.path is not None or (assignment.world is not None and not known):
-        return {"driven": driven}  # a real robot's surroundings aren't known
+def _ask_way(env: RobotEnv, info: dict[str, Any]) -> tuple[Pose, Floats | float | None]:
+    """Return the robot's pose, by ground truth if known, and its task's shortest way from there."""
+    frame = "odom" if math.isnan(info["true_x"]) else "true"
+    pose: Pose = (info[f"{frame}_x"], info[f"{frame}_y"], info[f"{frame}_theta"])
+    return pose, env.episode.shortest_path(pose)
+
+
+def _measure_way(env: RobotEnv, pose: Pose, way: Floats | float | None, *, known: bool) -> float:
+    """Return the length of a way [m]; NaN where there is none, or obstacles aren't known."""
+    assignment = env.episode.assignment
+    if isinstance(way, float):
+        return way
+    if way is None or (assignment.world is not None and not known):
+        return math.nan  # a real robot's surroundings aren't known
     radius, world = footprint_radius(env.robot.config), assignment.world or World()
-    places = [(x, y) for x, y, _ in poses[[0, -1]].tolist()]
-    *ends, goal = (
-        Region(*point_in_world(assignment.start, place)) for place in (*places, assignment.goal)
+    points = [pose[:2], *((x, y) for x, y in way.tolist())]
+    places = [Region(*point_in_world(assignment.start, point)) for point in points]
+    return math.fsum(
+        remaining_distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
     )
-    shortest, left = (remaining_distance(world, radius, end, goal) for end in ends)
-    return {"shortest": shortest, "left": left, "driven": driven}
 
 
 def _least_clearance(env: RobotEnv, true: Floats, *, touched: bool) -> float:

@@ -95,7 +95,8 @@ class ReportPage:
             ConfigError: it can't be written.
             MissingExtraError: plotly or jinja2 isn't installed.
         """
-        reading.write_atomically(path, self.html().encode())
+        text = f"<!-- {reading.describe_origin()} -->\n{self.html()}"  # found by check_replaceable
+        reading.write_atomically(path, text.encode())
 
     def html(self) -> str:
         """Return the whole file as text; MissingExtraError without plotly or jinja2."""

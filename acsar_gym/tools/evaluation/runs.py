@@ -180,11 +180,15 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             f"{env_id} doesn't take all of: {names} ({format_error(error)})"
         ) from None
     inner = env.unwrapped
-    if isinstance(inner, RobotEnv):
-        policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-        if inner.robot.link.truth is None:  # on hardware
-            refuse_outside(policy)
-        policy.bind(PolicyContext.of(inner))
+    try:
+        if isinstance(inner, RobotEnv):
+            policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
+            if inner.robot.link.truth is None:  # on hardware
+                refuse_outside(policy)
+            policy.bind(PolicyContext.of(inner))
+    except BaseException:
+        env.close()
+        raise
     return TrackedEnv(env) if tracked else env
 
 
@@ -370,6 +374,11 @@ def export_policy(
     Raises:
         PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
     """
+    if resolve(model).suffix == ".onnx":
+        raise PolicyError(
+            f"{model}: is an ONNX policy already: drive with it, as in 'acsar-gym evaluate "
+            f"--policy {model}'; 'export' converts zips of stable-baselines3"
+        )
     policy = ZipPolicy(model, trust=trust, env_id=find_id(env_id) if env_id else "")
     statistics = _find_statistics(policy, vecnormalize)
     env = make_env(policy, "planar", robot, {})
@@ -403,6 +412,9 @@ def _find_statistics(policy: ZipPolicy, named: str | None) -> Path | None:
             f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
             f"{convert} {found}', otherwise --vecnormalize none"
         )
+    if policy.normalized is None:
+        said = "doesn't say whether it was trained with a VecNormalize: if it was, use"
+        warnings.warn(f"{model}: {said} {convert} FILE'", PolicyWarning, stacklevel=3)
     if policy.normalized:
         raise PolicyError(
             f"{model}: was trained with a VecNormalize, whose file isn't beside it: use {convert} "

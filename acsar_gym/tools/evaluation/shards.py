@@ -25,6 +25,7 @@ from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy, ZipPolicy
 from acsar_gym.worlds import pool
+from acsar_gym.worlds.search import lidar_height
 
 MAX_POLICY_BYTES = 200_000_000
 MAX_SHARD_EPISODES = 10
@@ -156,10 +157,12 @@ def evaluate_in_parallel(
     if options.get("record") is not None:
         raise ConfigError("--record and --view: one process records: leave out --workers")
     source, portable = options.get("worlds"), dict(options)
-    worlds = pool.read_worlds(source) if isinstance(source, str) else None
+    sent, config = PortablePolicy.of(policy), RobotConfig.of(robot)
+    worlds = None
+    if isinstance(source, str | Mapping):
+        worlds = pool.read_worlds(source, lidar_height(config))
     if worlds is not None:  # from files, which another machine may not have
         portable["worlds"] = worlds
-    sent, config = PortablePolicy.of(policy), RobotConfig.of(robot)
     shards = [
         Shard(sent, link, config, part, part.start - seeds.start, how or {}, portable)
         for part in split_seeds(seeds, workers)

@@ -135,6 +135,8 @@ def _start_process(function: Callable[[Any], Any], *, quiet: bool) -> tuple[Conn
 
 def _serve_jobs(connection: Connection, function: Callable[[Any], Any], quiet: bool) -> None:
     """Run jobs until the pipe is closed: the body of a process."""
+    if "" not in sys.path:
+        sys.path.append("")  # modules in the current folder
     if quiet:
         logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, too

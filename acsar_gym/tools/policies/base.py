@@ -374,9 +374,8 @@ class CallablePolicy(FilePolicy):
             self._name = getattr(policy, "__name__", type(policy).__name__)
             self.path = Path(self._name)
         elif _MODULE_NAME.fullmatch(policy) and not policy.rpartition(":")[0].endswith(".py"):
-            if "" not in sys.path:
-                sys.path.append("")  # modules in the current folder
-            found = reading.import_object("policy", policy)
+            with reading.find_modules_here():
+                found = reading.import_object("policy", policy)
             self.path, self._name = Path(policy), policy.rpartition(":")[2]
             module = sys.modules[policy.partition(":")[0]]
             self._source = str(getattr(module, "__file__", None) or "")
@@ -396,8 +395,9 @@ class CallablePolicy(FilePolicy):
             named = f"has no function {self._name!r}" if self._name else "name a function of it"
             hint = suggest_name(self._name, known) if known else ""
             raise PolicyError(f"{self.path}: {named}, as in {self.path.name}:act{hint}")
-        own = getattr(module, "ENV_ID", "") or getattr(found, "env_id", "")
-        self.env_id = env_id or str(own)
+        self.said_id = str(getattr(module, "ENV_ID", "") or getattr(found, "env_id", ""))
+        """The id that the code itself names; empty if it names none."""
+        self.env_id = env_id or self.said_id
         if not self.env_id:
             raise PolicyError(
                 f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "

@@ -29,6 +29,7 @@ from acsar_gym.tools.policies.bundle import (
     parse_bundle,
 )
 from acsar_gym.tools.policies.describe import describe_policy
+from acsar_gym.tools.policies.kinds import describe_other_file
 
 if TYPE_CHECKING:
     import torch
@@ -78,7 +79,11 @@ def open_policy_file(path: Path) -> tuple[str, trial.Network, Bundle]:
     """
     data = reading.read_file(path, MAX_POLICY_BYTES, PolicyError)
     packaged = path.resolve().is_relative_to(AGENTS.resolve())
+    if (other := describe_other_file(data)) is not None:
+        raise PolicyError(f"{path}: {other}")
     refusal = "" if packaged else trial.find_refusal(data)
+    if "INVALID_PROTOBUF" in refusal:
+        raise PolicyError(f"{path}: isn't a whole ONNX file: copy or export it again")
     if refusal:
         raise PolicyError(f"{path}: not a policy to run: {refusal}")
     try:

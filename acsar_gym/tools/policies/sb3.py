@@ -154,8 +154,11 @@ class BatchVecEnv(VecEnv):
         return [wrapper_class.__name__ == "Monitor"] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Return None for every robot: a batch renders no pictures."""
-        return [None] * self.num_envs
+        """Return a picture for each robot, of which the first 16 are drawn.
+
+        None for each where the batch was made without `render_mode="rgb_array"`.
+        """
+        return self._batch.render() or [None] * self.num_envs
 
 
 def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:

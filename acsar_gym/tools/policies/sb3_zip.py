@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
+import re
+import sys
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict, Space
 from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import MissingExtraError, PolicyError, require_extra
+from acsar_gym.errors import MissingExtraError, PolicyError, require_extra, shorten_text
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name, task_spaces
 from acsar_gym.tools.policies.base import FilePolicy, format_error, resolve
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
+from acsar_gym.tools.policies.kinds import describe_other_zip
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
@@ -32,6 +36,8 @@ MAX_UNPACKED_BYTES = 50_000_000
 ZIP_ALGORITHMS = "PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO"
 POLICY_FAMILIES = {"ActorCriticPolicy", "SACPolicy", "TD3Policy", "TQCPolicy"}
 """Base classes of their policies."""
+_GYM = re.compile(r"gym(\.|$)")
+"""Modules of gym, which Gymnasium replaces."""
 _UNUSED = {"lr_schedule": None, "clip_range": None}
 """Replacements of pickled functions that only training needs; other Python versions may not be
 able to unpickle them."""
@@ -45,7 +51,7 @@ class ZipPolicy(FilePolicy):
 
     Args:
         path: the zip.
-        trust: whether the user trusts the zip; without it, nothing in it is read.
+        trust: whether the user trusts the zip; without it, only the names in it are read.
         env_id: id of the env that it is for; by default the one that `sb3.label` stored in it.
 
     Raises:
@@ -55,13 +61,15 @@ class ZipPolicy(FilePolicy):
 
     def __init__(self, path: str | Path, *, trust: bool = False, env_id: str = "") -> None:
         self.path = resolve(path)
+        content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
+        if (other := describe_other_zip(content)) is not None:
+            raise PolicyError(f"{self.path}: {other}")
         if not trust:
             raise PolicyError(
                 f"{self.path}: a stable-baselines3 zip can run any code when it's loaded: pass "
                 "--trust if you made it or trust whoever did, or convert it once with "
                 f"'acsar-gym export {self.path} policy.onnx --trust'"
             )
-        content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
         try:
             data, self.network = _load_zip(content)
             said = data.get(BUNDLE_KEY)
@@ -74,8 +82,10 @@ class ZipPolicy(FilePolicy):
             said = format_error(error)
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
         self.sha256 = hashlib.sha256(content).hexdigest()
-        self.normalized = data.get("_last_original_obs") is not None
-        """Whether it was trained with a VecNormalize; only then are both observations saved."""
+        by_train = self.bundle is not None and self.bundle.training is not None
+        self.normalized = False if by_train else uses_normalization(data)
+        """Whether it was trained with a VecNormalize of observations, as none of 'acsar-gym train'
+        is; None where the zip doesn't tell."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
         self._width = (self.network.observation_space.shape or (0,))[0]
@@ -112,9 +122,9 @@ class ZipPolicy(FilePolicy):
         for space, wanted, whole in zip(spaces, (action, own), (action, seen), strict=True):
             if space != wanted:
                 raise PolicyError(
-                    f"{self.path}: made for {space}, but {task_name(task)} has {whole}: of the "
-                    "wrappers that change observations, only VecNormalize and VecFrameStack can be "
-                    "part of a policy"
+                    f"{self.path}: made for {describe_space(space)}, but {task_name(task)} has "
+                    f"{describe_space(whole)}: of the wrappers that change observations, only "
+                    "VecNormalize and VecFrameStack can be part of a policy"
                 )
 
     def reset(self) -> None:
@@ -149,6 +159,63 @@ def statistics_beside(path: Path) -> Path | None:
     return next((f for p in patterns for f in sorted(path.parent.glob(p))), None)
 
 
+def describe_space(space: Space[Any]) -> str:
+    """Describe a space in a few words, however many numbers it has."""
+    if isinstance(space, Box):
+        return f"Box({space.low.min()}, {space.high.max()}, {space.shape})"
+    if isinstance(space, Dict):
+        return f"a Dict of {shorten_text(', '.join(map(str, space)))}"
+    return f"a {type(space).__name__}"
+
+
+def uses_normalization(data: Mapping[str, Any]) -> bool | None:
+    """Find out whether a model was trained with a VecNormalize that changes observations.
+
+    A zip has the last observation as the network got it, and an original one: with a VecNormalize
+    that of the same step. Without one PPO, A2C and RecurrentPPO have none, and the others (SAC,
+    TD3, DDPG, TQC) that of the step before. Normalized numbers leave the observation space, and a
+    cosine and a sine side by side are none any more.
+
+    Args:
+        data: of the zip.
+
+    Returns:
+        Whether it was; None where the observations don't tell.
+    """
+    seen, original = data.get("_last_obs"), data.get("_last_original_obs")
+    if seen is None or original is None or np.array_equal(seen, original):
+        return False
+    if "replay_buffer_class" not in data or np.shape(seen) != np.shape(original):
+        return True
+    space = data["observation_space"]
+    left = [((one < space.low) | (one > space.high)).any() for one in (original, seen)]
+    if left == [False, True]:
+        return True
+    before, after = (np.hypot(one[:, :-1], one[:, 1:]) for one in (original, seen))
+    pairs = (np.abs(before - 1.0) < 1e-6).all(axis=0)
+    if not pairs.any():
+        return None
+    return bool((np.abs(after[:, pairs] - 1.0) > 1e-4).any())
+
+
+@contextlib.contextmanager
+def _alias_gym() -> Iterator[None]:
+    """Let zips of stable-baselines3 1.x, whose spaces are gym's, find those of Gymnasium."""
+    before = {name: module for name, module in sys.modules.items() if _GYM.match(name)}
+    aliases = {
+        f"gym{name.removeprefix('gymnasium')}": module
+        for name, module in sys.modules.items()
+        if name.partition(".")[0] == "gymnasium"
+    }
+    sys.modules |= aliases
+    try:
+        yield
+    finally:
+        for name in [name for name in sys.modules if _GYM.match(name)]:
+            del sys.modules[name]
+        sys.modules |= before
+
+
 def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
     """Read a zip without constructing the algorithm; returns its data and the network."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -158,7 +225,7 @@ def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
     with require_extra("loading a stable-baselines3 zip", "train"):
         from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
         from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _alias_gym():
         warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
         file = io.BytesIO(content)
         found, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
@@ -169,6 +236,11 @@ def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
     if issubclass(kind, ActorCriticPolicy):
         options["use_sde"] = data["use_sde"]
     spaces = data["observation_space"], data["action_space"]
+    if not isinstance(spaces[0], Box):
+        raise PolicyError(
+            f"made for observations that are {describe_space(spaces[0])}: a policy of this package "
+            "gets one row of numbers: train on the env without the wrapper that made them"
+        )
     network: BasePolicy = kind(*spaces, lambda _: 0.0, **options)
     state: Any = weights["policy"]  # a dict of tensors
     network.load_state_dict(state)

@@ -21,8 +21,8 @@ from acsar_gym.tools.sysid.calibration_fit import GeometryFit, fit_geometry
 from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, RunReading
 from acsar_gym.tools.sysid.scan_matching import LidarObserver, with_fine_scans
 from acsar_gym.worlds import Pose, Scene
-from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.search import footprint_radius
+from acsar_gym.worlds.pool import Pool, Source
+from acsar_gym.worlds.search import footprint_radius, lidar_height
 
 CONTRADICTION_SHARE = 0.3
 """A reading that differs from odometry by more than this share is refused."""
@@ -265,7 +265,7 @@ class DrivenRobot:
     """The simulated robot; equal to the config where nothing is hidden."""
     lidar: str | None = None
     """URL of a LiDAR; "simulated" in simulation; None for a tape or truth."""
-    world: str | None = None
+    world: Source | None = None
     """World of a simulation."""
     recorder: Recorder | None = None
     """Records all runs; None: nothing is recorded."""
@@ -290,7 +290,8 @@ class DrivenRobot:
             return Scene()
         if not self.simulated:
             raise ConfigError(f"--world is for simulated robots: {' or '.join(BODIES)}")
-        pool = Pool.of(self.world, None, footprint_radius(self.config), 1)
+        radius, height = footprint_radius(self.config), lidar_height(self.config)
+        pool = Pool.of(self.world, None, radius, 1, height)
         world = next(iter(pool)) if pool else None
         if world is None:
             return Scene()

@@ -10,18 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import require_extra
 from acsar_gym.protocol import PRINTED_STEP
+from acsar_gym.tools.doctor.board import measure_rate
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
-with require_extra("identification", "scipy"):
-    from scipy import stats
-
 LEAST_RATE_SHARE = 0.002
 """Least half width of the rate's interval, as a share: clocks differ by that much."""
-MOST_SLOPE_LINES = 400
-"""Lines of a log between which slopes are computed."""
 FINEST_QUANTUM = 0.025
 """Smallest step that two decimals show for sure [rad/s]."""
 LARGEST_QUANTUM = 2.0
@@ -49,8 +44,7 @@ class LineRate(NamedTuple):
 def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
     """Measure the lines, where a stalled host may have read some late and in bursts.
 
-    The rate is the Theil-Sen slope of the lines' numbers over their times, whatever a few pauses,
-    bursts or lost lines do to the intervals between them.
+    The rate is measured as `doctor` measures it, see `measure_rate`.
 
     Args:
         tracks: at least one with two lines.
@@ -58,9 +52,7 @@ def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
     slopes, spans = [], []
     for track in tracks:
         if len(track.stamps) > 1:
-            chosen = np.unique(np.linspace(0, len(track.stamps) - 1, MOST_SLOPE_LINES).astype(int))
-            slope = stats.theilslopes(track.numbers[chosen], track.stamps[chosen]).slope
-            slopes.append(float(slope))
+            slopes.append(measure_rate(track.stamps.tolist(), track.numbers.tolist()))
             spans.append(float(np.ptp(track.stamps)))
     rate = float(np.average(slopes, weights=spans))
     gaps = np.concatenate([np.diff(track.stamps) for track in tracks])

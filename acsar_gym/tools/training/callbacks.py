@@ -105,6 +105,7 @@ class CheckpointWriter(RolloutCallback):
 
     Args:
         folder: where to.
+        run: id of the training.
         batch: the robots that are trained on.
         scores: has the learning curve.
         seconds: time between two checkpoints [s].
@@ -114,13 +115,15 @@ class CheckpointWriter(RolloutCallback):
     def __init__(
         self,
         folder: Path,
+        run: str,
         batch: RobotVectorEnv,
         scores: HeldOutEvaluation,
         seconds: float,
         state: TrainingState | None = None,
     ) -> None:
         super().__init__()
-        self._folder, self._batch, self._scores = folder, batch, scores
+        self._folder, self._run = folder, run
+        self._batch, self._scores = batch, scores
         self._seconds, self._state = seconds, state
         self._due = self._written = 0.0
 
@@ -140,7 +143,9 @@ class CheckpointWriter(RolloutCallback):
         """Write a checkpoint, unless there is one of so many steps; only between two rollouts."""
         if self.model.num_timesteps > self._written:
             scores = self._scores
-            state = checkpoints.take_state(self.model, self._batch, scores.clock(), scores.rows)
+            state = checkpoints.take_state(
+                self._run, self.model, self._batch, scores.clock(), scores.rows
+            )
             checkpoints.write_checkpoint(self._folder, self.model.save, state)
             self._written = self.model.num_timesteps
 

@@ -59,6 +59,8 @@ Arrays = dict[str, NDArray[Any]]
 class TrainingState:
     """What a training needs besides its model to go on as if nothing had happened."""
 
+    run: str
+    """Id of the training, which its config.yml has, too."""
     steps: int
     """Env steps so far."""
     seconds: float
@@ -77,7 +79,11 @@ class TrainingState:
 
 
 def take_state(
-    model: BaseAlgorithm, batch: RobotVectorEnv, seconds: float, history: list[dict[str, float]]
+    run: str,
+    model: BaseAlgorithm,
+    batch: RobotVectorEnv,
+    seconds: float,
+    history: list[dict[str, float]],
 ) -> TrainingState:
     """Copy the state of a training; its model isn't part of it. Imports torch."""
     import torch  # noqa: PLC0415 - takes seconds
@@ -103,7 +109,7 @@ def take_state(
         "python": random.getstate(),
         "space": model.action_space.np_random.bit_generator.state,
     }
-    return TrainingState(model.num_timesteps, seconds, list(history), generators, arrays)
+    return TrainingState(run, model.num_timesteps, seconds, list(history), generators, arrays)
 
 
 def restore_state(state: TrainingState, model: BaseAlgorithm, batch: RobotVectorEnv) -> None:
@@ -186,10 +192,19 @@ def read_state(path: Path) -> TrainingState:
                     name = entry.removeprefix(STATE_FOLDER).removesuffix(".npy")
                     with archive.open(entry) as file:
                         arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
-            return TrainingState(**facts, arrays=arrays)
+            return TrainingState(**{"run": ""} | facts, arrays=arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         said = format_error(error)
         raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from None
+
+
+def read_run(path: Path) -> str:
+    """Read of which training a checkpoint is; empty where it doesn't say so, or can't be read."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return str(json.loads(archive.read(STATE_FILE))["run"])
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        return ""
 
 
 def select_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> Arrays:

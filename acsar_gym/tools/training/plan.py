@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import threading
 import time
@@ -29,6 +30,7 @@ from acsar_gym.vector.env import (
     check_threads,
     usable_cores,
 )
+from acsar_gym.worlds.pool import place_worlds
 
 MAX_STEPS = 10**10
 MAX_ROBOTS = 16_384
@@ -43,6 +45,8 @@ MIN_STEPS_BETWEEN = 100_000
 """Least env steps between two held-out evaluations, which take up to 5 % of the time."""
 TARGET_EVALUATIONS = 3
 """How many times more often is evaluated to end at a target."""
+FEW_UPDATES = 30
+"""Fewer updates of the policy are hardly enough to learn anything."""
 PROBE_TIME = 0.25
 """Duration of the measurement of free cores [s]."""
 _BLOCK = bytes(1 << 18)
@@ -60,6 +64,9 @@ class TrainingOptions(Section):
     conf_file: Path | None = None
     """Recipe file in RL Zoo's format, or the config.yml of an earlier training; default:
     agents/recipes/ALGO.yml."""
+    conf_entry: str | None = None
+    """Entry of that file, such as Pendulum-v1 of RL Zoo's; default: the one of the env's id, or
+    "default"."""
     modules: tuple[str, ...] = ()
     """Modules of your own whose classes the recipe names, such as mine.networks; they are imported,
     which a recipe alone can't do. The module of --env is one of them."""
@@ -68,7 +75,8 @@ class TrainingOptions(Section):
     target: Annotated[float, Field(ge=0, le=1)] | None = None
     """End once this share of 512 held-out episodes succeeds, such as 0.97; default: never."""
     out: Path | None = None
-    """Folder for the policy, checkpoints and logs; default: runs/ENV."""
+    """Folder for the policy, checkpoints and logs, with no other training in it; default:
+    runs/ENV, or runs/ENV-2 and so on where there is one already."""
     robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] | None = None
     """Robots stepped together, at most 16,384; default: the recipe's."""
     seed: Annotated[int, Field(ge=0, lt=held_out.FIRST_HELD_OUT_SEED)] = 0
@@ -85,6 +93,12 @@ class TrainingOptions(Section):
     """Cores to use; default: as many as are free when the training begins."""
     worlds: str | None = None
     """Generator, file or folder of worlds, instead of the env's own."""
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None
+    """Where the robot starts in a world of a file [m, rad]."""
+    goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
+    """Where the goal is in a world of a file [m]."""
+    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder of the models that a Gazebo world includes."""
     robot: str | None = None
     """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
     randomize: bool = True
@@ -147,11 +161,11 @@ class TrainingPlan:
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
-        """Derive the settings of a training and create its folder.
+        """Derive the settings of a training; writes nothing.
 
         Raises:
-            ConfigError: the env isn't registered, has no time limit or no worlds, the recipe
-                can't be used, or the folder or the number of threads can't be used.
+            ConfigError: the env isn't registered, has no time limit or no worlds, or the recipe or
+                the number of threads can't be used.
         """
         env_id = ids.find_id(options.env)
         own = ids.strip_module(env_id)
@@ -167,12 +181,10 @@ class TrainingPlan:
         robot, kind = make_fleet(options.robot, 1).robots[0], find_algorithm(options.algo)
         short = options.env if "/" not in options.env else own.rpartition("/")[2]
         out = options.out or Path("runs") / short
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--out {out}: can't be written: {error.strerror}") from None
         modules = [*options.modules, *filter(None, [env_id.rpartition(":")[0]])]
-        recipe = recipes.read_recipe(kind, own, options.conf_file, modules).with_changes(
+        recipe = recipes.read_recipe(
+            kind, own, options.conf_file, modules, options.conf_entry
+        ).with_changes(
             steps=options.steps,
             robots=options.robots,
             gamma=options.gamma,
@@ -204,6 +216,22 @@ class TrainingPlan:
         most = MAX_EVALUATIONS * (1 if self.options.target is None else TARGET_EVALUATIONS)
         return max(1, min(most, self.recipe.steps // MIN_STEPS_BETWEEN))
 
+    @property
+    def update_hint(self) -> str:
+        """How few updates there will be, and which --robots gives more; empty for enough."""
+        steps, robots = self.recipe.steps, self.recipe.robots
+        each = self.recipe.steps_per_update(self.algorithm)
+        if each is None or (updates := math.ceil(steps / (each * robots))) >= FEW_UPDATES:
+            return ""
+        fewer = max(1, steps // (each * 2 * FEW_UPDATES))
+        more = math.ceil(steps / (each * fewer))
+        if more <= updates:
+            return ""
+        return (
+            f"{steps:,} steps of {robots} robots are {updates} update{'s' * (updates > 1)} of the "
+            f"policy, few to learn from: with --robots {fewer} there are {more}"
+        )
+
     def make_training_batch(self) -> RobotVectorEnv:
         """Make the batch of robots to train on."""
         robots = self.recipe.robots
@@ -232,7 +260,8 @@ class TrainingPlan:
     @property
     def _arguments(self) -> dict[str, Any]:
         """Arguments of the env: the recipe's, and the worlds if the user gave some."""
-        worlds = self.options.worlds
+        options = self.options
+        worlds = place_worlds(options.worlds, options.start, options.goal, options.models)
         given = {
             key: each for key, each in self.recipe.env_kwargs.items() if key != RANDOMIZATION_KEY
         }

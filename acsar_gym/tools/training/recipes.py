@@ -6,11 +6,12 @@ All of a recipe are plain values: no code in it is run, and of classes only thos
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib
 import inspect
 import math
-import sys
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -60,10 +61,14 @@ RL_ZOO_KEYS = {
     "monitor_kwargs",
     "noise_std",
     "noise_type",
-    "normalize",
     "replay_buffer_class",
 }
 """Keys that only RL Zoo itself knows."""
+TEXT_KEYS = ("policy_kwargs", "normalize", "replay_buffer_kwargs")
+"""Keys whose texts RL Zoo evaluates as Python; here `parse_text` reads them."""
+NOTE_OF_NORMALIZE = "normalize: observations aren't normalized: a task scales its own"
+DEFAULT_GAMMA = 0.99
+"""Discount factor of every algorithm where a recipe gives none."""
 SCHEDULE_KEYS = ("learning_rate", "clip_range", "clip_range_vf")
 OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
 """Arguments of an env that `train` gives, by its own options, and a recipe may not."""
@@ -150,10 +155,9 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     """
     check_class(place, name, modules)
     module, _, kind = name.rpartition(".")
-    if name not in KNOWN_CLASSES[place] and "" not in sys.path:
-        sys.path.append("")
     try:
-        return getattr(importlib.import_module(module), kind)
+        with reading.find_modules_here():
+            return getattr(importlib.import_module(module), kind)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
         raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from None
 
@@ -185,6 +189,8 @@ class Recipe:
     """Wrappers of the batch, with their arguments, in their order."""
     modules: tuple[str, ...] = ()
     """Modules of the user's own, whose classes the file may name."""
+    note: str = ""
+    """What of the file isn't done, for people."""
 
     def with_changes(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed; None leaves one as it is.
@@ -244,6 +250,14 @@ class Recipe:
                 built["policy"] = find_class("policy", self.policy, self.modules)
         return built
 
+    def steps_per_update(self, algorithm: Algorithm) -> int | None:
+        """Return the env steps of one robot between two updates; None where it counts episodes."""
+        defaults = inspect.signature(algorithm.load().__init__).parameters
+        name = "n_steps" if "n_epochs" in defaults else "train_freq"
+        given = self.arguments.get(name, defaults[name].default)
+        number, unit = given if isinstance(given, list | tuple) else (given, "step")
+        return int(number) if unit == "step" else None
+
     def check_names(self) -> None:
         """Check what the file names, before anything is imported.
 
@@ -292,7 +306,11 @@ def name_errors(*names: object) -> Iterator[None]:
 
 
 def read_recipe(
-    algorithm: Algorithm, env_id: str, file: Path | None = None, modules: Sequence[str] = ()
+    algorithm: Algorithm,
+    env_id: str,
+    file: Path | None = None,
+    modules: Sequence[str] = (),
+    entry: str | None = None,
 ) -> Recipe:
     """Read the recipe of an env.
 
@@ -301,20 +319,24 @@ def read_recipe(
         env_id: id of the env, without its module.
         file: recipe file; default: the packaged one of the algorithm.
         modules: of the user's own, such as "mine.networks", whose classes the file may name.
+        entry: of the file, such as "Pendulum-v1"; default: the env's, or "default".
 
     Raises:
-        ConfigError: the file can't be read, has neither this env nor a default, or has unknown
-            keys; the message names file and key.
+        ConfigError: the file can't be read, has no such entry, or has unknown keys; the message
+            names file and key.
     """
     path = file or AGENTS / "recipes" / f"{algorithm.name}.yml"
-    recipes = read_recipe_file(path)
-    key = env_id if env_id in recipes else DEFAULT_KEY
-    if key not in recipes:
-        raise ConfigError(f"{path}: has no recipe for {env_id}, and no {DEFAULT_KEY!r}")
-    given = recipes[key]
+    data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
+    names = (env_id, DEFAULT_KEY) if entry is None else (entry,)
+    with name_errors(path):
+        key, given = reading.parse_yaml_entry(
+            reading.decode_text(data), names, hint="name one with --conf-entry"
+        )
     with name_errors(path, key):
         if not isinstance(given, dict):
             raise ConfigError("must be hyperparameters by name")
+        note = NOTE_OF_NORMALIZE if given.get("normalize") else ""
+        given = _evaluate_texts(given)
         foreign = RL_ZOO_KEYS & set(given)
         if foreign:
             raise ConfigError(f"{min(foreign)}: only rl_zoo3 knows it; remove it to train")
@@ -329,19 +351,75 @@ def read_recipe(
             {name: one for name, one in values.env_kwargs.items() if name != "link"},
             values.vec_env_wrapper,
             tuple(modules),
+            note,
         )
         recipe.check_names()
     return recipe
 
 
-def read_recipe_file(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds a mapping."""
-    data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
-    with name_errors(path):
-        found = reading.parse_yaml(reading.decode_text(data))
-        if not isinstance(found, dict):
-            raise ConfigError("must be hyperparameters by env id")
-    return found
+def _evaluate_texts(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return hyperparameters with values for RL Zoo's texts, and VecNormalize for `normalize`."""
+    values = dict(given)
+    for name in TEXT_KEYS:
+        if isinstance(values.get(name), str):
+            with name_errors(name):
+                values[name] = parse_text(values[name])
+    kwargs = values.get("policy_kwargs")
+    net = kwargs.get("net_arch") if isinstance(kwargs, dict) else None
+    if kwargs and isinstance(net, list) and len(net) == 1 and isinstance(net[0], dict):
+        values["policy_kwargs"] = {**kwargs, "net_arch": net[0]}  # as stable-baselines3 1.x had it
+    if (normalize := values.pop("normalize", False)) is not False:
+        normalize = {} if normalize is True else normalize
+        if not isinstance(normalize, dict):
+            raise ConfigError(f"normalize: {show_value(normalize)}: must be true, false or a dict")
+        if normalize.get("norm_reward", True):
+            rewards = (
+                {"gamma": values.get("gamma", DEFAULT_GAMMA)} | normalize | {"norm_obs": False}
+            )
+            wrappers = values.get("vec_env_wrapper") or []
+            wrappers = wrappers if isinstance(wrappers, list) else [wrappers]
+            values["vec_env_wrapper"] = [*wrappers, {NORMALIZE_WRAPPER: rewards}]
+    return values
+
+
+def parse_text(text: str) -> Any:
+    """Read a Python value such as "dict(net_arch=[64], activation_fn=nn.ReLU)"; runs no code.
+
+    Args:
+        text: literals, `dict(...)` of them, and names of torch's classes, which become texts such
+            as "torch.nn.ReLU".
+
+    Raises:
+        ConfigError: it is something else.
+    """
+
+    def convert(node: ast.expr) -> Any:
+        match node:
+            case ast.Constant(value=None | bool() | int() | float() | str() as value):
+                return value
+            case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as value)):
+                return -value
+            case ast.List(elts=parts) | ast.Tuple(elts=parts):
+                return [convert(part) for part in parts]
+            case ast.Dict(keys=keys, values=parts) if None not in keys:
+                named = [convert(key) for key in keys if key is not None]
+                return {str(key): convert(part) for key, part in zip(named, parts, strict=True)}
+            case ast.Call(func=ast.Name(id="dict"), args=[], keywords=parts) if all(
+                part.arg for part in parts
+            ):
+                return {str(part.arg): convert(part.value) for part in parts}
+            case ast.Attribute() | ast.Name():
+                name = re.sub(r"^(th|torch)\.|^(?=nn\.)", "torch.", ast.unparse(node))
+                if re.fullmatch(r"[\w.]+", name):
+                    return name
+        raise ConfigError(
+            f"{show_value(text)}: must be values and dict(...) of them, and classes such as nn.ReLU"
+        )
+
+    try:
+        return convert(ast.parse(text.strip(), mode="eval").body)
+    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+        raise ConfigError(f"{show_value(text)}: {reading.explain_error(error)}") from error
 
 
 def _parse_wrappers(asked: Any) -> dict[str, dict[str, Any]]:
@@ -375,7 +453,7 @@ class RecipeValues(Section):
 
     model_config = ConfigDict(strict=True)
     n_timesteps: Count
-    n_envs: Count
+    n_envs: Count = 1
     policy: str = "MlpPolicy"
     env_kwargs: Annotated[dict[str, Any], BeforeValidator(lambda value: value or {})] = Field({})
     vec_env_wrapper: Wrappers = Field({})

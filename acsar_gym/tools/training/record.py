@@ -6,6 +6,7 @@ import platform
 import shlex
 import subprocess
 import sys
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,23 +23,25 @@ from acsar_gym.tools.policies import ZipPolicy
 from acsar_gym.tools.policies.bundle import Bundle, TrainingSummary
 from acsar_gym.tools.training import checkpoints, recipes
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, TrainingState
+from acsar_gym.tools.training.folder import (
+    CONFIG_FILE,
+    MAX_CONFIG_BYTES,
+    RESULT_FILES,
+    SEVERAL_SEEDS,
+    describe_content,
+)
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 from acsar_gym.vector.env import usable_cores
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-CONFIG_FILE = "config.yml"
 RUN_KEY = "run"
 """Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
 RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, besides those of every result."""
-MAX_CONFIG_BYTES = 1_000_000
-"""Largest accepted config.yml [bytes]."""
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
-RESULT_FILES = ("policy.onnx", "model.zip")
-"""What a training leaves: the policy to drive with, and the model to train on."""
 CHANGEABLE_OPTIONS = (
     "steps",
     "target",
@@ -93,13 +96,12 @@ def begin_record(plan: TrainingPlan) -> dict[str, Any]:
     options = plan.options.model_dump(mode="json")
     options |= {"threads": plan.threads, "steps": plan.recipe.steps, "out": str(plan.out)}
     goes_on = plan.options.resume == plan.out
+    before = read_record(plan.out) if goes_on else {"id": uuid.uuid4().hex, "commands": []}
     content = {
         ids.strip_module(plan.env_id): plan.recipe.as_dict(),
         RUN_KEY: {
-            "commands": [
-                *(read_record(plan.out)["commands"] if goes_on else []),
-                training_command(),
-            ],
+            "id": before["id"],
+            "commands": [*before["commands"], training_command()],
             "options": options,
             "versions": provenance.library_versions(*RECORDED_LIBRARIES),
             "revision": git_revision(),
@@ -150,6 +152,8 @@ def read_record(folder: Path) -> dict[str, Any]:
         ConfigError: the folder has no config.yml of a training.
     """
     path = folder / CONFIG_FILE
+    if describe_content(folder) == SEVERAL_SEEDS:
+        raise ConfigError(f"{folder}: holds {SEVERAL_SEEDS}: name one, such as {folder}/seed-0")
     data = reading.read_file(path, MAX_CONFIG_BYTES)
     try:
         found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])
@@ -205,8 +209,8 @@ def find_start(options: TrainingOptions) -> TrainingStart:
     no more steps.
 
     Raises:
-        ConfigError: the folder has no checkpoint, all its steps are done, or the options are of
-            another training.
+        ConfigError: the folder has no checkpoint, or one of another training, all its steps are
+            done, or the options are of another training.
         PolicyError: the zip can't be read, or isn't trusted.
     """
     folder = options.resume
@@ -214,17 +218,25 @@ def find_start(options: TrainingOptions) -> TrainingStart:
         return TrainingStart(options)
     if not folder.is_dir():
         return TrainingStart(options, ZipPolicy(folder, trust=options.trust))
+    if options.out is not None and options.out.resolve() != folder.resolve():
+        raise ConfigError(f"--out {options.out}: {folder} goes on in its own folder: leave it out")
     recorded = read_record(folder)
     merged = _merge_options(folder, recorded.get("options"), options)
     found = checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER)
     if not found:
-        raise ConfigError(f"{folder}: has no checkpoint yet: train anew, without --resume")
+        raise ConfigError(f"{folder}: has no checkpoint yet: train anew, in another folder")
     *older, newest = found
     try:
         state = checkpoints.read_state(newest)
     except ConfigError as error:
         instead = f": delete it to go on from {older[-1]}" if older else ""
-        raise ConfigError(f"{error}{instead}") from None
+        raise ConfigError(f"{error}{instead}") from error
+    for path in found:
+        if not (run := checkpoints.read_run(path)) or run != recorded.get("id"):
+            raise ConfigError(
+                f"{path}: isn't of the training of {folder / CONFIG_FILE}: move it elsewhere, or "
+                f"begin a new training with it: --resume {path} --trust --out FOLDER"
+            )
     saved = ZipPolicy(newest, trust=options.trust)
     whole = recorded.get("finished") and all((folder / name).exists() for name in RESULT_FILES)
     if whole and merged.steps is not None and state.steps >= merged.steps:
@@ -246,6 +258,6 @@ def _merge_options(folder: Path, recorded: Any, options: TrainingOptions) -> Tra
                 f"--{flag} {value}: {folder} is of a training with "
                 f"{getattr(before, name)}: leave --{flag} away, or train anew"
             )
-    changes |= {"out": folder, "conf_file": folder / CONFIG_FILE}
+    changes |= {"out": folder, "conf_file": folder / CONFIG_FILE, "conf_entry": None}
     changes |= dict.fromkeys(("gamma", "learning_rate", "net"))  # in config.yml already
     return before.model_copy(update=changes)

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from acsar_gym.errors import escape_unprintable
+from acsar_gym.tools.policies import ZipPolicy
 from acsar_gym.tools.policies.describe import describe_policy
 from acsar_gym.tools.training import checkpoints, held_out, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, StopRequest, TrainingState
+from acsar_gym.tools.training.folder import claim_folder
 from acsar_gym.tools.training.plan import (
     TrainingOptions,
     TrainingPlan,
     require_training,
     wait_passively,
 )
-from acsar_gym.vector.env import RobotVectorEnv
 
 if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from acsar_gym.tools.training.callbacks import HeldOutEvaluation
+    from acsar_gym.tools.training.callbacks import CheckpointWriter, HeldOutEvaluation
 
 CURVE_NAME = "learning_curve"
 
@@ -32,6 +33,10 @@ CURVE_NAME = "learning_curve"
 def announce_training(plan: TrainingPlan, worlds: str) -> None:
     """Print what begins, and whether the robot's file says that its motors don't fit the model."""
     print(escape_unprintable(f"{worlds}; {plan}"), flush=True)
+    if plan.update_hint and plan.options.resume is None:
+        print(plan.update_hint, flush=True)
+    if plan.recipe.note:
+        print(escape_unprintable(f"{plan.recipe.file}: {plan.recipe.note}"), flush=True)
     if plan.robot.misfit:
         print(escape_unprintable(f"{plan.options.robot}: {plan.robot.misfit}"), flush=True)
 
@@ -46,8 +51,7 @@ def train(options: TrainingOptions) -> int:
     require_training()
     wait_passively()
     with StopRequest() as stop, contextlib.ExitStack() as batches:
-        start = record.find_start(options)
-        plan, state = TrainingPlan.of(start.options), start.state
+        plan, saved, state = _begin(options, batches)
         env = batches.enter_context(contextlib.closing(plan.make_training_batch()))
         apart = batches.enter_context(contextlib.closing(plan.make_held_out_batch(env)))
         announce_training(plan, held_out.describe_worlds(env, apart))
@@ -55,10 +59,10 @@ def train(options: TrainingOptions) -> int:
         from acsar_gym.tools.training import callbacks, models  # noqa: PLC0415
 
         models.prepare_torch(plan)
-        if start.saved is None:
+        if saved is None:
             model = models.make_model(plan, env)
         else:
-            model = models.load_model(plan, env, start.saved, go_on=state is not None)
+            model = models.load_model(plan, env, saved, go_on=state is not None)
 
         describe = partial(
             describe_policy,
@@ -81,7 +85,15 @@ def train(options: TrainingOptions) -> int:
         )
         with checkpoints.explain_disk_errors(plan.out):
             content = record.begin_record(plan)
-            _learn(plan, state, env, model, scores, stop)
+            keeper = callbacks.CheckpointWriter(
+                plan.out / CHECKPOINTS_FOLDER,
+                content[record.RUN_KEY]["id"],
+                env,
+                scores,
+                plan.options.checkpoint_seconds,
+                state,
+            )
+            _learn(plan, state, keeper, model, scores, stop)
             if stop.number is None:
                 score = scores.finish()
             else:
@@ -121,10 +133,26 @@ def train(options: TrainingOptions) -> int:
         return stop.exit_code
 
 
+def _begin(
+    options: TrainingOptions, claims: contextlib.ExitStack
+) -> tuple[TrainingPlan, ZipPolicy | None, TrainingState | None]:
+    """Find out what to train, in a folder that `claims` keeps other trainings out of."""
+    goes_on = options.resume is not None and options.resume.is_dir()
+    if options.resume is not None and goes_on:  # before its checkpoints are read
+        record.read_record(options.resume)  # before anything is written to it
+        claims.enter_context(claim_folder(options.resume, resume=True))
+    start = record.find_start(options)
+    plan = TrainingPlan.of(start.options)
+    if not goes_on:
+        claim = claim_folder(plan.out, numbered=options.out is None)
+        plan = replace(plan, out=claims.enter_context(claim))
+    return plan, start.saved, start.state
+
+
 def _learn(
     plan: TrainingPlan,
     state: TrainingState | None,
-    env: RobotVectorEnv,
+    keeper: CheckpointWriter,
     model: BaseAlgorithm,
     scores: HeldOutEvaluation,
     stop: StopRequest,
@@ -132,8 +160,6 @@ def _learn(
     """Train, until all steps are done, the target is reached, or a signal arrives."""
     from acsar_gym.tools.training import callbacks  # noqa: PLC0415
 
-    folder, seconds = plan.out / CHECKPOINTS_FOLDER, plan.options.checkpoint_seconds
-    keeper = callbacks.CheckpointWriter(folder, env, scores, seconds, state)
     cohorts = callbacks.WholeCohorts(plan.episode_steps)
     watching: list[BaseCallback] = [keeper, callbacks.EndOnSignal(stop), cohorts, scores]
     if plan.options.progress:

@@ -17,7 +17,6 @@ import signal
 import statistics
 import sys
 import tempfile
-import time
 import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -29,6 +28,7 @@ from rich.table import Table
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.physics.randomization import LEVEL_WIDTHS, randomization_level
@@ -37,19 +37,33 @@ from acsar_gym.tools.evaluation import metrics, report, runs
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.training import checkpoints, held_out, recipes, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER
-from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan, require_training
+from acsar_gym.tools.training.folder import (
+    CONFIG_FILE,
+    CURVE_FILES,
+    LOCK_FILE,
+    SEED_PREFIX,
+    SEEDS_FILE,
+    claim_folder,
+)
+from acsar_gym.tools.training.plan import (
+    TrainingOptions,
+    TrainingPlan,
+    require_training,
+)
 from acsar_gym.tools.training.run import train
+from acsar_gym.worlds.files import format_world
+from acsar_gym.worlds.pool import place_worlds, read_worlds
+from acsar_gym.worlds.search import lidar_height
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
 _SEED_RANGE = re.compile(r"(\d{1,10})(?:-(\d{1,10}))?", re.ASCII)
 _SEEDS = f"must be like 0-4 or 1,5,9: at most {MAX_SEEDS:,} of 0 to 2^32 - 1"
 LOG_FILE = "log.txt"
-TABLE_FILE = "seeds.json"
 MAX_SENT_BYTES = 100_000_000
 """Largest file that is sent to another machine [bytes]."""
-UNSENT_FOLDERS = (CHECKPOINTS_FOLDER, "tensorboard")
-"""Folders of a training that another machine keeps."""
+UNSENT = (CHECKPOINTS_FOLDER, "tensorboard", LOCK_FILE)
+"""What another machine keeps of the folder of a training."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +71,6 @@ class SeedJob:
     """The training of one seed."""
 
     options: TrainingOptions
-    begun: float
-    """When the command began: older checkpoints aren't gone on with [s since 1970]."""
     sent: tuple[tuple[str, str, bytes], ...] | None = field(default=None, repr=False)
     """Options that name files, with their names and contents, for another machine, which sends
     the training's files back; None for this machine."""
@@ -110,8 +122,14 @@ def train_seeds(options: TrainingOptions) -> int:
     seeds = parse_seeds(options.seeds or "")
     if options.resume is not None:
         raise ConfigError("--resume: goes on with one training: leave out --seeds")
-    out = TrainingPlan.of(options.model_copy(update={"threads": 1})).out
-    jobs = [make_job(options, seed, out) for seed in seeds]
+    plan = TrainingPlan.of(options.model_copy(update={"threads": 1}))
+    with claim_folder(plan.out, numbered=options.out is None) as out:
+        _train_jobs(options, [make_job(options, seed, out) for seed in seeds], out)
+    return 0
+
+
+def _train_jobs(options: TrainingOptions, jobs: Sequence[SeedJob], out: Path) -> None:
+    """Train in processes; print and keep each result."""
     results: dict[int, SeedResult] = {}
     running = completed(run_job, jobs, workers=options.workers, address=options.address)
     try:
@@ -127,7 +145,6 @@ def train_seeds(options: TrainingOptions) -> int:
     finally:
         if results:
             _print_results(options, [results[seed] for seed in sorted(results)], out)
-    return 0
 
 
 def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
@@ -139,7 +156,7 @@ def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
     changes = {
         "seed": seed,
         "seeds": None,
-        "out": out / f"seed-{seed}",
+        "out": out / f"{SEED_PREFIX}{seed}",
         "threads": options.threads or 1,
         "progress": False,
         "workers": None,
@@ -147,16 +164,22 @@ def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
     }
     alone = options.model_copy(update=changes)
     if options.address is None:
-        return SeedJob(alone, time.time())
+        return SeedJob(alone)
     sent = []
     for name in ("conf_file", "robot", "worlds"):
         given = getattr(options, name)
         path = Path(given or "")
-        if given is not None and path.is_file():
+        if name == "worlds" and path.is_file():  # the files that it names aren't there
+            source = place_worlds(given, options.start, options.goal, options.models)
+            robot = make_fleet(options.robot, 1).robots[0]
+            for world in read_worlds(source or path, lidar_height(robot)) or ():
+                alone = alone.model_copy(update={"start": None, "goal": None, "models": None})
+                sent.append((name, f"{path.stem}.json", format_world(world, ".json")))
+        elif given is not None and path.is_file():
             sent.append((name, path.name, reading.read_file(path, MAX_SENT_BYTES)))
         elif name == "worlds" and "/" in str(path) and path.is_dir():
             raise ConfigError(f"--worlds {path}: a folder can't be sent to a cluster: give a file")
-    return SeedJob(alone, time.time(), tuple(sent))
+    return SeedJob(alone, tuple(sent))
 
 
 def run_job(job: SeedJob) -> SeedResult:
@@ -174,9 +197,11 @@ def run_job(job: SeedJob) -> SeedResult:
                 changes[option] = place if option == "conf_file" else str(place)
             options = options.model_copy(update=changes)
         out.mkdir(parents=True, exist_ok=True)
-        written = checkpoints.find_checkpoints(out / CHECKPOINTS_FOLDER)
-        if any(path.stat().st_mtime >= job.begun for path in written):
+        if checkpoints.find_checkpoints(out / CHECKPOINTS_FOLDER):
             options = options.model_copy(update={"resume": out, "trust": True})
+        else:  # a process of this job may have died before its first checkpoint
+            for name in (CONFIG_FILE, *CURVE_FILES):
+                (out / name).unlink(missing_ok=True)
         with (out / LOG_FILE).open("a", encoding="utf-8") as log, contextlib.redirect_stdout(log):
             code = train(options)
         if code == 128 + signal.SIGINT:  # ends what runs the jobs, too
@@ -190,7 +215,7 @@ def run_job(job: SeedJob) -> SeedResult:
             with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
                 for path in sorted(out.rglob("*")):
                     inner = path.relative_to(out)
-                    if path.is_file() and inner.parts[0] not in UNSENT_FOLDERS:
+                    if path.is_file() and inner.parts[0] not in UNSENT:
                         archive.write(path, inner)
         return SeedResult(
             options.seed,
@@ -205,7 +230,7 @@ def run_job(job: SeedJob) -> SeedResult:
 def keep_files(trained: SeedResult, out: Path) -> None:
     """Write the files that another machine sent."""
     if trained.files:
-        folder = out / f"seed-{trained.seed}"
+        folder = out / f"{SEED_PREFIX}{trained.seed}"
         folder.mkdir(parents=True, exist_ok=True)
         with zipfile.ZipFile(io.BytesIO(trained.files)) as archive:
             archive.extractall(folder)  # zipfile itself keeps names within the folder
@@ -232,7 +257,7 @@ def _print_results(options: TrainingOptions, results: Sequence[SeedResult], out:
         )
     rows = [asdict(each) for each in results]
     data["seeds"] = [{n: value for n, value in row.items() if n != "files"} for row in rows]
-    report.write_json(out / TABLE_FILE, metrics.replace_nonfinite(data))
+    report.write_json(out / SEEDS_FILE, metrics.replace_nonfinite(data))
 
 
 def run_trial(env: str, level: int, seed: int, steps: int | None = None, count: int = 200) -> float:

@@ -5,21 +5,29 @@ numba caches the loop beside the class's own file, under the name of the class.
 
 from __future__ import annotations
 
+import dis
 import hashlib
+import inspect
+import re
 import sys
 from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
 import numpy as np
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, WITHIN, named_tuple
+from acsar_gym.jit import COMPILED, PACKAGE, WITHIN, NumbaError, named_tuple
 from acsar_gym.jit import loop as compiled
 from acsar_gym.worlds.registry import hash_modules
 
+OWN_FOLDERS = [PACKAGE]
+"""Of files that aren't a user's."""
 if COMPILED:
     import numba
+
+    OWN_FOLDERS.append(Path(numba.__file__).parent)
 
 
 def numbers_of(instance: Any) -> Any:
@@ -43,7 +51,11 @@ def bind_methods(kind: type, template: Any, methods: Mapping[str, str]) -> Calla
         kind: the class.
         template: the loop, in whose globals there are placeholders for the methods.
         methods: names of the methods by placeholder.
+
+    Raises:
+        ConfigError: as `check_calls`.
     """
+    check_calls(kind, methods.values())
     options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
     bound = {name: numba.njit(**options)(getattr(kind, one)) for name, one in methods.items()}
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
@@ -75,16 +87,99 @@ def _cached_as(kind: type, methods: Collection[str]) -> str:
     return f"{kind.__qualname__}.{said.hexdigest()[:16]}"
 
 
-def explain_error(name: str, error: Exception, rules: str = "") -> ConfigError:
+def check_calls(kind: type, methods: Collection[str]) -> None:
+    """Check that compiled methods call no others of their object, which numba can't compile.
+
+    Args:
+        kind: the class.
+        methods: names of its compiled methods.
+
+    Raises:
+        ConfigError: one does; names both, and the line.
+    """
+    for method in methods:
+        function = inspect.unwrap(getattr(kind, method))
+        before: Any = None
+        for instruction in dis.get_instructions(function):
+            called = ""
+            if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME") and instruction.argval == "super":
+                called = "super()"
+            elif instruction.opname in ("LOAD_ATTR", "LOAD_METHOD") and _loads_self(before):
+                is_method = callable(getattr(kind, instruction.argval, None))
+                called = f"self.{instruction.argval}()" if is_method else ""
+            if called:
+                line = instruction.positions.lineno if instruction.positions else None
+                place = (
+                    f"{function.__code__.co_filename}:{line or function.__code__.co_firstlineno}"
+                )
+                raise ConfigError(
+                    f"{kind.__qualname__}: {method}() calls {called}, which numba can't compile: "
+                    "make it a function of the module that acsar_gym.jit.compilable decorates, or "
+                    f"set compiled = False ({place})"
+                )
+            before = instruction
+
+
+def _loads_self(instruction: Any) -> bool:
+    """Whether an instruction has put a method's `self` on the stack, last of all."""
+    if instruction is None or not instruction.opname.startswith("LOAD_FAST"):
+        return False
+    loaded = instruction.argval
+    return bool((loaded[-1] if isinstance(loaded, tuple) else loaded) == "self")
+
+
+def is_compile_error(error: Exception) -> bool:
+    """Whether numba raised an error because it can't compile something."""
+    kinds = (NumbaError, NotImplementedError, TypeError)
+    return isinstance(error, kinds) or type(error).__module__.startswith("numba.")
+
+
+COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+PLACE = re.compile(
+    r'(?:\bat|Raised from) (?P<at>/\S.*?) \((\d+)\)|File "(?P<file>.*?)", line (\d+):'
+)
+"""How numba's messages name a line of a file."""
+GENERAL = ("Failed in ", "During: ", "File ", "Raised from ")
+"""What lines of numba's messages begin with that don't say what is wrong."""
+
+
+def explain_error(
+    name: str, kind: type, methods: Collection[str], error: Exception, rules: str = ""
+) -> ConfigError:
     """Make a ConfigError of one line from numba's error about a class that it can't compile.
 
     Args:
         name: of the task or sensor.
+        kind: its class.
+        methods: names of its compiled methods.
         error: of numba.
         rules: what compiled methods must keep to.
     """
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    said = "; ".join(lines[:3])[:300]
+    text = COLOURS.sub("", str(error))
+    lines = [" ".join(line.split()).partition(" Raised from ")[0] for line in text.splitlines()]
+    reasons = [line for line in lines if line and not line.startswith(GENERAL)]
+    reason = reasons[0][:200].rstrip(".:") if reasons else type(error).__name__
+    place = _find_place(text, kind, methods)
     return ConfigError(
-        f"{name}: numba can't compile it: {said} - {rules}mend it, or set compiled = False"
+        f"{name}: numba can't compile it: {place}{reason} - {rules}mend it, or set compiled = False"
     )
+
+
+def _find_place(text: str, kind: type, methods: Collection[str]) -> str:
+    """The innermost line of a user's that numba's message names, as "method() (file:line): ".
+
+    Lines of the loop itself look as if they were in the class's file.
+    """
+    functions = {one: inspect.unwrap(getattr(kind, one)) for one in methods if hasattr(kind, one)}
+    codes = {name: function.__code__ for name, function in functions.items()}
+    for match in PLACE.finditer(text):
+        path = Path(match["at"] or match["file"])
+        line = int(match[2] or match[4])
+        for method, code in codes.items():
+            last = max(number or 0 for *_, number in code.co_lines())
+            if path.name == Path(code.co_filename).name and code.co_firstlineno <= line <= last:
+                return f"{method}() ({code.co_filename}:{line}): "
+        is_helper = path.is_absolute() and not any(map(path.is_relative_to, OWN_FOLDERS))
+        if is_helper and path.name not in {Path(code.co_filename).name for code in codes.values()}:
+            return f"({path}:{line}): "
+    return ""

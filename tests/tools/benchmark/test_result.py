@@ -116,6 +116,8 @@ def test_scores_of_the_ids() -> None:
     assert score_episode(replace(ended, shortest=0.1), goal) == 0.0
     assert score_episode(replace(ended, success=False), goal) == 0.0
     assert score_episode(replace(ended, shortest=math.nan), goal) == 1.0
+    assert score_episode(ended, replace(goal, name="success")) == 1.0
+    assert score_episode(replace(ended, success=False), replace(goal, name="success")) == 0.0
     follow = replace(goal, name="cross_track")
     assert score_episode(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
     assert score_episode(replace(ended, cross_track=0.3), follow) == 0.0

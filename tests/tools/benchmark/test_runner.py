@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Any
 import gymnasium
 import pytest
 
-from acsar_gym.errors import CancelledError, ConfigError, PolicyError, WorldError
+from acsar_gym.envs.base import RobotEnv
+from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
@@ -33,7 +35,7 @@ BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
 @pytest.fixture(autouse=True)
 def _no_env_is_kept() -> Iterator[None]:
     yield
-    runner.keep_env.cache_clear()
+    runner.close_kept_env()
 
 
 def set_named(name: str) -> SceneSet:
@@ -63,6 +65,34 @@ def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path)
         theirs = [getattr(each, name) for each in results]
         assert [getattr(e, name) for e in part.episodes] == pytest.approx(theirs, rel=1e-5)
     assert all(0.0 < each.score < 1.0 for each in part.episodes)
+
+
+def test_every_env_of_a_benchmark_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[Any] = []
+    closed: list[int] = []  # numbers, as envs close themselves when nothing names them
+    make, close = runs.make_env, RobotEnv.close
+
+    def make_and_note(*given: Any) -> Any:
+        made.append(env := make(*given))
+        return env
+
+    def close_and_note(env: RobotEnv) -> None:
+        closed.append(id(env))
+        close(env)
+
+    monkeypatch.setattr(runs, "make_env", make_and_note)
+    monkeypatch.setattr(RobotEnv, "close", close_and_note)
+    runner.run_plan(make_plan("turn_drive", "smooth"), Store(tmp_path))
+    assert len(made) == 2
+    assert all(id(env.unwrapped) in closed for env in made)
+    closed.clear()
+    policy = runs.load_policy("point_goal", trust=False)
+    with pytest.raises(PolicyError, match="rates") as error:
+        make(policy, "planar", None, {"policy_rate": 20.0})
+    assert len(closed) == 1
+    assert error.traceback  # which holds the env
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -214,6 +244,89 @@ def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
     told = [(each.name, each.training_seed, each.env) for each in found]
     assert told == [("ppo", 0, ID), ("ppo", 1, ID)]
     assert not plan.choose_agents(["ppo"], ["acsar_gym/Barn-v1"], tmp_path, 2)
+
+
+PLANNERS = """
+import math
+
+
+class Planner:
+    def __call__(self, seen):
+        return 0.8 * max(seen[1], 0.0), math.atan2(seen[2], seen[1])
+
+
+def act(seen):
+    return Planner()(seen)
+
+
+class Own(Planner):
+    env_id = "acsar_gym/PointGoal-v0"
+"""
+
+
+def test_planners_of_ones_own_drive_beside_packaged_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    name = f"mine_{tmp_path.name}"
+    Path(f"{name}.py").write_text(PLANNERS)
+    shutil.copy(AGENTS / "policies" / "point_goal.onnx", "mine.onnx")
+    other = "acsar_gym/PathFollow-v0"
+    names = [
+        "packaged",
+        "turn_drive",
+        f"{name}:Planner",
+        f"{name}.py:act",
+        f"{name}:Own",
+        "mine.onnx",
+    ]
+    found = plan.choose_agents(names, [ID, other], None, 1)
+    told = [(each.name, each.kind, each.id) for each in found]
+    assert sorted(told) == sorted(
+        [
+            ("Own", "learned", "PointGoal-v0"),
+            ("Planner", "learned", "PathFollow-v0"),
+            ("Planner", "learned", "PointGoal-v0"),
+            (name, "learned", "PathFollow-v0"),
+            (name, "learned", "PointGoal-v0"),
+            ("mine", "learned", "PointGoal-v0"),
+            ("packaged", "learned", "PathFollow-v0"),
+            ("packaged", "learned", "PointGoal-v0"),
+            ("turn_drive", "baseline", "PathFollow-v0"),
+            ("turn_drive", "baseline", "PointGoal-v0"),
+        ]
+    )
+    some = [each for each in found if each.name in ("Planner", "packaged") and each.env == ID]
+    parts = runner.run_plan(
+        BenchmarkPlan(tuple(some), (SET,), ("planar",), count=2), make_store(tmp_path / "out")
+    )
+    assert [(part.cell.agent, len(part.episodes)) for part in parts] == [
+        ("packaged", 2),
+        ("Planner", 2),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["none.onnx"], "none.onnx"),
+        (["no_such_module:Planner"], "no_such_module"),
+        (["barn.onnx"], "--agents barn.onnx: drives on Barn-v1: name it with --env, too"),
+        (["turn_drive.py:act", "turn_drive"], "2 of them are called 'turn_drive'"),
+        (["turn_drve"], "--agents 'turn_drve'; did you mean 'turn_drive'"),
+    ],
+)
+def test_agents_that_cannot_be_compared_are_one_line(
+    names: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(AGENTS / "policies" / "barn.onnx", "barn.onnx")
+    Path("turn_drive.py").write_text(PLANNERS)
+    with pytest.raises(AcsarError) as error:
+        plan.choose_agents(names, [ID], None, 1)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
 
 
 def test_an_env_of_another_kind_has_no_scenes() -> None:

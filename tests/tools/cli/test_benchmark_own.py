@@ -71,19 +71,19 @@ def write_task(module: str, worlds: str = "", options: str = "") -> str:
 @pytest.mark.parametrize(
     ("worlds", "options", "told"),
     [
-        ("", "", {"test": ("acsar", "", 2**33, "completion_time")}),
-        ('worlds = "rooms:train"', "", {"test": ("acsar", "rooms", 100_000, "completion_time")}),
+        ("", "", {"test": ("acsar", "", 2**33, "success")}),
+        ('worlds = "rooms:train"', "", {"test": ("acsar", "rooms", 100_000, "success")}),
         (
             "",
             ", worlds='clutter:50'",
-            {"test": ("acsar", "clutter", 100_000, "completion_time")},
+            {"test": ("acsar", "clutter", 100_000, "success")},
         ),
         (
             "",
             ", scenes={'a': {'robots': ['jackal'], 'score': 'stars'}, 'b': {'worlds': 'rooms'}}",
             {
                 "a": ("jackal", "", 2**33, "stars"),
-                "b": ("acsar", "rooms", 100_000, "completion_time"),
+                "b": ("acsar", "rooms", 100_000, "success"),
             },
         ),
     ],
@@ -96,6 +96,25 @@ def test_the_scenes_of_a_task(
         some.name: (some.robot, some.source, some.numbers[0], some.score) for some in found
     } == told
     assert all(some.id == f"{module}/Park-v0" for some in found)
+
+
+def test_the_score_is_completion_time_where_the_shortest_path_is_known(
+    module: str, call: Call, tmp_path: Path
+) -> None:
+    env_id = write_task(module, "", ", scenes={'a': {'score': 'completion_time'}}")
+    small = ("--links", "planar", "--scenes", "1", "--policy", f"{module}:Planner")
+    code, _, error = call("benchmark", "--env", env_id, *small, "--out", tmp_path / "run")
+    assert code == 2
+    assert "score 'completion_time': the task has no method shortest_path()" in error
+    path = "def shortest_path(self, state, memory):\n        return [state.goal]\n\n    def reward"
+    text = Path(f"{module}.py").read_text().replace("def reward", path)
+    other = f"other_{module}"
+    Path(f"{other}.py").write_text(
+        text.replace(", scenes={'a': {'score': 'completion_time'}}", "").replace(module, other)
+    )
+    (some,) = find_sets(f"{other}:{other}/Park-v0")
+    assert some.score == "completion_time"
+    SCENE_CHOICES.pop(f"{other}/Park-v0")
 
 
 @pytest.mark.parametrize("scenes", [{"fast": {"robot": "jackal"}}, {"fast": "jackal"}])

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from cli_tools import Call, assert_one_line
 from recording_tools import drive
+from urdf_tools import link, robot, tyre, wheel
 from zip_tools import save
 
 from acsar_gym import RobotConfig
@@ -144,6 +145,13 @@ ERRORS = [
     (f"identify {MISSING} --yes --duration 1", 2, "duration = 1.0"),
     (f"identify {MISSING} --yes --twin acsar", 2, "--twin "),
     ("identify planar --out no/robot.yaml", 2, "no/robot.yaml: "),
+    ("identify planar --out list.yaml", 2, "list.yaml: is there, and isn't a robot's file"),
+    ("calibrate planar straight --out list.yaml", 2, "or replace it with --force"),
+    (f"doctor {MISSING} --spin --yes --out list.yaml", 2, "list.yaml: is there, and isn't"),
+    ("run 1 0 --link planar --robot ekf.yaml", 2, "ekf.yaml: is a ROS parameter file (ekf)"),
+    ("run 1 0 --link planar --robot two.urdf", 2, "two.urdf: is a robot with two driven wheels"),
+    ("run 1 0 --link planar --robot acsar,gone.yaml", 2, "gone.yaml: there is no such file"),
+    ("run 1 0 --link planar --robot acsar,jackal", 2, "give one robot here"),
     (f"identify {MISSING} --yes --out x.txt", 2, "path = 'x.txt'"),
     (f"identify one.mcap {MISSING}", 2, f"{MISSING}: "),
     ("identify planer", 2, "did you mean 'planar'"),
@@ -192,6 +200,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "empty.onnx").write_bytes(b"")
     (folder / "odd.onnx").write_bytes(bytes(range(256)) * 8)
     (folder / "rob").symlink_to(MISSING)
+    (folder / "list.yaml").write_text("buy: milk\n")
+    (folder / "ekf.yaml").write_text("ekf: {ros__parameters: {frequency: 30.0}}\n")
+    left, right = (wheel(f"w{y}", "base_link", f"0 {y} 0", tyre(0.03)) for y in (-0.1, 0.1))
+    (folder / "two.urdf").write_text(robot(link("base_link"), left, right))
     (folder / "empty").mkdir()
     write_runs(folder / "none.json", [], RobotConfig.preset("acsar"))
     save(folder / "model.zip")

@@ -131,10 +131,14 @@ def test_in_simulation_truth_measures_and_the_result_is_a_robot_file(
     call: Call, twin: Path, tmp_path: Path
 ) -> None:
     out, result = tmp_path / "my.yaml", tmp_path / "r.json"
+    out.write_text("# Mine, with new tyres.\nwheel_radius: 0.05   # the maker's\n")
     code, said, _ = call(
         "calibrate", "planar", "all", *QUICK, "--twin", twin, "--out", out, "--json", result
     )
     assert code == 0
+    first, second = out.read_text().splitlines()[:2]
+    assert first == "# Mine, with new tyres."
+    assert second.endswith("   # the maker's")
     assert "wheel_separation_multiplier" in said
     found = RobotConfig.load(out)
     assert found.wheel_radius == pytest.approx(0.051, rel=2e-3)

@@ -92,7 +92,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         ("mine_of_tests.wrong:mine/Ahead-v0", "can't be imported: SystemExit: two lines"),
         ("mine_of_tests.tasks:mine/Astern-v0", "importing mine_of_tests.tasks doesn't register it"),
         ("..relative:mine/Ahead-v0", "can't be imported"),
-        ("mine/Ahead-v0", "env mine/Ahead-v0: "),
+        ("mine/Ahead-v0", "name the module that registers it, too, as in mine_package:mine/Ahead"),
     ],
 )
 @pytest.mark.parametrize("command", ["train", "evaluate --link planar", "run 1 0 --link planar"])

@@ -288,6 +288,101 @@ def test_early_delays_are_left_out_and_late_ones_count(
     assert check.status == status
 
 
+@pytest.mark.parametrize("quirk", ["echo", "echo=0.3", "echo-newest"])
+@pytest.mark.parametrize(
+    ("fault", "wheel", "said"),
+    [
+        ((), "", ""),
+        (("dead-wheel=c",), "rear_left", "dead: no encoder answers to motor c"),
+        (("runaway=b",), "front_left", "measured/commanded -5."),
+        (("reversed-encoder=d", "feedback-rate=50"), "rear_right", "its encoder is reversed"),
+        (("swapped-encoders",), "front_right", "its encoder is swapped with that of front_left"),
+    ],
+    ids=["sound", "dead", "runaway", "reversed", "swapped"],
+)
+def test_an_echo_is_named_and_hides_nothing(
+    quirk: str, fault: tuple[str, ...], wheel: str, said: str
+) -> None:
+    commission = Commission()
+    checks = commissioned(board(quirk, *fault), commission)
+    assert (checks["echo"].status, "this board echoes" in checks["echo"].found) == ("warn", True)
+    assert said in (checks[wheel].found if wheel else "")
+    rate = 50.0 if "feedback-rate=50" in fault else 100.0
+    assert checks["feedback rate"].found.startswith(f"{rate} lines/s")
+    assert checks["line format"].found.endswith("'ap00.00,bp00.00,cp00.00,dp00.00,'")
+    if fault != ("runaway=b",):
+        assert commission.changes.pop("echo") is True
+        assert commission.changes.get("firmware", {}) == (
+            {} if rate == 100.0 else {"feedback_rate": 50.0}
+        )
+
+
+@pytest.mark.parametrize(
+    ("quirks", "name", "said"),
+    [
+        (("set-points",), "measured speeds", "feedback is what was commanded"),
+        (
+            ("set-points", "dead-wheel=a"),
+            "measured speeds",
+            "feedback is what was commanded",
+        ),
+        (("upper-case-commands",), "command letters", "upper-case letters only"),
+        (("stale",), "stale feedback", "the board repeats old lines"),
+        (("stale=2", "feedback-rate=50"), "stale feedback", "the board repeats old lines"),
+    ],
+    ids=" ".join,
+)
+def test_a_board_whose_feedback_tells_nothing_gets_no_file(
+    quirks: tuple[str, ...], name: str, said: str
+) -> None:
+    commission = Commission()
+    check = commissioned(board(*quirks), commission)[name]
+    assert (check.status, said in check.found) == ("fail", True)
+    assert not commission.finished
+
+
+def test_set_points_beside_an_echo_are_no_feedback() -> None:
+    commission = Commission()
+    with pytest.raises(BoardSilentError, match="this board's echo of the commands, or what equals"):
+        commissioned(board("set-points", "echo", "dead-wheel=a"), commission)
+    assert not commission.finished
+
+
+@pytest.mark.parametrize("robot", [{}, SLOW_BOARD], ids=["usual", "slow"])
+@pytest.mark.parametrize("quirk", ["stale=2.3", "stale=3.1", "stale=4"])
+def test_old_lines_make_no_wrong_time_out(quirk: str, robot: dict[str, Any]) -> None:
+    commission = Commission()
+    commissioned(board(quirk, robot=RobotConfig(**robot)), commission)
+    found = commission.changes.get("firmware", {}).get("command_timeout", 0.5)
+    assert not commission.finished or found == pytest.approx(0.5, abs=0.06)
+
+
+class Busy(QuirkyLink):
+    """A board that sends 100 lines per second, and half of them while it gets many commands."""
+
+    before = -1.0
+    lines = 0
+
+    def advance(self, period: float) -> bytes:
+        said = super().advance(period)
+        self.lines += bool(said)
+        return b"" if self.now() < self.before + 0.03 and self.lines % 2 else said
+
+    def take_line(self, line: bytes) -> bytes:
+        self.before, self.newest = getattr(self, "newest", -1.0), self.now()
+        self.before = self.before if self.newest - self.before < 0.03 else -1.0
+        return super().take_line(line)
+
+
+def test_the_feedback_rate_is_one_number() -> None:
+    """That of a drive, in which commands come at the control rate, in the row and in the file."""
+    commission = Commission()
+    checks = commissioned(Busy(board().link, RobotConfig(), {"at-comma": ""}), commission)
+    row = float(checks["feedback rate"].found.split()[0])
+    assert row == pytest.approx(50.0, rel=0.1)
+    assert commission.changes["firmware"]["feedback_rate"] == row
+
+
 def driven(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:
     """True poses of a robot behind a quirky board: after driving straight, and after a turn."""
     with Robot(board(*names), config) as robot:

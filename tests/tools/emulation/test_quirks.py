@@ -107,6 +107,33 @@ def test_numbers_and_rates_of_its_own() -> None:
     assert drive(board("feedback-rate=50")).count(b"\n") in (49, 50)
 
 
+def test_boards_that_send_commands_back() -> None:
+    sent = encode(SPEEDS, trailing_comma=False)
+    heard = drive(board("echo", "feedback-rate=50")).splitlines(keepends=True)
+    assert 195 <= heard.count(sent) <= 200
+    late = board("echo=0.1")
+    late.write(sent)
+    assert sent not in drive(late, 0.09, says=False)
+    assert sent in drive(late, 0.02, says=False)
+    *_, before, last = drive(board("echo-newest", "feedback-rate=50")).splitlines(keepends=True)
+    assert before == sent != last
+    assert newest(drive(board("set-points", "dead-wheel=a"), 0.05)) == SPEEDS
+
+
+def test_boards_with_other_letters_and_old_lines() -> None:
+    assert b"AP04.0" in drive(board("upper-case"))
+    assert b",b+01.0" in drive(board("signs"))
+    deaf = board("upper-case-commands")
+    drive(deaf)
+    assert turning(deaf) == (0.0,) * 4
+    deaf.write(encode(SPEEDS).upper())
+    drive(deaf, 0.3, says=False)
+    assert turning(deaf) == pytest.approx(SPEEDS, abs=0.3)
+    stale = board("stale=1")
+    drive(stale, 0.9)
+    assert len(set(drive(stale, 0.4).splitlines()[12:38])) == 1
+
+
 @pytest.mark.parametrize(
     ("quirk", "comma", "silence", "speeds"),
     [

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym import RobotConfig
+from acsar_gym import Outcome, RobotConfig, RobotEnv, State, Task
 from acsar_gym.config.footprint import make_rectangle
+from acsar_gym.errors import TaskError
 from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
+from acsar_gym.tasks import Observation, ObstacleGoal, PathFollow, PointGoal
+from acsar_gym.tasks.base import says_shortest_path
 from acsar_gym.tools.evaluation.episodes import (
     EpisodeResult,
     footprint_clearance,
@@ -165,6 +169,104 @@ def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     assert 1.4 < episode.left < 1.9
     assert 0.15 < episode.soft_spl < 0.4
     assert episode.clearance == 0.0
+
+
+class Patrol(Task):
+    """Touch two posts, then come back: the goal of the env means nothing."""
+
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {"x": (-5.0, 5.0)}
+    memory: ClassVar[Mapping[str, float]] = {"done": 0.0}
+    posts = ((1.0, 0.0), (0.2, 0.0))
+
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        post = self.posts[min(int(memory.done), 1)]
+        memory.done += math.dist(post, state.pose[:2]) < 0.1
+        return Outcome.SUCCESS if memory.done == 2.0 else Outcome.GOING
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return 0.0
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return (state.pose[0] - 5.0 * (memory.done > 0.0),)
+
+
+class SaidPatrol(Patrol):
+    way: ClassVar[Any] = ...
+
+    def shortest_path(self, state: State, memory: Any) -> Any:
+        return self.posts[int(memory.done) :] if self.way is ... else self.way
+
+
+def back_and_forth(observation: Observation) -> Observation:
+    return np.array([1.0 if observation[0] > -1.5 else -1.0, 0.0], np.float32)
+
+
+def patrol(task: Task) -> EpisodeResult:
+    env = gymnasium.wrappers.TimeLimit(RobotEnv(task, link="planar"), 100)
+    (episode,) = run_episodes(env, back_and_forth, 1, seed=0)
+    env.close()
+    assert episode.success
+    return episode
+
+
+def test_of_a_task_that_does_not_say_its_shortest_path_it_is_not_known() -> None:
+    episode = patrol(Patrol())
+    for figure in (episode.shortest, episode.left, episode.spl, episode.soft_spl):
+        assert math.isnan(figure)
+    standing = result(shortest=math.nan, left=math.nan, driven=0.0)
+    assert math.isnan(standing.spl)
+    summary = summarise_episodes([episode])
+    assert SUMMARY_COLUMNS["SPL"](summary) == ""  # the column is left out, or has a "-"
+
+
+def test_a_task_says_its_shortest_path() -> None:
+    episode = patrol(SaidPatrol())
+    assert episode.shortest == pytest.approx(1.8)
+    assert episode.left == pytest.approx(0.0)
+    assert 0.8 < episode.spl <= 1.0
+    assert episode.soft_spl == pytest.approx(episode.spl)
+
+
+@pytest.mark.parametrize(
+    ("way", "length"),
+    [(1.8, 1.8), (0, 0.0), ((), 0.0), ([], 0.0), (None, math.nan), (np.array([[0.0, 2.0]]), 2.0)],
+)
+def test_a_way_is_places_or_a_length(way: Any, length: float) -> None:
+    kind = type("Other", (SaidPatrol,), {"way": way})
+    assert patrol(kind()).shortest == pytest.approx(length, nan_ok=True)
+
+
+@pytest.mark.parametrize("way", [-1.0, math.nan, "far", (1.0, 2.0), [(1.0, 2.0, 3.0)], {"a": 1}])
+def test_another_way_is_one_line(way: Any) -> None:
+    kind = type("Other", (SaidPatrol,), {"way": way})
+    with pytest.raises(TaskError, match="shortest_path returned") as error:
+        patrol(kind())
+    assert "\n" not in str(error.value)
+
+
+def test_a_subclass_with_an_end_of_its_own_says_its_path_anew() -> None:
+    class Elsewhere(PointGoal):
+        def outcome(self, state: State, memory: Any) -> Outcome:
+            return Outcome.GOING
+
+    class Named(PointGoal):
+        end = 3.0
+
+    assert says_shortest_path(Named())
+    assert says_shortest_path(SaidPatrol())
+    assert not any(map(says_shortest_path, (Elsewhere(), Patrol(), PathFollow())))
+
+
+def test_a_way_leads_around_obstacles() -> None:
+    class Twice(ObstacleGoal):
+        def shortest_path(self, state: State, memory: Any) -> Any:
+            return [state.goal, (0.0, 0.0)]
+
+    env = RobotEnv(Twice(), link="planar", worlds=ahead((1.0, 0.0, 0.2)))
+    wrapped = gymnasium.wrappers.TimeLimit(env, 2)
+    (episode,) = run_episodes(wrapped, lambda _: FORWARD, 1, seed=0)
+    env.close()
+    assert episode.shortest == pytest.approx(2.0 * drive(ahead((1.0, 0.0, 0.2))).shortest, rel=0.01)
 
 
 def test_paths_are_judged_by_the_distance_beside_them() -> None:

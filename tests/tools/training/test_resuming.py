@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -19,8 +20,9 @@ from disk_tools import full_disk
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.training import checkpoints, seeds
+from acsar_gym.tools.training import checkpoints, record, seeds
 from acsar_gym.tools.training.checkpoints import TrainingState
+from acsar_gym.tools.training.plan import TrainingPlan
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -147,12 +149,21 @@ def test_more_steps_go_on_in_the_same_folder(
 
 
 @pytest.mark.slow
-def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Path) -> None:
+def test_a_policy_for_which_there_was_no_room_is_written_by_resume(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The policy is a device that is always full; all steps are done."""
     policy = tmp_path / "policy.onnx"
-    policy.symlink_to("/dev/full")
-    with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
-        seeds.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
+    begin = record.begin_record
+
+    def begin_and_link(plan: TrainingPlan) -> dict[str, Any]:
+        policy.symlink_to("/dev/full")
+        return begin(plan)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(record, "begin_record", begin_and_link)
+        with pytest.raises(AcsarError, match=f"go on with --resume {tmp_path} --trust"):
+            seeds.main([*TINY, "--steps", "256", "--out", str(tmp_path)])
     before = curve(tmp_path)
     policy.unlink()
     assert seeds.main(["--resume", str(tmp_path), "--trust"]) == 0
@@ -167,7 +178,7 @@ def test_a_policy_for_which_there_was_no_room_is_written_by_resume(tmp_path: Pat
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
+def test_a_full_disk_leaves_the_last_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write, folder = checkpoints.write_checkpoint, tmp_path / "checkpoints"
@@ -177,7 +188,6 @@ def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
             return write(to, save, state)
 
     monkeypatch.setattr(checkpoints, "write_checkpoint", write_until_full)
-    (tmp_path / "policy.onnx").write_bytes(b"before")
     with pytest.raises(AcsarError) as error:
         seeds.main([*TINY, "--steps", "768", "--out", str(tmp_path)])
     said = str(error.value)
@@ -187,7 +197,6 @@ def test_a_full_disk_leaves_the_last_checkpoint_and_policy(
     assert f"{folder / 'rl_model_256_steps.zip'} is whole" in said
     assert "\n" not in said
     assert [path.name for path in folder.iterdir()] == ["rl_model_256_steps.zip"]
-    assert (tmp_path / "policy.onnx").read_bytes() == b"before"
     assert checkpoints.read_state(folder / "rl_model_256_steps.zip").steps == 256
 
 
@@ -199,7 +208,9 @@ def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
             archive.writestr("data", "{}")
 
     for steps in (8, 16, 100):
-        checkpoints.write_checkpoint(tmp_path, save, TrainingState(steps, 1.5, [], {"a": [1]}, {}))
+        checkpoints.write_checkpoint(
+            tmp_path, save, TrainingState("a", steps, 1.5, [], {"a": [1]}, {})
+        )
     assert [
         checkpoints.read_state(path).steps for path in checkpoints.find_checkpoints(tmp_path)
     ] == [16, 100]

@@ -10,7 +10,7 @@ import tyro
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import File, check_writable
+from acsar_gym.tools.cli.options import File, Force, check_writable
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
@@ -30,7 +30,8 @@ class BenchmarkChoice:
     robots: Names = ()
     """Robots that drive instead of those of the sets: presets or config files."""
     agents: Names = ()
-    """Agents: packaged, baselines such as dwa, names in --trained; default: all."""
+    """Agents: packaged, baselines such as dwa, names in --trained, and policies of your own:
+    mine.onnx, mine.py:act, mine.planner:Planner; default: all but your own."""
     trained: Folder = None
     """Trained policies, NAME/SEED/policy.onnx."""
     seeds: int = 5
@@ -67,6 +68,7 @@ class BenchmarkOutputs:
     """Also write the JSON to this file."""
     html: File = None
     """Also write an HTML report."""
+    force: Force = False
 
 
 @command("benchmark", "policies")
@@ -97,7 +99,8 @@ def run_benchmark(
     if check is not None:
         print(result.check_row(check))
         return 0
-    check_writable(how.table, how.json, how.html)
+    check_writable(how.json, how.html, force=how.force)
+    check_writable(how.table, force=how.force, mark=result.TABLE_MARK)
     if policy and (what.agents or what.trained or combine):
         raise ConfigError(
             "--policy: benchmarks one policy; leave out --agents, --trained, --combine"

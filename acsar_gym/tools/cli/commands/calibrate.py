@@ -14,10 +14,12 @@ from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    Force,
     HostOptions,
     LidarArg,
     RecordOptions,
     RobotArg,
+    WorldFileOptions,
     Worlds,
     check_not_given,
     check_writable,
@@ -40,7 +42,7 @@ Manoeuvre = Annotated[
 
 
 @dataclass(frozen=True)
-class CalibrationSetup(RecordOptions):
+class CalibrationSetup(RecordOptions, WorldFileOptions):
     """The robot, who measures, and recording."""
 
     robot: RobotArg = None
@@ -67,10 +69,11 @@ class CalibrationOutputs:
     with this file as DEVICE. With --yes nobody waits for a reading between runs: drive one run at
     a time (--repeats 1), measure, then drive the next."""
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot; only where runs have
-    readings."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found. Only where runs have readings."""
     json: File = None
     """Also write the result and all runs to this file."""
+    force: Force = False
 
 
 @command("calibrate", "robots", drives=True)
@@ -98,14 +101,15 @@ def calibrate_robot(
         what: manoeuvres.
         run: driving.
         wire: robot and measuring.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
 
-    check_writable(output.json, output.runs, robot=output.out)
+    check_writable(output.json, robot=output.out, force=output.force)
+    check_writable(output.runs, force=True)  # runs are added to it
     of_file, of_recording = device.endswith(".json"), device.endswith(".mcap")
     kept_in = Path(device) if of_file else output.runs
     if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
@@ -127,9 +131,10 @@ def calibrate_robot(
         job.add(calibration_runs.read_recorded_runs(Path(device), manoeuvre, config))
     elif not of_file:
         twin = config if wire.twin is None else RobotConfig.of(wire.twin)
-        host.prepare()
+        host.prepare(device)
         recorder = wire.recorder("calibrate", link=device)
-        robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, wire.world, recorder)
+        world = wire.place(wire.world)
+        robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, world, recorder)
         for option, value in (("--twin", wire.twin), ("--world", wire.world)):
             if value is not None and not robot.simulated:
                 raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")
@@ -167,7 +172,7 @@ def _finish_calibration(
     )
     print_results(*tables, json=output.json, data=data)
     if output.out is not None:
-        calibration_fit.make_calibrated_config(fit, config).save(output.out)
+        calibration_fit.make_calibrated_config(fit, config).save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -15,6 +14,7 @@ from acsar_gym.tools.cli.options import (
     File,
     HostOptions,
     RecordOptions,
+    ResultOptions,
     RobotArg,
     ask_user,
     check_writable,
@@ -40,7 +40,7 @@ class SpinOptions(RecordOptions):
     one that turned backward, none if none did. It counts where the robot's file says otherwise:
     --out writes it."""
     out: File = None
-    """Write a robot file with what was found to differ."""
+    """Write what was found to differ into this robot's file; if it exists, its comments stay."""
 
 
 @dataclass(frozen=True)
@@ -58,21 +58,21 @@ def examine_robot(
     timing: TimingOptions,
     spinning: SpinOptions,
     host: HostOptions,
+    output: ResultOptions,
     device: Device = None,
     robot: RobotArg = None,
     baud_rate: int | None = None,
-    json: File = None,
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
 
     Args:
         timing: timing of the control loop.
         spinning: turning of the wheels, and recording.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
+        output: results in a file.
         device: serial device to examine; without it, ports are only listed.
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
-        json: also write the findings to this file.
     """
     from acsar_gym.tools.doctor import wire  # noqa: PLC0415
 
@@ -80,19 +80,19 @@ def examine_robot(
     if baud_rate is not None:
         config = wire.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
-    check_writable(json)
-    host.prepare()
+    output.check()
+    host.prepare(device if spinning.spin else None)
     if timing.timing:
         from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
 
         timed = timings.examine_timing(device, config, timing.duration)
-        print_results(*timed.tables(), json=json, data=timed.as_dict())
+        print_results(*timed.tables(), json=output.json, data=timed.as_dict())
         return 0
-    return _run_checks(device, config, json, spinning)
+    return _run_checks(device, config, output, spinning)
 
 
 def _run_checks(
-    device: str | None, config: RobotConfig, json: Path | None, spinning: SpinOptions
+    device: str | None, config: RobotConfig, output: ResultOptions, spinning: SpinOptions
 ) -> int:
     """Run the checks of the serial port; returns the exit code."""
     from acsar_gym.tools.doctor import checks, commission, wire  # noqa: PLC0415
@@ -101,7 +101,7 @@ def _run_checks(
     if spinning.spin:
         if device is None:
             raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
-        check_writable(robot=spinning.out)
+        check_writable(robot=spinning.out, force=output.force)
         eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
         what = f"the wheels of the robot on {device} will turn: lift it"
         countdown(what, yes=spinning.yes)
@@ -118,12 +118,12 @@ def _run_checks(
             stop = error
     if turning is not None and spinning.out is not None:
         if turning.finished:
-            found.append(turning.save(config, spinning.out))
+            found.append(turning.save(config, spinning.out, force=output.force))
         else:
             said = f"{spinning.out} isn't written: not all was found"
             fix = "mend what failed, and start again"
             found.append(checks.Check("robot file", "skip", said, fix))
-    print_results(checks.draw_checks(found), json=json, data=checks.checks_as_json(found))
+    print_results(checks.draw_checks(found), json=output.json, data=checks.checks_as_json(found))
     if stop is not None:
         raise stop
     return 1 if any(check.status == "fail" for check in found) else 0

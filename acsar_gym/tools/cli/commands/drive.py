@@ -57,7 +57,7 @@ def drive_robot(
 
     Args:
         driver: who drives.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         recording: recording of what the robot does.
         link: bullet, planar, mujoco, or a serial device.
         robot: preset or config file.
@@ -70,11 +70,11 @@ def drive_robot(
     from acsar_gym.tools import teleop  # noqa: PLC0415
 
     driver.check()
+    host.prepare(link)
     config = RobotConfig.of(robot)
     opened = open_link(link, config, window=window, realtime=True)
     sensors = sensor_factories(["lidar"], lidar) if lidar else ()
     driven = Robot(opened, config, sensors, recorder=recording.recorder("drive", link=link))
-    host.prepare()
     if driver.gamepad is not None:
         teleop.drive_gamepad(driven, *driver.gamepad)
     elif driver.linear is None and driver.angular is None:

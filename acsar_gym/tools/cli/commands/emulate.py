@@ -12,9 +12,12 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
+    Force,
     RobotArg,
     Seconds,
+    WorldFileOptions,
     Worlds,
+    check_writable,
 )
 
 
@@ -31,16 +34,34 @@ class BoardOptions:
     feedback-rate=HZ, backward-gain=NUMBER, overshoot=SHARE, reversal-hold=SECONDS."""
 
 
+@dataclass(frozen=True)
+class EmulatedWorld(WorldFileOptions):
+    """The world around the robot."""
+
+    world: Worlds = None
+    """World with the robot at its start: a file, or a generated world like clutter:7-7."""
+
+
+@dataclass(frozen=True)
+class EmulatorFiles:
+    """Files of an emulator."""
+
+    log: File = None
+    """Write commands and true poses to this file, one JSON line each."""
+    name: File = None
+    """Symbolic link that always points to the current device."""
+    force: Force = False
+
+
 @command("emulate", "robots")
 def emulate_board(
     board: BoardOptions,
+    place: EmulatedWorld,
+    files: EmulatorFiles,
     robot: RobotArg = None,
     body: str = "planar",
-    log: File = None,
     duration: Seconds = None,
-    world: Worlds = None,
     lidar: bool = False,
-    name: File = None,
 ) -> int:
     """Run an emulated board on a pseudo-terminal and print its device path.
 
@@ -48,29 +69,31 @@ def emulate_board(
 
     Args:
         board: how the board behaves.
+        place: the world around the robot.
+        files: log and link.
         robot: preset or config file of the emulated robot.
         body: physics, planar, bullet or mujoco.
-        log: write commands and true poses to this file, one JSON line each.
         duration: seconds to run; default: until Ctrl-C.
-        world: world with the robot at its start: a file, or a generated world like clutter:7-7.
         lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
-        name: symbolic link that always points to the current device.
     """
-    from acsar_gym.tools.emulation.board import Emulator  # noqa: PLC0415
+    from acsar_gym.tools.emulation.board import LOG_MARK, Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
-    from acsar_gym.worlds.search import footprint_radius  # noqa: PLC0415
+    from acsar_gym.worlds.search import footprint_radius, lidar_height  # noqa: PLC0415
 
-    config, place = RobotConfig.of(robot), None
-    if world is not None:
-        place = next(iter(Pool.of(world, None, footprint_radius(config), 1) or ()), None)
+    check_writable(files.log, force=files.force, mark=LOG_MARK)
+    config, world = RobotConfig.of(robot), None
+    source = place.place(place.world)
+    if source is not None:
+        radius, height = footprint_radius(config), lidar_height(config)
+        world = next(iter(Pool.of(source, None, radius, 1, height) or ()), None)
     with Emulator(
         config,
         body=body,
-        log=log,
+        log=files.log,
         silent=board.silent,
-        world=place,
+        world=world,
         sees=lidar,
-        name=name,
+        name=files.name,
         quirks=board.quirk,
     ) as emulator:
         # A list, because an exception that is raised in a signal handler can be lost.

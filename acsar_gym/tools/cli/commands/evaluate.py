@@ -11,16 +11,17 @@ import tyro
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LateTicksError, LinkError
+from acsar_gym.reading import check_replaceable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
-    File,
     HostOptions,
     LidarArg,
     RecordOptions,
+    ResultOptions,
     RobotArg,
+    WorldFileOptions,
     Worlds,
-    check_writable,
     countdown,
     print_results,
     say,
@@ -59,7 +60,7 @@ class RobotOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class WorldOptions:
+class WorldOptions(WorldFileOptions):
     """The worlds of an evaluation."""
 
     worlds: Worlds = None
@@ -90,12 +91,13 @@ class VideoOptions:
     video_episodes: int = 10
     """Most episodes of --video, the worst first; 0: all."""
 
-    def prepare(self) -> None:
-        """Check before the episodes that --video can be written."""
+    def prepare(self, *, force: bool) -> None:
+        """Check before the episodes that --video can be written, and replaces no other file."""
         from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
 
         if self.video is not None:
             pictures.check_video_output(self.video)
+            check_replaceable(self.video, mark="", force=force)
 
     def write(self, results: Sequence[EpisodeResult]) -> None:
         """Write the worst of these episodes, and say where."""
@@ -126,7 +128,7 @@ def evaluate_policy(
     scale: ScaleOptions,
     episodes: EpisodeOptions,
     video: VideoOptions,
-    json: File = None,
+    output: ResultOptions,
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
 
@@ -134,17 +136,17 @@ def evaluate_policy(
         policy: the policy.
         robot: link, robot, LiDAR, and recording.
         worlds: worlds of the evaluation.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         scale: parallel processes, and other machines.
         episodes: the episodes.
         video: videos of the worst episodes.
-        json: also write the metrics and every episode to this file.
+        output: results in a file.
     """
     from acsar_gym.tools.evaluation import runs, shards  # noqa: PLC0415
 
-    check_writable(json)
-    video.prepare()
-    host.prepare()
+    output.check()
+    video.prepare(force=output.force)
+    host.prepare(robot.link)
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
     done = shards.evaluate_in_parallel(
@@ -155,7 +157,7 @@ def evaluate_policy(
         how={"in_order": worlds.in_order, "late_share": robot.late_share},
         workers=scale.workers,
         address=scale.address,
-        worlds=worlds.worlds,
+        worlds=worlds.place(worlds.worlds),
         difficulty=worlds.difficulty,
         lidar=robot.lidar,
         tracked=video.video is not None,
@@ -163,7 +165,7 @@ def evaluate_policy(
     )
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     try:
-        return _report_run(title, robot.link, done, json)
+        return _report_run(title, robot.link, done, output.json)
     finally:
         video.write(done.results)
 
@@ -174,7 +176,7 @@ def run_policy(
     policy: PolicyOptions,
     robot: RobotOptions,
     host: HostOptions,
-    json: File = None,
+    output: ResultOptions,
     yes: bool = False,
     goal_distance: Annotated[
         tuple[float, float] | None, tyro.conf.arg(metavar="NEAREST FARTHEST")
@@ -186,16 +188,16 @@ def run_policy(
         goal: x and y in the odometry frame [m]: x forward, y to the left.
         policy: the policy.
         robot: link, robot, LiDAR, and recording.
-        host: process priority and cores.
-        json: also write the metrics to this file.
+        host: process priority and cores; whether the emergency stop may be missing.
+        output: results in a file.
         yes: drive a real robot without a countdown.
         goal_distance: how near and how far goals may be [m]; default: as in training.
     """
     from acsar_gym.links.factory import is_device  # noqa: PLC0415
     from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
 
-    check_writable(json)
-    host.prepare()
+    output.check()
+    host.prepare(robot.link)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
 
     def ready() -> None:
@@ -209,7 +211,7 @@ def run_policy(
     how = {"late_share": robot.late_share}
     done = runs.drive_to_goal(loaded, robot.link, robot.robot, goal, ready, how=how, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
-    return _report_run(title, robot.link, done, json, to_goal=True)
+    return _report_run(title, robot.link, done, output.json, to_goal=True)
 
 
 def _report_run(

@@ -13,8 +13,8 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
     File,
+    ResultOptions,
     RobotArg,
-    check_writable,
     print_results,
     say,
 )
@@ -32,45 +32,47 @@ class DemoOptions(Section):
     """Episodes in PyBullet."""
     serial_episodes: Count = 6
     """Episodes over the emulator's pseudo-terminal, in real time."""
-    out: Path = Path("runs/demo")
-    """Folder for the policy and the logs."""
+    out: Path | None = None
+    """Folder for the policy and the logs; default: runs/demo, or runs/demo-2 and so on."""
 
 
 @command("demo", "first steps")
-def show_demo(demo: DemoOptions, json: File = None) -> int:
+def show_demo(demo: DemoOptions, output: ResultOptions) -> int:
     """Train a policy, run it in PyBullet, then over a serial device; print one table.
 
     Args:
         demo: length and folder.
-        json: also write the metrics to this file.
+        output: results in a file.
     """
     from acsar_gym.tools import demo as demos  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+    from acsar_gym.tools.training.folder import find_free_folder  # noqa: PLC0415
 
-    check_writable(json)
-    report.make_folder(demo.out)
-    runs = demos.run_demo(demo.steps, demo.episodes, demo.serial_episodes, demo.out)
+    output.check()
+    out = demo.out or find_free_folder(Path("runs/demo"))
+    report.make_folder(out)
+    runs = demos.run_demo(demo.steps, demo.episodes, demo.serial_episodes, out)
     rows = [(name, run.summary) for name, run in runs]
-    title = f"One policy file, {demo.out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
+    title = f"One policy file, {out / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
     data = {name: run.as_dict() for name, run in runs}
-    print_results(report.summary_table(title, rows), json=json, data=data)
+    print_results(report.summary_table(title, rows), json=output.json, data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
 @command("bench", "first steps")
-def measure_speed(json: File = None, plots: File = None) -> int:
+def measure_speed(output: ResultOptions, plots: File = None) -> int:
     """Measure the speed of envs, serial protocol and physics.
 
     Args:
-        json: also write the figures to this file.
+        output: results in a file.
         plots: folder for plots that compare the planar robot with PyBullet's.
     """
     from acsar_gym.tools import bench, body_comparison  # noqa: PLC0415
 
-    check_writable(json)
+    output.check()
     figures = bench.measure_all()
     data = {f"{f.name} [{f.unit}]": f.value for f in figures}
-    print_results(bench.figure_table(figures), json=json, data=data)
+    print_results(bench.figure_table(figures), json=output.json, data=data)
     for file in body_comparison.plot_drives(plots, RobotConfig.of(None)) if plots else ():
         say(f"drawn: {file}")
     return 0

@@ -16,6 +16,7 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     BagOptions,
     File,
+    Force,
     check_writable,
     print_results,
     say,
@@ -46,6 +47,7 @@ class GapOutputs:
     """Also write the figures to this file."""
     html: File = None
     """Also write a report with plots to this file."""
+    force: Force = False
 
     def prepare(self, metrics: Sequence[str]) -> Any:
         """Check before the work begins that all can be written; returns the limits of metrics."""
@@ -53,7 +55,7 @@ class GapOutputs:
         from acsar_gym.tools.sysid import twin_gap  # noqa: PLC0415
 
         limits = twin_gap.parse_limits(self.fail_over, metrics)
-        check_writable(self.json, self.html)
+        check_writable(self.json, self.html, force=self.force)
         if self.html is not None:
             page.check_report_extra()
         return limits

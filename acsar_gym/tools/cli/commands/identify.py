@@ -16,6 +16,7 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     BagOptions,
     File,
+    Force,
     HostOptions,
     RecordOptions,
     RobotArg,
@@ -52,11 +53,13 @@ class IdentifyOutputs:
     """Results."""
 
     out: File = None
-    """Write the robot's file with what was found, to be used as --robot."""
+    """Write what was found into this robot's file, to be used as --robot; if it exists, its
+    comments stay, and what was not found."""
     anyway: bool = False
     """Write it even where the model doesn't fit: without intervals, and the file says so."""
     json: File = None
     """Also write the findings to this file."""
+    force: Force = False
 
 
 @command("identify", "robots", drives=True)
@@ -81,7 +84,7 @@ def identify_robot(
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
             --record, or ROS 2 bags of it.
         setup: robot and recording.
-        host: process priority and cores.
+        host: process priority and cores; whether the emergency stop may be missing.
         output: results.
         bag: of ROS 2.
         logs: recordings or ROS 2 bags, instead of a device.
@@ -93,7 +96,7 @@ def identify_robot(
     from acsar_gym.tools.emulation import quirks  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
-    check_writable(output.json, robot=output.out)
+    check_writable(output.json, robot=output.out, force=output.force)
     recorded = _list_logs(sources, logs)
     robot = setup.robot
     if recorded:
@@ -108,15 +111,16 @@ def identify_robot(
         if (setup.twin is not None or setup.quirk) and not simulated:
             raise ConfigError(f"--twin and --quirk are for simulated robots: {' or '.join(BODIES)}")
         if simulated:
+            host.prepare()
             odd = quirks.parse_quirks(setup.quirk)
             twin = config if setup.twin is None else RobotConfig.of(setup.twin)
             link = quirks.make_link(device, quirks.apply_to_config(odd, twin), odd)
         else:
             link = open_link(device, config)
+            host.prepare(device)
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
         recorder = setup.recorder("identify")
-        host.prepare()
         found = identify.identify_device(link, config, duration, recorder)
         if found.duration > LATE_MANOEUVRE * duration:
             late = (
@@ -132,7 +136,7 @@ def identify_robot(
         say(f"{names} never turned: nothing of it was found; check motor and encoder")
     if output.out is not None:
         written = found.robot()
-        written.save(output.out)
+        written.save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
         if written.misfit:
             say(written.misfit)

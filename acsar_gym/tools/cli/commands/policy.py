@@ -7,25 +7,25 @@ from typing import Annotated
 import tyro
 
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import File, check_writable, print_results
+from acsar_gym.tools.cli.options import ResultOptions, print_results
 
 
 @command("policy show", "policies")
 def show_policy(
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|NAME")],
-    json: File = None,
+    output: ResultOptions,
 ) -> int:
     """Print what a policy file says about itself: its task, robot, training and figures.
 
     Args:
         file: ONNX file, or the name of a packaged policy.
-        json: also write all of it to this file.
+        output: results in a file.
     """
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
     from acsar_gym.tools.policies import describe, onnx  # noqa: PLC0415
 
-    check_writable(json)
+    output.check()
     path, bundle = onnx.read_bundle(file)
     table = report.fact_table(str(path), describe.bundle_rows(bundle))
-    print_results(table, json=json, data=bundle.model_dump(mode="json"))
+    print_results(table, json=output.json, data=bundle.model_dump(mode="json"))
     return 0

@@ -14,8 +14,8 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     BagOptions,
     File,
+    ResultOptions,
     RobotArg,
-    check_writable,
     print_results,
     say,
 )
@@ -25,23 +25,23 @@ Recorded = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 @command("record info", "recordings")
 def describe_recording(
-    file: Recorded, bag: BagOptions, robot: RobotArg = None, json: File = None
+    file: Recorded, bag: BagOptions, output: ResultOptions, robot: RobotArg = None
 ) -> int:
     """Tell what a recording holds.
 
     Args:
         file: the recording, or a ROS 2 bag.
         bag: of ROS 2.
+        output: results in a file.
         robot: ROS 2 bags: preset or file of the robot that it is of.
-        json: also write it to this file.
     """
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
-    check_writable(json)
+    output.check()
     found = summarize(bag.open(file, robot)) | {"file": str(file)}
     for line in summary_lines(found):
         say(line)
-    print_results(json=json, data=found)
+    print_results(json=output.json, data=found)
     return 0
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import EnvArg, OutFile, RobotArg, check_writable, say
+from acsar_gym.tools.cli.options import EnvArg, Force, OutFile, RobotArg, check_writable, say
 
 
 @command("train", "policies")
@@ -28,6 +28,7 @@ def convert_policy(
     env: EnvArg = "",
     robot: RobotArg = None,
     vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
+    force: Force = False,
 ) -> int:
     """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
 
@@ -39,10 +40,11 @@ def convert_policy(
             it.
         robot: preset or config file of the robot that it was trained on.
         vecnormalize: file of the VecNormalize that it was trained with; can run code, too.
+        force: replace a file that exists.
     """
     from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
 
-    check_writable(out)
+    check_writable(out, force=force, mark="")
     runs.export_policy(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
     say(f"written: {out}")
     return 0

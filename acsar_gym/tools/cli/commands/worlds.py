@@ -9,9 +9,11 @@ import tyro
 
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
-    File,
+    Force,
     OutFile,
+    ResultOptions,
     RobotArg,
+    WorldFileOptions,
     check_writable,
     print_results,
     say,
@@ -23,67 +25,86 @@ Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")
 @command("worlds show", "worlds")
 def show_worlds(
     source: Source,
+    file: WorldFileOptions,
     out: Path = Path("worlds.png"),
     columns: int = 4,
     size: int = 320,
     difficulty: float | None = None,
     robot: RobotArg = None,
+    force: Force = False,
 ) -> int:
     """Draw a world, or a sheet of several, as a PNG file.
 
     Args:
         source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        file: of the worlds.
         out: the picture.
         columns: worlds side by side.
         size: width and height of each world [pixels].
         difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
+        force: replace a file that this command didn't write, too.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
+    check_writable(out, force=force)
     most = atlas.max_drawn(columns, size, out)
-    atlas.draw_worlds(atlas.collect_worlds(source, difficulty, robot, 12, most), columns, size, out)
+    worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
+    atlas.draw_worlds(worlds, columns, size, out)
     say(f"drawn: {out}")
     return 0
 
 
 @command("worlds check", "worlds")
 def check_worlds(
-    source: Source, difficulty: float | None = None, robot: RobotArg = None, json: File = None
+    source: Source,
+    file: WorldFileOptions,
+    output: ResultOptions,
+    difficulty: float | None = None,
+    robot: RobotArg = None,
 ) -> int:
     """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
 
     Args:
         source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        file: of the worlds.
+        output: results in a file.
         difficulty: of generated worlds, 0 to 1.
         robot: preset or config file, for its footprint.
-        json: also write the findings to this file.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
-    check_writable(json)
-    findings = atlas.check_worlds(atlas.collect_worlds(source, difficulty, robot, 12), robot)
+    output.check()
+    worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
+    findings = atlas.check_worlds(worlds, robot)
     told = atlas.describe_source(source, 12)
     table = atlas.findings_table(str(told["source"]), findings)
     data = told | {"worlds": [finding.as_dict() for finding in findings]}
-    print_results(table, json=json, data=data)
+    print_results(table, json=output.json, data=data)
     return int(any(finding.fault for finding in findings))
 
 
 @command("worlds convert", "worlds")
 def convert_world(
-    source: Source, out: OutFile, difficulty: float | None = None, robot: RobotArg = None
+    source: Source,
+    out: OutFile,
+    file: WorldFileOptions,
+    difficulty: float | None = None,
+    robot: RobotArg = None,
+    force: Force = False,
 ) -> int:
     """Write a world to a file of this project's format, .json or .yaml.
 
     Args:
         source: a .world file, the YAML of a ROS map, or a generated world like barn:7-7.
         out: .json or .yaml file.
+        file: of the world.
         difficulty: difficulty of generated worlds, 0 to 1.
         robot: preset or config file; generated worlds fit its footprint.
+        force: replace another file that exists.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
 
-    atlas.convert_world(source, out, difficulty, robot)
+    atlas.convert_world(file.place(source), out, difficulty, robot, force=force)
     say(f"written: {out}")
     return 0

@@ -1,0 +1,45 @@
+"""Read actions, whatever a policy returns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from acsar_gym.errors import CommandError, shorten_text, show_value
+from acsar_gym.tasks.base import Floats
+
+NUMBER_KINDS = "fiub"
+"""Kinds of numpy's types that are numbers: no text, complex numbers or objects."""
+
+
+def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
+    """Convert an action, or those of a batch, to a new array.
+
+    Args:
+        actions: anything.
+        shape: (2,), or (robots, 2) for a batch.
+
+    Raises:
+        CommandError: for another shape, NaN, infinity, what isn't numbers, and whatever the
+            conversion raises, as for a tensor that requires grad.
+    """
+    is_single = len(shape) == 1
+    must = "two finite numbers (linear, angular) in [-1, 1]" if is_single else f"numbers {shape}"
+    problem = f"action{'' if is_single else 's'} = {{}}: must be {must}"
+    try:
+        given = np.asarray(actions)
+        numbers = given.astype(np.float64) if given.dtype.kind in NUMBER_KINDS else None
+    except Exception as error:
+        reason = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+        raise CommandError(f"{problem.format(show_value(actions))}; {reason}") from error
+    if numbers is None or (is_single and numbers.shape != shape):
+        raise CommandError(problem.format(show_value(actions)))
+    if numbers.shape != shape:
+        raise CommandError(f"actions of shape {numbers.shape}: must be {shape}")
+    if np.isfinite(numbers).all():
+        return numbers
+    if is_single:
+        raise CommandError(problem.format(show_value(actions)))
+    robot = int(np.isfinite(numbers).all(axis=1).argmin())
+    raise CommandError(f"action of env {robot} is {numbers[robot]}: must be finite numbers")

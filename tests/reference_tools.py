@@ -1,0 +1,95 @@
+"""Write what docs/reference shows of docstrings, as `make reference` does.
+
+Hosting sites show a page as it lies in the repository, where mkdocstrings' lines (`::: name`) are
+nothing. So such lines stand in a comment, before a table of the names with the first line of each
+docstring, which this script writes. `docs/theme/repository.py` puts the lines in the place of the
+table where the site is built. `ids.md` is made of the manuals of the ids' classes.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import griffe
+
+from acsar_gym import envs
+from acsar_gym.registration import IDS
+
+REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference"
+TABLE = re.compile(
+    r"(?P<names><!-- names\n(?P<lines>.*?)-->\n).*?(?P<end><!-- end of names -->)", re.S
+)
+NAME = re.compile(r"^::: (acsar_gym\S*)$", re.M)
+IDS_HEAD = """# The ids
+
+The manuals of the registered environments: what they observe, pay and take. `help(NAME)` in Python
+prints them, too (`acsar_gym.envs.PointGoalEnv`, and so on). Every id has
+[a batch](environments.md#many-robots) with the same spaces, reward and ends.
+
+<!-- written by make reference from the classes in acsar_gym/envs -->
+"""
+
+
+def fill(page: str, package: Any) -> str:
+    """A page with the tables of its names written anew."""
+
+    def with_table(match: re.Match[str]) -> str:
+        rows = [row for name in NAME.findall(match["lines"]) for row in rows_of(name, package)]
+        return "".join([match["names"], "\n| name | |\n|---|---|\n", *rows, "\n", match["end"]])
+
+    return TABLE.sub(with_table, page)
+
+
+def rows_of(name: str, package: Any) -> Iterator[str]:
+    """The row of a name, or those of a module's classes."""
+    shown = package[name.partition(".")[2]]
+    if shown.is_module:
+        for one in shown.classes.values():
+            if not one.name.startswith("_"):
+                yield f"| `{one.name}` | {first_line(one)} |\n"
+        return
+    yield f"| `{name}` | {first_line(shown)} |\n"
+
+
+def first_line(shown: Any) -> str:
+    """The first paragraph of a docstring, on one line."""
+    text = shown.docstring.value if shown.docstring else ""
+    return " ".join(text.strip().split("\n\n")[0].split()).replace("|", "\\|")
+
+
+def load_package() -> Any:
+    """The package's docstrings, read without importing it."""
+    return griffe.load("acsar_gym", resolve_aliases=True)
+
+
+def manuals() -> str:
+    """The page of the ids."""
+    parts = [IDS_HEAD]
+    for name, options in IDS.items():
+        kind = getattr(envs, f"{name.partition('-')[0]}Env")
+        manual = re.sub(r"^## ", "### ", inspect.getdoc(kind) or "", flags=re.M)
+        steps, reward = options["max_episode_steps"], options["reward_threshold"]
+        about = f"`max_episode_steps` {steps}, `reward_threshold` {reward:g}"
+        parts.append(f"\n## acsar_gym/{name}\n\n{about}\n\n{manual}\n")
+    return "".join(parts)
+
+
+def pages() -> dict[Path, str]:
+    """All pages that are written here, with their text."""
+    package = load_package()
+    written = {
+        page: fill(text, package)
+        for page in sorted(REFERENCE.glob("*.md"))
+        if TABLE.search(text := page.read_text(encoding="utf-8"))
+    }
+    return written | {REFERENCE / "ids.md": manuals()}
+
+
+if __name__ == "__main__":
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")
+        print(page.relative_to(REFERENCE.parents[1]))

@@ -1,0 +1,302 @@
+"""Mistakes in a user's class of tasks: one line that names the user's own file and line."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import pytest
+
+import acsar_gym
+from acsar_gym import Outcome, RobotEnv, State, Task
+from acsar_gym.errors import ConfigError, TaskError, TaskWarning
+from acsar_gym.jit import COMPILED
+from acsar_gym.tasks import PointGoal
+from acsar_gym.vector.env import RobotVectorEnv
+
+register: Any = acsar_gym.register
+KINDS: list[Any] = [RobotEnv, RobotVectorEnv]
+needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
+
+
+class Plain(Task):
+    """A sound task, whose methods the tests replace."""
+
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {"x": (-50.0, 50.0)}
+    tolerance: float = 0.15
+    bare = 3
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return 0.0
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return (state.pose[0],)
+
+
+def make(kind: Any, task: Any, **options: Any) -> Any:
+    return kind(task, **({"link": "planar"} | options))
+
+
+def place_of(function: Any) -> str:
+    """The user's file and line, as messages have them."""
+    code = function.__code__
+    return re.escape(f"({code.co_filename}:{code.co_firstlineno})")
+
+
+OUTCOMES: dict[str, Any] = {
+    "True": lambda *_: True,
+    "False": lambda *_: False,
+    "numpy's": lambda *_: np.bool_(True),
+    "a name": lambda *_: "SUCCESS",
+    "None": lambda *_: None,
+    "an array": lambda *_: np.zeros(2),
+    "a number of none": lambda *_: 7,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_what_is_no_outcome_is_named(kind: Any, name: str) -> None:
+    task = type("Mine", (Plain,), {"outcome": OUTCOMES[name]})
+    said = rf"^Mine.outcome returned .*: must be an Outcome.* {place_of(OUTCOMES[name])}"
+    with pytest.raises(TaskError, match=said):
+        make(kind, task)
+
+
+def late_success(self: Any, state: State, memory: Any) -> Any:
+    return state.time > 0.15 if state.time != 0.1 else Outcome.GOING
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_later_true_is_no_success_either(kind: Any) -> None:
+    env = make(kind, type("Mine", (Plain,), {"outcome": late_success}))
+    action = np.zeros((2,) if kind is RobotEnv else (1, 2))
+    env.reset(seed=0)
+    env.step(action)
+    with pytest.raises(TaskError, match=rf"outcome returned True: .* {place_of(late_success)}"):
+        env.step(action)
+    env.close()
+
+
+SIGNATURES: list[tuple[str, Any]] = [
+    ("reward", lambda self, state: 0.0),
+    ("reward", lambda self, state, memory: 0.0),
+    ("reward", lambda self, state, memory, outcome, more: 0.0),
+    ("reward", lambda self, *, state, memory, outcome: 0.0),
+    ("outcome", lambda self: Outcome.GOING),
+    ("observe", lambda state: (0.0,)),
+    ("begin", lambda self, state: None),
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("method", "function"), SIGNATURES)
+def test_a_method_with_another_signature_is_named(kind: Any, method: str, function: Any) -> None:
+    task = type("Mine", (Plain,), {method: function})
+    said = rf"^Mine: {method}\(\) must take \(state, memory.*\) .*: .* {place_of(function)}$"
+    with pytest.raises(TaskError, match=said):
+        make(kind, task)
+
+
+def test_signatures_that_fit_may_say_more() -> None:
+    fitting: list[Any] = [
+        lambda self, state, memory, outcome, weight=1.0: weight,
+        lambda self, *given: 0.0,
+        lambda self, state, memory, outcome, **more: 0.0,
+    ]
+    for function in fitting:
+        make(RobotEnv, type("Mine", (Plain,), {"reward": function})).close()
+
+
+def text(*_: Any) -> Any:
+    return "much"
+
+
+def two(*_: Any) -> Any:
+    return 1.0, 2.0
+
+
+@pytest.mark.parametrize(
+    ("method", "function", "said"),
+    [
+        ("reward", text, "reward returned 'much': must be a number"),
+        ("observe", two, r"observe returned numbers of shape \(2,\): must be 1"),
+        ("observe", text, "observe returned 'much': must be 1"),
+        ("observe", lambda *_: ((1.0,), 2.0), r"observe returned \(\(1.0,\), 2.0\): must be 1"),
+    ],
+)
+def test_what_a_method_returns_is_named_with_its_line(
+    method: str, function: Any, said: str
+) -> None:
+    with pytest.raises(TaskError, match=rf"^Mine\.{said}.* {place_of(function)}$"):
+        make(RobotEnv, type("Mine", (Plain,), {method: function}))
+
+
+@pytest.mark.parametrize("option", ["tolerance", "bare"])
+def test_a_forgotten_dataclass_is_said(option: str) -> None:
+    line = inspect.getsourcelines(Plain)[1]
+    said = rf"'{option}' of Plain: it is an attribute .*@dataclass.*{option}: .*:{line}\)$"
+    for kind in KINDS:
+        with pytest.raises(ConfigError, match=said):
+            make(kind, Plain, **{option: 0.2})
+    with pytest.raises(ConfigError, match=said.replace(" of Plain", "")):
+        register("mine/Plain-v0", task=Plain, **{option: 0.2})
+
+
+@dataclass(frozen=True)
+class WithField(Plain):
+    """With an option."""
+
+    tolerance: float = 0.15
+
+
+@pytest.mark.parametrize(
+    ("option", "hint"),
+    [
+        ("tolerence", "; did you mean 'tolerance'"),
+        ("memory", ": every env of the class has the same"),
+        ("polcy_rate", "; did you mean 'policy_rate'"),
+    ],
+)
+def test_other_unknown_options_are_named(option: str, hint: str) -> None:
+    task = type("Mine", (WithField,), {"memory": {}})
+    with pytest.raises(ConfigError, match=f"unknown option '{option}' of Mine{hint}"):
+        make(RobotEnv, task, **{option: 1})
+
+
+@pytest.mark.parametrize(
+    ("option", "hint"),
+    [
+        ("max_steps", "max_episode_steps"),
+        ("tolerence", "tolerance"),
+        ("polcy_rate", "policy_rate"),
+        ("max_episode_step", "max_episode_steps"),
+        ("thread", "threads"),
+    ],
+)
+def test_an_option_that_nothing_has_is_not_registered(option: str, hint: str) -> None:
+    said = f"mine/Typo-v0: unknown option '{option}'; did you mean '{hint}'"
+    with pytest.raises(ConfigError, match=said):
+        register("mine/Typo-v0", task=WithField, **{option: 5})
+    assert "mine/Typo-v0" not in gymnasium.registry
+
+
+class Beyond(Plain):
+    """Observes more than it has declared."""
+
+    observation: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "ahead": (-50.0, 50.0),
+        "steps": (0.0, 0.15),
+    }
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return state.pose[0], state.time
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "compiled", [False, pytest.param(True, marks=needs_numba)], ids=["plain", "compiled"]
+)
+def test_an_observation_beyond_its_bounds_is_said_once(kind: Any, compiled: bool) -> None:
+    env = make(kind, type("Mine", (Beyond,), {"compiled": compiled}))
+    action = np.zeros((2,) if kind is RobotEnv else (1, 2))
+    said = rf"^Mine.observe returned 'steps' = 0.2.*: beyond its bounds \(0, 0.15\).*{__file__}"
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for _ in range(2):
+            env.reset(seed=0)
+            for _ in range(4):
+                seen = env.step(action)[0]
+    assert [warning.category for warning in caught] == [TaskWarning]
+    assert re.search(said, str(caught[0].message))
+    assert np.ravel(seen)[1] == pytest.approx(0.4)  # it is neither scaled nor clipped
+    env.close()
+
+
+class Helping(Plain):
+    """Sound in Python."""
+
+    def distance(self, state: State) -> float:
+        return state.pose[0]
+
+
+class CallsMethod(Helping):
+    compiled = True
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        gained = 1.0
+        return gained - self.distance(state)
+
+
+class CallsSuper(Helping):
+    compiled = True
+
+    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
+        return super().observe(state, memory)
+
+
+@needs_numba
+@pytest.mark.parametrize(
+    ("task", "method", "called", "line"),
+    [
+        (CallsMethod, "reward", "self.distance", 2),
+        (CallsSuper, "observe", "super", 1),
+    ],
+)
+def test_what_a_compiled_method_cannot_call_is_said_when_a_batch_is_made(
+    task: Any, method: str, called: str, line: int
+) -> None:
+    at = getattr(task, method).__code__.co_firstlineno + line
+    said = rf"^{task.__name__}: {method}\(\) calls {called}\(\).*compilable.*\({__file__}:{at}\)$"
+    with pytest.raises(ConfigError, match=said):
+        make(RobotVectorEnv, task)
+    make(RobotEnv, task).close()  # which runs it in Python
+
+
+class Formats(Plain):
+    compiled = True
+
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        name = f"{state.time:.1f}"
+        return Outcome.SUCCESS if name == "0.3" else Outcome.GOING
+
+
+def undecorated(x: float) -> float:
+    return x + 1.0
+
+
+class CallsPlainFunction(Plain):
+    compiled = True
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        return undecorated(state.time)
+
+
+@needs_numba
+@pytest.mark.parametrize(
+    ("task", "method", "line"), [(Formats, "outcome", 1), (CallsPlainFunction, "reward", 1)]
+)
+def test_what_numba_cannot_compile_is_one_line_with_its_place(
+    task: Any, method: str, line: int
+) -> None:
+    at = getattr(task, method).__code__.co_firstlineno + line
+    env = make(RobotVectorEnv, task)
+    with pytest.raises(ConfigError, match=rf"{method}\(\) \({__file__}:{at}\)") as caught:
+        env.reset(seed=0)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 500
+    env.close()
+
+
+def test_built_in_tasks_keep_within_their_bounds() -> None:
+    env = make(RobotVectorEnv, PointGoal, num_envs=8)
+    env.reset(seed=0)
+    for _ in range(50):
+        env.step(env.action_space.sample())  # a TaskWarning would be an error
+    env.close()

@@ -1,0 +1,177 @@
+"""Worlds of files that do not say where to start: commands take --start, --goal and --models."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_tools import Call, assert_one_line
+from serial_tools import cli
+
+from acsar_gym.tools.training import seeds
+from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
+from acsar_gym.worlds import Region
+from acsar_gym.worlds.files import load_world
+
+WALLS = ((0.0, 2.0, 4.0, 0.1), (0.0, -2.0, 4.0, 0.1), (2.0, 0.0, 0.1, 4.0), (-2.0, 0.0, 0.1, 4.0))
+MAP = "image: map.pgm\nresolution: 0.05\norigin: [-2.0, -2.0, 0.0]\nnegate: 0\n"
+MAP += "occupied_thresh: 0.65\nfree_thresh: 0.25\nmode: trinary\n"
+PLACED = ("--start", "-1,-1,0.5", "--goal", "1.2,1")
+
+
+def write_room(folder: Path, kind: str) -> Path:
+    """A closed room of 4 x 4 m around the origin, as a Gazebo world with a model, or as a map."""
+    if kind == "map":
+        rows = [
+            bytes(0 if {row, column} & {0, 79} else 254 for column in range(80))
+            for row in range(80)
+        ]
+        (folder / "map.pgm").write_bytes(b"P5\n80 80\n255\n" + b"".join(rows))
+        (folder / "map.yaml").write_text(MAP, encoding="utf-8")
+        return folder / "map.yaml"
+    walls = "".join(
+        f"<collision name='c{number}'><pose>{x} {y} 0.5 0 0 0</pose><geometry><box>"
+        f"<size>{length} {width} 1</size></box></geometry></collision>"
+        for number, (x, y, length, width) in enumerate(WALLS)
+    )
+    (folder / "own" / "room").mkdir(parents=True)
+    (folder / "own" / "room" / "model.sdf").write_text(
+        f"<sdf version='1.9'><model name='room'><link name='l'>{walls}</link></model></sdf>",
+        encoding="utf-8",
+    )
+    path = folder / "hall.sdf"
+    path.write_text(
+        "<sdf version='1.9'><world name='w'><include><uri>model://room</uri></include></world></sdf>",
+        encoding="utf-8",
+    )
+    return path
+
+
+@pytest.fixture(params=["gazebo", "map"])
+def room(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, ...]:
+    """Options that name a world without start and goal."""
+    path = str(write_room(tmp_path, request.param))
+    return (path, "--models", str(tmp_path / "own")) if request.param == "gazebo" else (path,)
+
+
+def test_a_world_without_start_and_goal_is_refused_by_every_command(
+    room: tuple[str, ...], call: Call, tmp_path: Path
+) -> None:
+    file, *models = room
+    out = str(tmp_path / "out.json")
+    for command in (
+        ("worlds", "check", file),
+        ("worlds", "show", file, "--out", str(tmp_path / "out.png")),
+        ("worlds", "convert", file, out),
+        ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--worlds", file),
+        ("emulate", "--duration", "0.1", "--world", file),
+        ("calibrate", "planar", "turn", "--yes", "--world", file),
+    ):
+        code, _, error = call(*command, *models)
+        assert code == 2, command
+        assert_one_line(error, "has no start")
+        assert "--start X,Y,THETA" in error
+        code, _, error = call(*command, *models, "--start", "-1,0")
+        assert code == 2, command
+        assert_one_line(error, "has no goal")
+
+
+def test_start_and_goal_of_options_are_the_worlds(
+    room: tuple[str, ...], call: Call, tmp_path: Path
+) -> None:
+    code, output, error = call("worlds", "check", *room, *PLACED)
+    assert (code, error) == (0, "")
+    assert "2.97" in output, "the straight line between them"
+    code, output, _ = call("worlds", "check", *room, "--start", "-1,-1", "--goal", "3,0")
+    assert code == 1
+    assert "no way from start to goal" in " ".join(output.split())
+    for name in ("room.yaml", "room.json"):
+        out = tmp_path / name
+        assert call("worlds", "convert", *room, out, *PLACED)[0] == 0
+        world = load_world(out)
+        assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
+        assert world.obstacles >= 8
+    picture = tmp_path / "room.png"
+    assert call("worlds", "show", *room, "--out", picture, *PLACED)[0] == 0
+    assert picture.stat().st_size > 1000
+
+
+def test_a_policy_drives_from_that_start(room: tuple[str, ...], call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "figures.json"
+    evaluate = ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--episodes", "1")
+    code, output, error = call(*evaluate, "--worlds", *room, *PLACED, "--json", out)
+    assert (code, error) == (0, "")
+    assert Path(room[0]).name.partition(".")[0] in output
+    header = json.loads(out.read_text())["header"]
+    assert header["env"]["kwargs"]["worlds"]["start"] == PLACED[1]
+    assert header["worlds"]["kind"] == room[0]
+
+
+def test_a_board_is_emulated_at_that_start(room: tuple[str, ...], tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    options = ("--duration", "0.2", "--log", log, "--lidar")
+    done = cli("emulate", "--world", *room, *PLACED, *options)
+    assert (done.returncode, done.stderr) == (0, "")
+    poses = [
+        line["pose"] for line in map(json.loads, log.read_text().splitlines()) if "pose" in line
+    ]
+    assert poses[0] == pytest.approx([-1.0, -1.0, 0.5])
+
+
+@pytest.mark.parametrize("option", ["--start", "--goal", "--models"])
+def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
+    for command in (("worlds", "check", "clutter:2"), ("worlds", "show", "barn:1")):
+        code, _, error = call(*command, option, "1,2")
+        assert code == 2
+        assert_one_line(error, "generated worlds have a start and a goal of their own")
+    code, _, error = call("evaluate", "--link", "planar", option, "1,2")
+    assert code == 2
+    assert_one_line(error, f"{option} is for a world of a file: name the file, too")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--start", "1", "must be X,Y or X,Y,THETA [m, rad]"),
+        ("--start", "1,2,3,4", "must be X,Y or X,Y,THETA [m, rad]"),
+        ("--start", "1,nan", "worlds.start.1 = nan"),
+        ("--start", "1,1e9", "worlds.start.1 = 1000000000.0"),
+        ("--goal", "1,2,3", "must be X,Y [m]"),
+        ("--goal", "here", "must be X,Y [m]"),
+    ],
+)
+def test_bad_places_are_one_line(
+    option: str, value: str, said: str, call: Call, tmp_path: Path
+) -> None:
+    code, _, error = call("worlds", "check", write_room(tmp_path, "map"), option, value)
+    assert code == 2
+    assert_one_line(error, said)
+
+
+def test_a_training_takes_them_too(room: tuple[str, ...], tmp_path: Path) -> None:
+    file, *models = room
+    options = TrainingOptions(
+        env="obstacle_goal",
+        worlds=file,
+        start="-1,-1,0.5",
+        goal="1.2,1",
+        models=models[1] if models else None,
+        robots=2,
+        threads=1,
+        out=tmp_path / "out",
+        seeds="1",
+        address="nowhere:1",
+    )
+    batch = TrainingPlan.of(options).make_training_batch()
+    assert batch.pool is not None
+    world = batch.pool[0]
+    batch.close()
+    assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
+    job = seeds.make_job(options, 1, tmp_path / "out")
+    ((name, sent, content),) = job.sent or ()
+    assert name == "worlds", "another machine has neither the models nor the map's picture"
+    assert job.options.start is job.options.goal is job.options.models is None
+    (tmp_path / sent).write_bytes(content)
+    there = load_world(tmp_path / sent)
+    assert (there.start, there.segments.tolist()) == (world.start, world.segments.tolist())
