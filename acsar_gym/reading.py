@@ -81,12 +81,12 @@ def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) 
 
 
 @contextlib.contextmanager
-def open_file(path: Path, limit: int) -> Iterator[IO[bytes]]:
+def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
     """Open a regular file to read it piece by piece, as a context manager.
 
     Args:
         path: the file.
-        limit: largest accepted size [bytes].
+        limit: largest accepted size [bytes]; None for any.
 
     Raises:
         ConfigError: as by `read_file`; also for errors inside the block.
@@ -99,14 +99,14 @@ def open_file(path: Path, limit: int) -> Iterator[IO[bytes]]:
 
 
 @contextlib.contextmanager
-def _open_checked(path: Path, limit: int, error: type[AcsarError]) -> Iterator[IO[bytes]]:
+def _open_checked(path: Path, limit: int | None, error: type[AcsarError]) -> Iterator[IO[bytes]]:
     """Open a regular file within the limit; raises `error`, also for OSErrors inside the block."""
     try:
         status = os.stat(path)  # noqa: PTH116 - before opening, too: that resets some boards
         for opened in (False, True):
             if not stat.S_ISREG(status.st_mode):
                 raise error("isn't a regular file")
-            if status.st_size > limit:
+            if limit is not None and status.st_size > limit:
                 raise _too_large(limit, error)
             if not opened:
                 file = os.fdopen(os.open(path, OPEN_FLAGS), "rb")

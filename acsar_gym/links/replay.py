@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals
 from acsar_gym.physics.body import GroundTruth
+from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.replay import Tape
 from acsar_gym.recording.types import Recording
 from acsar_gym.worlds import Scene
+
+LEAD_PERIODS = 2
+"""Periods at rest that precede a part of an episode: so many end a reset (`wire`)."""
 
 
 class ByteStream(Protocol):
@@ -33,7 +37,8 @@ class ReplayLink:
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
     Commands are compared with those recorded. Where they differ, what was recorded is no answer to
-    them, so the replay ends with an error that names the tick.
+    them, so the replay ends with an error that names the tick. A part of an episode has no reset of
+    its own: the robot is said to stand still for as long as one takes.
 
     Args:
         path: the recording.
@@ -55,6 +60,7 @@ class ReplayLink:
         self._next_episode = 0
         self._tape: Tape | None = None
         self._sent = b""
+        self._lead = 0
         self._is_open = False
 
     def open(self) -> None:
@@ -74,7 +80,9 @@ class ReplayLink:
                 f"{self.replays}: all {self._next_episode} episodes have been played{missing}",
                 "make a new link to play it again",
             )
-        self._tape = Tape(episodes[self._next_episode])
+        episode = episodes[self._next_episode]
+        self._tape = Tape(episode)
+        self._lead = LEAD_PERIODS if "part" in episode.info else 0
         self._next_episode += 1
         self._sent = b""
 
@@ -89,7 +97,9 @@ class ReplayLink:
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares; a port gets them as well."""
-        self._require_tape().wrote()
+        tape = self._require_tape()
+        if not self._lead:
+            tape.wrote()
         self._sent += data
         if self._port is not None:
             self._port.write(data)
@@ -101,6 +111,10 @@ class ReplayLink:
             LinkLostError: the episode ends here, commands differ, or the recording has a gap.
         """
         tape, sent = self._require_tape(), self._sent
+        if self._lead:
+            self._lead -= 1
+            self._sent = b""
+            return encode(ZERO)
         if tape.is_over:
             if self._is_cut():
                 raise LinkLostError(
@@ -112,9 +126,11 @@ class ReplayLink:
                 "was it made with this goal and policy?",
             )
         if tape.has_gap:
+            damaged = self._recording is not None and bool(self._recording.damages)
+            why = "the file is damaged" if damaged else "its writer couldn't keep up"
             raise LinkLostError(
                 f"{self.replays}: the recording has a gap, {tape.place}",
-                "its writer couldn't keep up: it can't be replayed from here on",
+                f"{why}: it can't be replayed from here on",
             )
         recorded, got = tape.next()
         self._sent = b""
@@ -142,7 +158,7 @@ class ReplayLink:
 
     def now(self) -> float:
         """Return the recorded time [s]."""
-        return self._tape.now if self._tape else 0.0
+        return self._tape.now - self._lead * self._tape.first_period if self._tape else 0.0
 
     @property
     def truth(self) -> GroundTruth | None:

@@ -6,7 +6,6 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +40,10 @@ EPISODE_GAP = 1_000_000
 """Time between two episodes whose clocks both begin at zero [ns]."""
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages of /diagnostics [s]."""
+SPLIT_TOLERANCE = 1e-6
+"""Rounding of times when a file ends [s]."""
+SPLIT_PATIENCE = 10.0
+"""How long a file waits for the end of an env's step [s]."""
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
 NORMAL_REASONS = ("NONE", "LIMITS")
 """Reasons of the safety layer that are part of normal driving."""
@@ -161,6 +164,8 @@ class Message(NamedTuple):
     data: bytes
 
 
+NEW_FILE = Message(Topic("", ""), 0, b"")
+"""What is yielded where a new file begins."""
 State = tuple[str, int, str, Mapping[str, Any]]
 """Name, level, text and values of a part of /diagnostics."""
 
@@ -321,15 +326,77 @@ class Diagnostics:
         return pack_message(kind, header=make_ros_header(time), status=status)
 
 
+class FileSplitter:
+    """Tells where a new file begins.
+
+    That is at the first reset that is due, or in mid-episode where one lasts longer than a file,
+    between two steps of an env.
+
+    Attributes: `began`, what began the episode; `last`, `step` and `scan`, the newest exchange,
+    step and scan of it, None where there is none; `pose`, by odometry.
+
+    Args:
+        duration: of a file [s].
+    """
+
+    def __init__(self, duration: float) -> None:
+        self._duration = duration
+        self._written = self._file_began = 0.0
+        self.began: Began | None = None
+        self._episode_began: float | None = None
+        self._since_step = False
+        self.last: Exchange | None = None
+        self.pose = (0.0, 0.0, 0.0)
+        self.step: Stepped | None = None
+        self.scan: Scanned | None = None
+
+    def is_due(self, event: Event) -> bool:
+        """Whether a new file begins before this event."""
+        if type(event) is Began:
+            return self._written - self._file_began >= self._duration
+        if type(event) is not Exchange or self._episode_began is None or self.last is None:
+            return False
+        lasts = self.last.stamp - self._episode_began
+        late = lasts >= self._duration + SPLIT_PATIENCE
+        between = self.step is None or not self._since_step
+        return lasts >= self._duration - SPLIT_TOLERANCE and (between or late)
+
+    def begin_file(self) -> None:
+        """A new file begins."""
+        self._file_began = self._written
+        if self.last is not None:
+            self._episode_began = self.last.stamp
+
+    def note(self, event: Event) -> None:
+        """Note what was written."""
+        if isinstance(event, Began):
+            self.began, self._episode_began = event, event.stamp
+            self.last = self.step = self.scan = None
+            self.pose, self._since_step = (0.0, 0.0, 0.0), False
+        elif isinstance(event, Exchange):
+            before = self.began.stamp if self.began else event.stamp
+            self._written += event.stamp - (self.last.stamp if self.last else before)
+            self.last, self._since_step = event, True
+        elif isinstance(event, Tick):
+            self.pose = event.pose
+        elif isinstance(event, Scanned):
+            self.scan = event
+        elif isinstance(event, Stepped):
+            self.step, self._since_step = event, False
+
+
 class Encoder:
     """Makes messages of events.
 
     Args:
         config: of the robot.
+        split: how long a file is before another one begins [s]; None for one file.
     """
 
-    def __init__(self, config: RobotConfig) -> None:
+    def __init__(self, config: RobotConfig, split: float | None = None) -> None:
         self._config = config
+        self._splitter = None if split is None else FileSplitter(split)
+        self._first_exchange = self._first_step = 0
         self._covariance = OdometryCovariance(config)
         self._diagnostics = Diagnostics(config)
         self._offset = 0
@@ -364,14 +431,53 @@ class Encoder:
             dropped: events that were dropped so far.
         """
         self._diagnostics.dropped = dropped
-        for begins, group in groupby(events, lambda event: type(event) is Began):
-            found = list(group)
-            for episode in [[event] for event in found] if begins else [found]:
-                for kind, make in self._makers.items():
-                    if same := [event for event in episode if type(event) is kind]:
-                        for message in make(same):
-                            self._newest = max(self._newest, message.time)
-                            yield message
+        run: list[Event] = []
+        for event in events:
+            splits = self._splitter is not None and self._splitter.is_due(event)
+            if splits or type(event) is Began:
+                yield from self._encode_run(run)
+                run = []
+            if splits:
+                yield NEW_FILE
+                if type(event) is not Began:
+                    yield from self._encode_part()
+                self._splitter.begin_file()  # type: ignore[union-attr]
+            if self._splitter is not None:
+                self._splitter.note(event)
+            run.append(event)
+            if type(event) is Began:
+                yield from self._encode_run(run)
+                run = []
+        yield from self._encode_run(run)
+
+    def _encode_run(self, events: Sequence[Event]) -> Iterator[Message]:
+        """Make the messages of events of one episode, kind by kind."""
+        for kind, make in self._makers.items():
+            if same := [event for event in events if type(event) is kind]:
+                for message in make(same):
+                    self._newest = max(self._newest, message.time)
+                    yield message
+
+    def _encode_part(self) -> Iterator[Message]:
+        """Begin a part of the episode that goes on, in a new file."""
+        splitter = self._splitter
+        if splitter is None or splitter.began is None or splitter.last is None:
+            return
+        began, stamp = splitter.began, splitter.last.stamp
+        lasted = stamp - began.stamp
+        part = {"from": round(lasted, 6), "pose": [float(number) for number in splitter.pose]}
+        info = {**messages.to_plain_json(dict(began.info)), "part": part}
+        wall = began.wall + round(lasted * 1e9)
+        yield from self._open_episode(0, Began(stamp, wall, info))
+        self._first_exchange = splitter.last.number + 1
+        if splitter.step is not None:
+            self._first_step = splitter.step.step
+            step = splitter.step._replace(stamp=stamp, action=None, reward=0.0)
+            yield from self._encode_steps([step])
+        self._scanned = self._revolution = None
+        if splitter.scan is not None:
+            number = self._first_exchange - 1
+            yield from self._encode_revolution(splitter.scan._replace(exchange=number, stamp=stamp))
 
     def _encode_reset(self, events: Sequence[Began]) -> Iterator[Message]:
         """Begin an episode; its clock may have started again at zero."""
@@ -382,11 +488,16 @@ class Encoder:
         elif start + self._offset <= self._newest:
             self._offset = self._newest + EPISODE_GAP - start
         self._episode += 1
+        self._first_exchange = self._first_step = 0
         self._scanned = self._revolution = None
         self._covariance.reset()
         self._diagnostics.reset(event.stamp)
-        time = start + self._offset
-        opening = {"episode": self._episode, "start": event.stamp, "offset": self._offset}
+        yield from self._open_episode(self._episode, event)
+
+    def _open_episode(self, number: int, event: Began) -> Iterator[Message]:
+        """What begins an episode, or a part of one."""
+        time = round(event.stamp * 1e9) + self._offset
+        opening = {"episode": number, "start": event.stamp, "offset": self._offset}
         opening |= {"wall": event.wall, "info": messages.to_plain_json(dict(event.info))}
         yield Message(messages.EPISODE, time, messages.pack_text(json.dumps(opening)))
         yield Message(messages.TF_STATIC, time, self._pack_static_frames(time))
@@ -422,7 +533,8 @@ class Encoder:
         for row, event in zip(rows, events, strict=True):
             yield from self._encode_pieces(messages.WIRE_SENT, event.sent)
             yield from self._encode_pieces(messages.WIRE_RECEIVED, event.received)
-            row[:4] = event.number, event.stamp, len(event.sent), len(event.received)
+            number = event.number - self._first_exchange
+            row[:4] = number, event.stamp, len(event.sent), len(event.received)
             if event.lateness is not None:
                 row[4] = event.lateness
             if event.truth is not None:
@@ -442,10 +554,18 @@ class Encoder:
 
     def _encode_ticks(self, events: Sequence[Tick]) -> Iterator[Message]:
         """Odometry, joints, commands, and the row with all of it."""
+        first = self._first_exchange
         rows = np.array(
             [
                 (
-                    *(one.exchange, one.stamp, *one.pose, *one.twist, *one.speeds, *one.angles),
+                    *(
+                        one.exchange - first,
+                        one.stamp,
+                        *one.pose,
+                        *one.twist,
+                        *one.speeds,
+                        *one.angles,
+                    ),
                     *(*one.asked, *one.sent, int(one.reason)),
                     *(math.nan if one.lateness is None else one.lateness,),
                     *(one.feedback_age, one.refused),
@@ -483,19 +603,27 @@ class Encoder:
             seen["scan_time"] = np.array([event.stamp - (self._scanned or event.stamp)])
             self._scanned = event.stamp
             yield from self._pack(messages.SCAN, stamps, seen, stamped=True)
-            row = np.concatenate([[event.exchange, event.stamp], ranges])
+            number = event.exchange - self._first_exchange
+            row = np.concatenate([[number, event.stamp], ranges])
             yield from self._encode_table(messages.SCANS, stamps, row[None])
-            if event.revolution is not self._revolution:
-                self._revolution = event.revolution
-                *measured, ended = event.revolution
-                row = np.concatenate([[event.exchange, ended], *measured])
-                yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
+            yield from self._encode_revolution(event)
+
+    def _encode_revolution(self, event: Scanned) -> Iterator[Message]:
+        """The revolution of which a scan was made, once."""
+        if event.revolution is not self._revolution:
+            self._revolution = event.revolution
+            *measured, ended = event.revolution
+            number = event.exchange - self._first_exchange
+            row = np.concatenate([[number, ended], *measured])
+            stamps = np.array([event.stamp])
+            yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
 
     def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
         """Observations, actions and rewards."""
         for event in events:
             stamps = np.array([event.stamp])
-            row = np.array([[event.step, event.stamp, event.reward, *event[5:]]], np.float64)
+            number = event.step - self._first_step
+            row = np.array([[number, event.stamp, event.reward, *event[5:]]], np.float64)
             yield from self._encode_table(messages.STEPS, stamps, row)
             values = (messages.ACTION, event.action), (messages.OBSERVATION, event.observation)
             for topic, numbers in values:

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, RecordingWarning, require_extra, show_value
 from acsar_gym.reading import explain_error, replace_file
-from acsar_gym.recording.reader import read
-from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.recording.reader import iterate_blocks, read
+from acsar_gym.recording.types import Episode, Recording, WireLog
 
 TABLE_FORMATS = ("parquet", "csv")
+TABLES = ("ticks", "wire", "steps", "scans")
+BLOCK_ROWS = 5_000
+"""Rows of steps and scans that are written at once."""
+DISORDER = 1.0
+"""Bytes are recorded at most so long after others that came later [s]."""
 TableColumns = dict[str, Any]
 """Arrays of one length by name."""
 
@@ -42,16 +50,22 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         last = "the last episode is incomplete"
         last = last if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
-    written = []
+    tables: dict[str, ParquetTable | CsvTable] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, columns in make_tables(recording).items():
-            if len(columns["episode"]):
-                written.append(folder / f"{name}.{to}")
-                (_write_parquet if to == "parquet" else _write_csv)(written[-1], columns)
+        with contextlib.ExitStack() as stack:
+            for name, columns in iterate_tables(recording):
+                if len(columns["episode"]):
+                    if name not in tables:
+                        target = folder / f"{name}.{to}"
+                        table: ParquetTable | CsvTable = CsvTable(target)
+                        if to == "parquet":
+                            table = ParquetTable(target)
+                        tables[name] = stack.enter_context(table)
+                    tables[name].add(columns)
     except OSError as error:
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
-    return written
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
+    return [tables[name].path for name in TABLES if name in tables]
 
 
 def is_incomplete(recording: Recording) -> bool:
@@ -68,28 +82,52 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
     Raises:
         ConfigError: the episodes have different columns.
     """
-    found = [_list_columns(episode) for episode in recording.episodes]
+    parts: dict[str, list[TableColumns]] = {name: [] for name in TABLES}
+    for name, columns in iterate_tables(recording):
+        parts[name].append(columns)
     tables: dict[str, TableColumns] = {}
-    for name in found[0]:
-        parts = []
-        for number, (episode, columns) in enumerate(zip(recording.episodes, found, strict=True)):
-            stamps = columns[name]["stamp"]
-            times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
-            episodes = np.full(len(stamps), number)
-            parts.append({"episode": episodes, "time": times, **columns[name]})
-        parts = [part for part in parts if len(part["stamp"])] or parts[:1]
-        if any(list(part) != list(parts[0]) for part in parts):
-            raise ConfigError(f"the episodes have different {name}: they don't fit into one table")
+    for name, blocks in parts.items():
+        filled = [block for block in blocks if len(block["stamp"])] or blocks[:1]
+        for block in filled:
+            check_columns(name, list(filled[0]), list(block))
         tables[name] = {
-            key: np.concatenate([np.asarray(part[key]) for part in parts]) for key in parts[0]
+            key: np.concatenate([np.asarray(block[key]) for block in filled]) for key in filled[0]
         }
     return tables
 
 
-def _list_columns(episode: Episode) -> dict[str, TableColumns]:
-    """The columns of each table: ticks, pieces of bytes, observations with what led to them."""
-    pose, twist, wire, count = "x y theta", "linear angular", episode.wire, len(episode.step_stamps)
-    ticks = {
+def check_columns(name: str, first: Sequence[str], columns: Sequence[str]) -> None:
+    """Raise ConfigError where a part of a table has other columns than the first one."""
+    if list(columns) != list(first):
+        raise ConfigError(f"the episodes have different {name}: they don't fit into one table")
+
+
+def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
+    """Yield names and rows of tables, in blocks of moderate size; see `make_tables`."""
+    for number, episode in enumerate(recording.episodes):
+        late = WireRows()
+        for block in iterate_blocks(episode):
+            yield "ticks", _add_times(number, episode, _list_ticks(block))
+            yield "wire", _add_times(number, episode, late.add(block.wire))
+        yield "wire", _add_times(number, episode, late.finish())
+        for name, columns in (("steps", _list_steps(episode)), ("scans", _list_scans(episode))):
+            for first in range(0, max(len(columns["stamp"]), 1), BLOCK_ROWS):
+                rows = slice(first, first + BLOCK_ROWS)
+                block_rows = {key: values[rows] for key, values in columns.items()}
+                yield name, _add_times(number, episode, block_rows)
+
+
+def _add_times(number: int, episode: Episode, columns: TableColumns) -> TableColumns:
+    """Add number of the episode and time of the file to rows."""
+    stamps = columns["stamp"]
+    times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
+    return {"episode": np.full(len(stamps), number), "time": times, **columns}
+
+
+def _list_ticks(episode: Episode) -> TableColumns:
+    """The columns of the ticks."""
+    pose, twist = "x y theta", "linear angular"
+    return {
         "stamp": episode.stamps,
         **_name_columns("", episode.poses, pose),
         **_name_columns("", episode.twists, twist),
@@ -100,24 +138,59 @@ def _list_columns(episode: Episode) -> dict[str, TableColumns]:
         "lateness": episode.lateness,
         **_name_columns("true_", episode.truth, pose),
     }
-    stamps = np.concatenate([wire.sent_stamps, wire.got_stamps])
-    order = np.argsort(stamps, kind="stable")
-    names = np.array(["sent"] * len(wire.sent) + ["received"] * len(wire.got), dtype=object)
-    texts = np.array([piece.decode("latin-1") for piece in wire.sent + wire.got], dtype=object)
+
+
+class WireRows:
+    """Rows of the wire's table, in the order of time over all blocks of an episode."""
+
+    def __init__(self) -> None:
+        self._rows = _list_pieces(WireLog(np.zeros(0), (), np.zeros(0), ()))
+
+    def add(self, wire: WireLog) -> TableColumns:
+        """Add a block; returns the rows that none of a later one can come before."""
+        new = _list_pieces(wire)
+        rows = {key: np.concatenate([self._rows[key], new[key]]) for key in new}
+        order = np.argsort(rows["stamp"], kind="stable")
+        rows = {key: values[order] for key, values in rows.items()}
+        stamps = rows["stamp"]
+        ready = int(np.searchsorted(stamps, stamps[-1] - DISORDER)) if len(stamps) else 0
+        self._rows = {key: values[ready:] for key, values in rows.items()}
+        return {key: values[:ready] for key, values in rows.items()}
+
+    def finish(self) -> TableColumns:
+        """Return the rows that are left."""
+        return self._rows
+
+
+def _list_pieces(wire: WireLog) -> TableColumns:
+    """Rows of the wire's table, those that were sent first."""
+    texts = [piece.decode("latin-1") for piece in (*wire.sent, *wire.got)]
+    return {
+        "stamp": np.concatenate([wire.sent_stamps, wire.got_stamps]),
+        "direction": np.array(
+            ["sent"] * len(wire.sent) + ["received"] * len(wire.got), dtype=object
+        ),
+        "bytes": np.array(texts, dtype=object),
+    }
+
+
+def _list_steps(episode: Episode) -> TableColumns:
+    """Observations, with what led to them."""
+    count = len(episode.step_stamps)
     none = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
-    steps = {
+    return {
         "stamp": episode.step_stamps,
         "step": np.arange(count),
         "reward": np.concatenate([none[:, 0], episode.rewards]),
         **_name_columns("action_", np.concatenate([none, episode.actions])),
         **_name_columns("observation_", episode.observations),
     }
-    return {
-        "ticks": ticks,
-        "wire": {"stamp": stamps[order], "direction": names[order], "bytes": texts[order]},
-        "steps": steps,
-        "scans": {"stamp": episode.scans.stamps, **_name_columns("range_", episode.scans.ranges)},
-    }
+
+
+def _list_scans(episode: Episode) -> TableColumns:
+    """The LiDAR's scans."""
+    scans = episode.scans
+    return {"stamp": scans.stamps, **_name_columns("range_", scans.ranges)}
 
 
 def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:
@@ -126,16 +199,77 @@ def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColu
     return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(found)}
 
 
-def _write_csv(path: Path, columns: TableColumns) -> None:
-    with replace_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+class CsvTable:
+    """A table that is written to a CSV file; it replaces an older one when it is whole.
+
+    Args:
+        path: of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._stack = contextlib.ExitStack()
+        self._columns: list[str] = []
+
+    def __enter__(self) -> Self:
+        new = self._stack.enter_context(replace_file(self.path))
+        file = self._stack.enter_context(new.open("w", newline="", encoding="utf-8"))
+        self._writer = csv.writer(file)
+        return self
+
+    def add(self, columns: TableColumns) -> None:
+        """Write rows; ConfigError where they have other columns than those before."""
+        if not self._columns:
+            self._columns = list(columns)
+            self._writer.writerow(columns)
+        check_columns(self.path.stem, self._columns, list(columns))
+        self._writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
 
 
-def _write_parquet(path: Path, columns: TableColumns) -> None:
-    with require_extra("export to Parquet", "export"):
-        import pyarrow as pa  # noqa: PLC0415 - optional
-        from pyarrow import parquet  # noqa: PLC0415 - optional
-    with replace_file(path) as new:
-        parquet.write_table(pa.table(columns), new)
+class ParquetTable:
+    """A table that is written to a Parquet file; it replaces an older one when it is whole.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        MissingExtraError: pyarrow isn't installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        with require_extra("export to Parquet", "export"):
+            import pyarrow as pa  # noqa: PLC0415 - optional
+            from pyarrow import parquet  # noqa: PLC0415 - optional
+        self.path = path
+        self._stack = contextlib.ExitStack()
+        self._make: Any = pa.table
+        self._open: Any = parquet.ParquetWriter
+        self._writer: Any = None
+
+    def __enter__(self) -> Self:
+        self._new = self._stack.enter_context(replace_file(self.path))
+        return self
+
+    def add(self, columns: TableColumns) -> None:
+        """Write rows; ConfigError where they have other columns than those before."""
+        table = self._make(columns)
+        if self._writer is None:
+            self._writer = self._stack.enter_context(self._open(self._new, table.schema))
+        check_columns(self.path.stem, self._writer.schema.names, table.column_names)
+        self._writer.write_table(table)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)

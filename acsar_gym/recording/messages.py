@@ -20,6 +20,7 @@ many messages are one numpy array with one row each, which costs about as much a
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -80,6 +81,20 @@ def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]
         "created": {"wall": time.time_ns(), "monotonic": time.monotonic_ns()},
         "about": to_plain_json(dict(about)),
     }
+
+
+def seal_text(name: str, data: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata with JSON by name, and its hash."""
+    text = json.dumps(data)
+    return {name: text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def is_sealed(text: str, metadata: Mapping[str, str]) -> bool:
+    """Whether text has the hash that is told with it; older recordings tell none."""
+    digest = metadata.get("sha256")
+    if digest is None:
+        return len(metadata) == 1
+    return hashlib.sha256(text.encode()).hexdigest() == digest
 
 
 MESSAGE_ENCODING = "cdr"

@@ -16,9 +16,9 @@ from typing import Any, Self
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning, show_value
 from acsar_gym.reading import explain_error
-from acsar_gym.recording.encoder import Began, Clock, Encoder, Event, Exchange
+from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, Exchange
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.sinks import McapFile, Sink, check_target, next_number
+from acsar_gym.recording.sinks import McapFile, Sink, SplitFile, check_target, next_number
 
 QUEUE_CAPACITY = 20_000
 """Most events that wait for the writer: at 100 Hz more than a minute's."""
@@ -26,6 +26,8 @@ WRITER_TIMEOUT = 10.0
 """Longest wait of a simulation for the writer [s]; from then on it drops, too."""
 ROOM_POLL = 0.001
 """How often a simulation looks whether the writer has caught up [s]."""
+SHORTEST_FILE = 1.0
+"""Shortest time after which a new file may begin [s]."""
 WRITER_PAUSE = 0.02
 """How often the writer looks for events [s]."""
 WRITER_BATCH = 16
@@ -90,7 +92,10 @@ class WriterThread(threading.Thread):
             events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
             for message in self._encoder.encode(events, self.dropped):
                 for sink in self._sinks:
-                    sink.add(message)
+                    if message is not NEW_FILE:
+                        sink.add(message)
+                    elif isinstance(sink, SplitFile):
+                        sink.begin_file(self.dropped)
                 self._progress += 1
             time.sleep(WRITER_YIELD)
 
@@ -133,6 +138,11 @@ class Recorder:
         about: what the header says about it, ready for JSON; see `recording.messages`.
         sinks: what else gets the messages.
         capacity: most events that wait.
+        split: how long a file is [s]: then `path` with "-2", "-3" and so on goes on, at the next
+            reset, or in mid-episode where one lasts longer than a file. None for one file.
+
+    Raises:
+        ConfigError: `split` isn't a time.
     """
 
     def __init__(
@@ -141,7 +151,13 @@ class Recorder:
         about: Mapping[str, Any] | None = None,
         sinks: Sequence[Sink] = (),
         capacity: int = QUEUE_CAPACITY,
+        split: float | None = None,
     ) -> None:
+        if split is not None and not split >= SHORTEST_FILE:
+            raise ConfigError(
+                f"split = {show_value(split)}: must be at least {SHORTEST_FILE:g} s, or None"
+            )
+        self._split = split
         self.path = None if path is None else Path(path)
         self.about = dict(about or {})
         self.dropped = 0
@@ -207,8 +223,9 @@ class Recorder:
         if self.path is not None:
             if self._is_copy and self.path.exists():
                 self.path = next_number(self.path)
-            self._sinks.append(McapFile(self.path, make_header(config, self.about)))
-        self._writer = WriterThread(self._queue, Encoder(config), self._sinks)
+            file = McapFile if self._split is None else SplitFile
+            self._sinks.append(file(self.path, make_header(config, self.about)))
+        self._writer = WriterThread(self._queue, Encoder(config, self._split), self._sinks)
         self._writer.start()
         _open_recorders.add(self)
 
@@ -296,9 +313,9 @@ class Recorder:
             self.problem = f"{self._name}: {problem}"
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
-    def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Path | None, dict[str, Any]]]:
+    def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
         """Copies haven't begun yet; where there is a file, they write one with another number."""
-        return _copy_recorder, (self.path, self.about)
+        return _copy_recorder, (self.path, self.about, self._split)
 
     def __enter__(self) -> Self:
         return self
@@ -312,8 +329,10 @@ class Recorder:
         self.close()
 
 
-def _copy_recorder(path: Path | None, about: dict[str, Any]) -> Recorder:
-    copied = Recorder(path, about)
+def _copy_recorder(
+    path: Path | None, about: dict[str, Any], split: float | None = None
+) -> Recorder:
+    copied = Recorder(path, about, split=split)
     copied._is_copy = True  # noqa: SLF001 - only copies are
     return copied
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -104,6 +103,9 @@ def _open_locked(path: str, flags: int) -> int:
 class McapFile:
     """A file that is being written. Errors are OSError, except in the constructor.
 
+    Messages tell their episode in their field `sequence`, and the header stands at both ends: what
+    is whole of a damaged file can be told apart.
+
     Args:
         path: of the file; an older recording that is there is kept under a number.
         header: of the recording.
@@ -122,7 +124,9 @@ class McapFile:
             self._file = UnbufferedFile(path)
             self._writer: Any = Writer(self._file, chunk_size=CHUNK_SIZE)  # type: ignore[arg-type]
             self._writer.start("ros2", f"acsar_gym {messages.package_version()}")
-            self._writer.add_metadata(messages.HEADER_RECORD, {"header": json.dumps(header)})
+            self._header = messages.seal_text("header", header)
+            self._episode = 0
+            self._writer.add_metadata(messages.HEADER_RECORD, self._header)
             schemas = {
                 kind: self._writer.register_schema(
                     kind, SCHEMA_ENCODING, messages.type_definition(kind)
@@ -142,8 +146,10 @@ class McapFile:
 
     def add(self, message: Message) -> None:
         """Add a message; it is in the file after the next `flush`."""
+        self._episode += message.topic is messages.EPISODE
         channel = self._channels[message.topic.name]
-        self._writer.add_message(channel, message.time, message.data, message.time)
+        time = message.time
+        self._writer.add_message(channel, time, message.data, time, self._episode)
 
     def flush(self) -> None:
         """Write what was added, so that it survives a crash of the program or the computer."""
@@ -156,7 +162,8 @@ class McapFile:
         """Finish the file with its index, and what is only known at the end."""
         try:
             self._writer.flush()
-            self._writer.add_metadata(messages.END_RECORD, {"end": json.dumps(end)})
+            self._writer.add_metadata(messages.HEADER_RECORD, self._header)
+            self._writer.add_metadata(messages.END_RECORD, messages.seal_text("end", end))
             self._writer.finish()
         finally:
             self.abandon()
@@ -169,6 +176,46 @@ class McapFile:
                     fcntl.flock(self._file.raw.fileno(), fcntl.LOCK_UN)
             with contextlib.suppress(OSError):
                 self._file.raw.close()
+
+
+class SplitFile:
+    """A recording in several files: FILE.mcap, FILE-2.mcap, FILE-3.mcap and so on.
+
+    Args:
+        path: of the first one.
+        header: of the recording.
+
+    Raises:
+        ConfigError, MissingExtraError: as for `McapFile`.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        self._path, self._header = path, header
+        self._number, self._dropped = 1, 0
+        self._file = McapFile(path, header)
+
+    def add(self, message: Message) -> None:
+        """Add a message to the newest file."""
+        self._file.add(message)
+
+    def flush(self) -> None:
+        """Write what was added."""
+        self._file.flush()
+
+    def begin_file(self, dropped: int) -> None:
+        """Finish the file and begin the next one; ConfigError where it can't be written."""
+        self.close({"dropped": dropped})
+        self._number, self._dropped = self._number + 1, dropped
+        path = self._path.with_stem(f"{self._path.stem}-{self._number}")
+        self._file = McapFile(path, {**self._header, "cut": {"file": self._number}})
+
+    def close(self, end: Mapping[str, Any]) -> None:
+        """Finish the newest file."""
+        self._file.close({"dropped": end["dropped"] - self._dropped})
+
+    def abandon(self) -> None:
+        """Close the newest file as it is."""
+        self._file.abandon()
 
 
 class UnbufferedFile:

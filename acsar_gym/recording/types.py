@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +23,44 @@ MAX_DISTANCE = 1e6
 """Largest distance of a LiDAR's measurement [m]."""
 
 
+class Pieces(Sequence[bytes]):
+    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory.
+
+    Args:
+        data: all of them.
+        ends: where each ends.
+    """
+
+    def __init__(self, data: bytes | bytearray, ends: array[int]) -> None:
+        self._data = data
+        self._ends = ends
+
+    def __len__(self) -> int:
+        return len(self._ends)
+
+    @overload
+    def __getitem__(self, place: int) -> bytes: ...
+    @overload
+    def __getitem__(self, place: slice) -> tuple[bytes, ...]: ...
+    def __getitem__(self, place: int | slice) -> bytes | tuple[bytes, ...]:
+        if isinstance(place, slice):
+            return tuple(self[number] for number in range(*place.indices(len(self))))
+        number = range(len(self._ends))[place]
+        first = self._ends[number - 1] if number else 0
+        return bytes(self._data[first : self._ends[number]])
+
+
 @dataclass(frozen=True, eq=False)
 class WireLog:
     """What was written to a robot's wire and what arrived, on the link's clock."""
 
     sent_stamps: Floats
     """(n,): when each write was done [s]."""
-    sent: tuple[bytes, ...]
+    sent: Sequence[bytes]
     """The bytes of each write."""
     got_stamps: Floats
     """(m,): when each piece arrived, i.e. the time of its last byte [s]."""
-    got: tuple[bytes, ...]
+    got: Sequence[bytes]
     """The bytes of each piece."""
     echoed: bool | None = None
     """Whether every command came back; None: as the zero commands tell, which are other ones to a
@@ -129,7 +157,7 @@ class Revolutions:
 
     stamps: Floats
     """(k,): when each ended, on the link's clock [s]."""
-    measured: tuple[Floats, ...]
+    measured: Sequence[Floats]
     """(3, n) each: bearings [rad], distances [m], 0 where nothing was measured, and times [s]."""
     exchanges: NDArray[np.int64]
     """(k,): number of the exchange after which each was read first."""
@@ -203,7 +231,9 @@ class Episode:
     scans: Scans
     """What the LiDAR's rays were."""
     info: Mapping[str, Any] = field(default_factory=dict)
-    """Seed, goal, start and number of the episode, as far as they are known."""
+    """Seed, goal, start and number of the episode, as far as they are known. `part` where it isn't
+    there from its reset on: `from` tells how long after it this part begins [s], and `pose` where
+    odometry had the robot then (x [m], y [m], theta [rad])."""
     offset: int = 0
     """What to add to times of the link's clock for those of the file [ns]; those begin with the
     wall clock at the first reset."""
@@ -221,9 +251,31 @@ class Episode:
     """Whether the task was solved; None where no env was recorded."""
 
 
+def begin_at_part(episode: Episode) -> Episode:
+    """Return an episode whose odometry begins with it, as after a reset.
+
+    Args:
+        episode: the poses and the goal of a part of an episode are moved; others stay as they are.
+    """
+    part = episode.info.get("part")
+    pose = part.get("pose") if isinstance(part, Mapping) else None
+    if not isinstance(pose, list) or len(pose) != 3 or not np.isfinite(pose).all():
+        return episode
+    x, y, theta = (float(number) for number in pose)
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    poses = np.array(episode.poses)
+    poses[:, :2] = (poses[:, :2] - (x, y)) @ turn
+    poses[:, 2] -= theta
+    info = {key: value for key, value in episode.info.items() if key != "start"}
+    goal = info.get("goal")
+    if isinstance(goal, list) and len(goal) == 2:
+        info["goal"] = ((np.array(goal, np.float64) - (x, y)) @ turn).tolist()
+    return replace(episode, poses=poses, info=info)
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording, read back whole."""
+    """A recording. What doesn't fit into memory is read from the file when it is asked for."""
 
     header: Mapping[str, Any]
     """Robot, env, task, policy, versions and clocks; see `recording.messages`."""
@@ -237,3 +289,27 @@ class Recording:
     """Whether the file's end is missing, because the program or the computer died."""
     dropped: int = 0
     """Events, such as ticks, that were dropped because the writer couldn't keep up."""
+    damages: tuple[str, ...] = ()
+    """A line for each damaged place of the file, which was left out."""
+    missing: int = 0
+    """Control periods that are missing where the file is damaged."""
+
+    @property
+    def sources(self) -> set[str]:
+        """Hash of the file, and of the one that it was cut out of."""
+        part = self.header.get("cut")
+        whole = part.get("of") if isinstance(part, Mapping) else None
+        return {self.sha256, *([whole] if isinstance(whole, str) else [])}
+
+    def describe_damage(self) -> str:
+        """Say what was left out of a damaged file.
+
+        Returns:
+            One line; empty where nothing was.
+        """
+        if not self.damages:
+            return ""
+        places = f"{len(self.damages)} damaged place{'s' * (len(self.damages) != 1)} left out"
+        more = ", ..." if len(self.damages) > 2 else ""
+        lost = f"; {self.missing:,} control periods are missing" if self.missing else ""
+        return f"{places} ({', '.join(self.damages[:2])}{more}){lost}"

@@ -34,7 +34,7 @@ from acsar_gym.recording.messages import (
     pack_octets,
     pack_text,
 )
-from acsar_gym.recording.reader import CHUNK, DATA_END, MESSAGE, METADATA
+from acsar_gym.recording.stream import CHUNK, DATA_END, MESSAGE, METADATA
 
 BEGIN = json.dumps({"episode": 0, "start": 0.0, "offset": 0, "wall": 0, "info": {}})
 Add = Callable[[Topic, bytes], None]
@@ -125,13 +125,6 @@ def test_a_file_that_was_cut_before_its_first_episode_says_so(tape: Path, tmp_pa
     for size in (20, 3000):
         cut.write_bytes(tape.read_bytes()[:size])
         assert "isn't a recording of acsar_gym" in refused(cut) or "no episode" in refused(cut)
-
-
-def test_a_flipped_bit_is_told(tape: Path, tmp_path: Path) -> None:
-    data = bytearray(tape.read_bytes())
-    data[len(data) // 2] ^= 4
-    (tmp_path / "bad.mcap").write_bytes(data)
-    assert "is damaged: " in refused(tmp_path / "bad.mcap")
 
 
 @pytest.mark.parametrize(
@@ -235,7 +228,7 @@ def chunk(data: bytes, size: int | None = None) -> bytes:
 
 
 HUNGRY = """
-import json, re, resource, sys
+import json, re, resource, sys, warnings
 from pathlib import Path
 from acsar_gym.errors import AcsarError
 from acsar_gym.recording import read
@@ -243,10 +236,14 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
     used = resource.getrusage(resource.RUSAGE_SELF)
     most = int(used.ru_utime + used.ru_stime) + 9
     resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))  # ends this process
-    try:
-        found = f"{len(read(path).episodes)} episodes"
-    except AcsarError as error:
-        found = str(error)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            read(path)
+            (warning,) = caught
+            found = str(warning.message)
+        except AcsarError as error:
+            found = str(error)
     peak = int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1]) / 1024.0
     print(json.dumps([path.name, found, peak]))
 """

@@ -193,6 +193,9 @@ class RecordOptions:
     record: File = None
     """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE; an older recording of
     that name is kept, as FILE.1.mcap."""
+    split: Annotated[str, tyro.conf.arg(metavar="TIME")] = ""
+    """Go on in a new file, FILE-2.mcap and so on, after this time, such as 1h or 20min: at the next
+    reset, or in mid-episode where one lasts longer."""
     view: bool = False
     """Show it live to Foxglove, on this computer only; prints the address."""
 
@@ -210,9 +213,12 @@ class RecordOptions:
         Raises:
             ConfigError, MissingExtraError: it can't record or show.
         """
+        if self.split and self.record is None:
+            raise ConfigError("--split: needs --record FILE")
         if self.record is None and not self.view:
             return None
         from acsar_gym.recording import Recorder  # noqa: PLC0415
+        from acsar_gym.recording.cut import parse_duration  # noqa: PLC0415
         from acsar_gym.recording.sinks import LiveView, check_target  # noqa: PLC0415
 
         if self.record is not None:
@@ -221,9 +227,25 @@ class RecordOptions:
         if self.view:
             sinks.append(LiveView())
             print(f"live view: open {sinks[0].url} in Foxglove", flush=True)
-        made = Recorder(self.record, {"command": command, **about}, sinks)
+        split = parse_duration(self.split) if self.split else None
+        made = Recorder(self.record, {"command": command, **about}, sinks, split=split)
         _command_recorders.append(made)
         return made
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """Where a recording is a ROS 2 bag: an MCAP file, a .db3 file, or a folder of rosbag2."""
+
+    topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC [TOPIC ...]")] = ()
+    """Topics of the bag that are used, or namespaces, such as /robot1; default: all."""
+
+    def open(self, path: Path, robot: str | None) -> Path:
+        """Return the recording, made of the bag where it is one; see `recording.bags`."""
+        from acsar_gym.config import RobotConfig  # noqa: PLC0415
+        from acsar_gym.recording.bags import open_recording  # noqa: PLC0415
+
+        return open_recording(path, None if robot is None else RobotConfig.of(robot), self.topics)
 
 
 def check_not_given(options: Iterable[tuple[str, Any]]) -> None:

@@ -17,13 +17,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import read
 from acsar_gym.recording.export import is_incomplete
-from acsar_gym.recording.types import Episode, Floats, Recording
+from acsar_gym.recording.types import Episode, Floats, begin_at_part
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.base import Goal
@@ -114,7 +115,8 @@ def _read_one(path: Path, env: str, goal: Goal | None) -> Demonstrations:
     if recording.cut:
         last = "the last episode is left out" if is_incomplete(recording) else "its end is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=4)
-    whole = recording.episodes[: len(recording.episodes) - is_incomplete(recording)]
+    episodes = tuple(map(begin_at_part, recording.episodes))
+    whole = episodes[: len(episodes) - is_incomplete(recording)]
     about = recording.header["about"]
     named = about.get("env")
     named = str(named.get("id", "")) if isinstance(named, Mapping) else ""
@@ -134,7 +136,7 @@ def _read_one(path: Path, env: str, goal: Goal | None) -> Demonstrations:
         return Demonstrations(named, names, rate, **told, episodes=made)
     # Only the user, not the file, may name an env of another package, which is imported.
     env_id = find_id(env or strip_module(named) or DEFAULT_ENV)
-    made_env = _make_replay_env(env_id, path, recording, goal)
+    made_env = _make_replay_env(env_id, path, recording.config, episodes, goal)
     try:
         made = tuple(_replay_steps(made_env, path, whole, goal))
     finally:
@@ -183,9 +185,11 @@ def _name_numbers(names: list[str], size: int) -> tuple[str, ...]:
     return (*names[:size], *(f"sensed_{number}" for number in range(size - len(names))))
 
 
-def _make_replay_env(env_id: str, path: Path, recording: Recording, goal: Goal | None) -> RobotEnv:
-    """Make the env that plays the recording; goals may be as far away as the robot drove."""
-    config = recording.config.with_(wheel_check=False)  # these wheels can't be hurt any more
+def _make_replay_env(
+    env_id: str, path: Path, robot: RobotConfig, episodes: Sequence[Episode], goal: Goal | None
+) -> RobotEnv:
+    """Make the env that plays the episodes; goals may be as far away as the robot drove."""
+    config = robot.with_(wheel_check=False)  # these wheels can't be hurt any more
 
     def make(**options: Any) -> RobotEnv:
         link = ReplayLink(path, compare=False)  # an action is the mean of a step's commands
@@ -200,17 +204,21 @@ def _make_replay_env(env_id: str, path: Path, recording: Recording, goal: Goal |
 
     env = make()
     if any(sensor.name == LIDAR for sensor in env.sensors) and not any(
-        len(episode.scans.stamps) for episode in recording.episodes
+        len(episode.scans.stamps) for episode in episodes
     ):
         raise ConfigError(f"{path}: has no scans, which {env_id} observes: record with a LiDAR")
     if isinstance(env.task, PointGoal):
         nearest, farthest = env.task.goal_distance
-        places = [episode.poses[:, :2] for episode in recording.episodes]
-        places += [np.array([_find_goal(one, goal)]) for one in recording.episodes]
-        reach = float(np.hypot(*np.concatenate(places).T).max())
+        reach = max(_find_reach(episode, goal) for episode in episodes)
         if reach > farthest:
             return make(goal_distance=(nearest, reach), distance_scale=env.task.scale)
     return env
+
+
+def _find_reach(episode: Episode, goal: Goal | None) -> float:
+    """The longest distance of robot and goal from where the episode began [m]."""
+    places = np.concatenate([episode.poses[:, :2], [_find_goal(episode, goal)]])
+    return float(np.hypot(*places.T).max())
 
 
 def _find_goal(episode: Episode, goal: Goal | None) -> Goal:

@@ -84,7 +84,7 @@ def _make_frames(episode: DemonstrationEpisode, number: int, first: int, rate: f
         "action": episode.actions,
         "next.reward": episode.rewards.astype(np.float32),
         "next.done": steps == count - 1,
-        "timestamp": (steps / rate).astype(np.float32),
+        "timestamp": steps / rate,
         "frame_index": steps,
         "episode_index": np.full(count, number),
         "index": first + steps,

@@ -60,7 +60,7 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     recordings = [(str(path), read(path)) for path in paths]
     check_same_robot(recordings, "identify")
     logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
-    hashes = [recording.sha256 for _, recording in recordings]
+    hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
     return identify_logs(logs, config or recordings[0][1].config, hashes)
 
 
@@ -72,7 +72,7 @@ def identify_device(
     if recorder is not None and recorder.path is not None and not recorder.problem:
         return identify_logs([log], config, [read(recorder.path).sha256])
     whole = hashlib.sha256(log.sent_stamps.tobytes() + log.got_stamps.tobytes())
-    whole.update(b"".join(log.sent + log.got))
+    whole.update(b"".join((*log.sent, *log.got)))
     return identify_logs([log], config, [whole.hexdigest()[:16]])
 
 

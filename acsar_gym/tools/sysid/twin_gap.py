@@ -262,7 +262,7 @@ def measure_gap(
                     track = replace(track, truth=np.full_like(track.truth, np.nan))
                 tracks[side] = track
                 figures[side] = measure_figures(recorded, track, 1.0 / config.feedback_rate)
-            fitted = recording.sha256 in fitted_on
+            fitted = not fitted_on.isdisjoint(recording.sources)
             seconds = float(episode.stamps[-1] - episode.stamps[0])
             replay = EpisodeReplay(log, number, fitted, seconds, recorded, tracks, figures)
             replays.append(replay)
@@ -293,6 +293,8 @@ def _note_limits(
             notes.append(note)
         if recording.dropped:
             notes.append(f"{name}: {recording.dropped:,} ticks are missing")
+        if recording.damages:
+            notes.append(f"{name}: {recording.describe_damage()}")
         found = find_difference(recording.config, robot[1], wire=True)
         if found is not None:
             field, own, other = found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,6 +116,9 @@ def _list_tick_lines(episode: GrowingEpisode, late_tick: float) -> Iterator[LogL
 
 def describe_end(tail: RecordingTail, time: float) -> LogLine:
     """Tell how a recording that isn't written any more has ended, at a time since the reset [s]."""
+    if tail.damages:
+        text = f"the recording ends; left out, damaged: {', '.join(tail.damages[:2])}"
+        return LogLine(time, WARNING, text)
     if not tail.is_complete:
         return LogLine(time, WARNING, "the recording's end is missing")
     if tail.dropped:
@@ -123,7 +126,7 @@ def describe_end(tail: RecordingTail, time: float) -> LogLine:
     return LogLine(time, NOTE, "the recording ends")
 
 
-def describe_beginning(info: dict[str, Any]) -> str:
+def describe_beginning(info: Mapping[str, Any]) -> str:
     """Tell what an episode begins with, as far as it is known."""
     words = [f"{name} {info[name]}" for name in ("seed", "world") if info.get(name) is not None]
     return "begins" + (f": {', '.join(words)}" if words else "")

@@ -15,6 +15,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.reading import open_file
 from acsar_gym.recording import messages
+from acsar_gym.recording.episodes import EpisodeCollector, EpisodeParts
 from acsar_gym.recording.messages import (
     DIAGNOSTICS,
     EXCHANGES,
@@ -26,13 +27,7 @@ from acsar_gym.recording.messages import (
     WIRE_SENT,
     Topic,
 )
-from acsar_gym.recording.reader import (
-    MAX_FILE,
-    EpisodeCollector,
-    EpisodeParts,
-    FileCut,
-    RecordStream,
-)
+from acsar_gym.recording.stream import FileCut, RecordStream
 from acsar_gym.recording.types import Floats, WireLog
 
 WRITING_TIMEOUT = 10.0
@@ -44,6 +39,8 @@ TICK_PLACES = {name: place for place, name in enumerate(TICK_COLUMNS)}
 """Columns of `GrowingEpisode.ticks` by name; times are since the reset."""
 MAX_COORDINATE = 1e6
 """Largest coordinate of goal and start, either sign [m]."""
+DRAINED_BYTES = 20_000_000
+"""So many bytes are read at once."""
 INITIAL_ROWS = 16
 """Rows of a table for which there is room at first."""
 
@@ -254,7 +251,8 @@ class RecordingTail:
 
     A recorder that begins again under the same name replaces the file: then this begins again, too.
 
-    Attributes: `path`; `episodes`; `config`, of the robot; `header`, of the recording.
+    Attributes: `path`; `episodes`; `config`, of the robot; `header`, of the recording; `damages`, a
+    line for each damaged place, which was left out.
 
     Args:
         path: the file.
@@ -272,6 +270,7 @@ class RecordingTail:
     def _restart(self) -> None:
         self._collector = EpisodeCollector(TAIL_TOPICS)
         self._place, self._size, self._damage = 0, -1, ""
+        self.damages: list[str] = []
         self.episodes: list[GrowingEpisode] = []
         self.config = RobotConfig()
         self.header: dict[str, Any] = {}
@@ -285,7 +284,7 @@ class RecordingTail:
         Raises:
             ConfigError: as for the constructor.
         """
-        with open_file(self.path, MAX_FILE) as file:
+        with open_file(self.path, None) as file:
             status = os.fstat(file.fileno())
             same = status.st_dev, status.st_ino
             is_other = self._file not in (None, same)
@@ -305,24 +304,33 @@ class RecordingTail:
     def _read(self, file: Any) -> bool:
         """Read complete records from where the last call has ended; whether there was anything."""
         collector = self._collector
+        records, changed = RecordStream(file, collector.topics), False
+        records.place = self._place or records.place
         try:
-            records = RecordStream(file, collector.topics)
-            file.seek(self._place or file.tell())
             for opcode, content in records:
                 collector.take(opcode, content)
-                self._place = file.tell()
-        except FileCut:  # the rest of the record isn't written yet
-            pass
-        collector.kept = 0
+                if collector.kept > DRAINED_BYTES and collector.header is not None:
+                    changed |= self._drain()
+        except FileCut as cut:  # the rest of the record isn't written yet
+            if cut.damaged:
+                raise ConfigError("is damaged: what follows is no record") from None
+        self._place = records.place
+        self.damages += records.damages
         if collector.header is None:
             raise ConfigError("isn't a recording of acsar_gym")
-        if not self.header:
+        return self._drain() or changed or self.is_complete
+
+    def _drain(self) -> bool:
+        """Hand what was read over to the episodes; whether there was anything."""
+        collector = self._collector
+        collector.kept = 0
+        if not self.header and collector.header is not None:
             self.config = RobotConfig.model_validate(collector.header["config"])
             self.header = collector.header
         known = len(self.episodes)
         self.episodes += [GrowingEpisode(one, self.config) for one in collector.parts[known:]]
         changed = [episode.drain() for episode in self.episodes[max(known - 1, 0) :]]
-        return any(changed) or len(self.episodes) > known or self.is_complete
+        return any(changed) or len(self.episodes) > known
 
     @property
     def is_complete(self) -> bool:

@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bag_tools import make_bag, write_mcap
 from cli_tools import Call, assert_one_line
+from recording_tools import drive
 from serial_tools import RobotFile, cli
 from zip_tools import poison, save
 
 import acsar_gym
+from acsar_gym import RobotConfig
 from acsar_gym.errors import LateTicksError, RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
 
@@ -159,6 +162,55 @@ def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> No
     code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
     assert code == 3
     assert_one_line(error, f"{tape}: other commands than recorded, tick ")
+
+
+def test_a_drive_goes_on_in_new_files_and_parts_are_cut_out(call: Call, tmp_path: Path) -> None:
+    tape, part = tmp_path / "tape.mcap", tmp_path / "tape.part.mcap"
+    turn = ("--angular", "0.5", "--duration", "5")
+    code, _, error = call("drive", "--link", "planar", *turn, "--record", tape, "--split", "2s")
+    assert (code, error) == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("tape-2.mcap", "tape-3.mcap", "tape.mcap")
+    ]
+    code, out, error = call("record", "cut", tape, "--from", "0.5s", "--to", "0:01.5")
+    assert (code, error) == (0, "")
+    assert f"written: {part}: 1 episode, 1.0 s" in out
+    code, _, error = call("record", "cut", tape, "--from", "1h", "--out", tmp_path / "x.mcap")
+    assert code == 2
+    assert_one_line(error, f"{tape}: lasts 2.0 s: nothing is there from 3600 s on")
+    code, _, error = call("record", "cut", tape)
+    assert code == 2
+    assert_one_line(error, f"{part}: is there already: name another file with --out")
+    code, _, error = call("drive", "--link", "planar", *turn, "--split", "1h")
+    assert code == 2
+    assert_one_line(error, "--split: needs --record FILE")
+
+
+def test_bags_are_read_where_recordings_are(call: Call, tmp_path: Path) -> None:
+    tape = drive(tmp_path / "tape.mcap", RobotConfig.preset("acsar"), 600)
+    topics = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics))
+    code, out, error = call("record", "info", bag, "--robot", "acsar")
+    assert (code, error) == (0, "")
+    assert "1 episode, 6.0 s" in out
+    code, _, error = call("record", "info", bag)
+    assert code == 2
+    assert_one_line(error, f"{bag}: is a ROS 2 bag: name its robot with --robot PRESET|FILE")
+    code, _, error = call("record", "export", bag, "--to", "csv", "--robot", "acsar")
+    assert (code, error) == (0, "")
+    assert (tmp_path / "bag" / "ticks.csv").exists()
+    code, out, error = call("gap", bag, "--robot", "acsar")
+    assert (code, error) == (0, "")
+    assert "1 held-out episode" in out
+    code, out, error = call("identify", "--from", bag, "--robot", "acsar")
+    assert (code, error) == (0, "")
+    assert "motor.time_constant" in out
+    code, _, error = call("identify", "planar", "--from", bag)
+    assert code == 2
+    assert_one_line(error, "--from: give a device, or recordings with --from, not both")
+    code, _, error = call("gap", tape, "--robot", "acsar", "--topics", "/robot1")
+    assert code == 2
+    assert_one_line(error, f"{tape}: --topics is for ROS 2 bags; this is a recording")
 
 
 def test_the_doctor_tells_how_late_ticks_are(

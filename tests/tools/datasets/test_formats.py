@@ -18,7 +18,13 @@ from pyarrow import parquet
 from recording_tools import record_drive, record_env
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.datasets import Demonstrations, read_demonstrations, write_dataset
+from acsar_gym.tools.datasets import (
+    DemonstrationEpisode,
+    Demonstrations,
+    read_demonstrations,
+    write_dataset,
+)
+from acsar_gym.tools.datasets.lerobot import write_lerobot
 
 FIRST = "chunk-000/file-000.parquet"
 
@@ -73,6 +79,22 @@ def test_lerobot_has_a_frame_for_each_step(tapes: list[Path], tmp_path: Path) ->
     np.testing.assert_array_equal(frames["frame_index"], steps)
     np.testing.assert_allclose(frames["timestamp"], steps / 10.0, atol=1e-6)
     assert not frames["task_index"].any()
+
+
+def test_times_of_a_long_episode_are_exact(tmp_path: Path) -> None:
+    """LeRobot wants them within 0.1 ms of whole steps, which takes more than single precision."""
+    steps = 40_000
+    episode = DemonstrationEpisode(
+        np.zeros((steps + 1, 1), np.float32),
+        np.zeros((steps, 2), np.float32),
+        np.zeros(steps),
+        terminated=False,
+    )
+    data = Demonstrations("x", ("y",), 10.0, "robot", (1.0, 1.0), "unknown", (episode,))
+    times = read_frames(write_lerobot(data, tmp_path / "data"))["timestamp"]
+    assert np.abs(np.diff(times) - 0.1).max() < 1e-6
+    info = json.loads((tmp_path / "data/meta/info.json").read_text())
+    assert info["features"]["timestamp"]["dtype"] == "float64"
 
 
 def test_lerobots_description_fits_its_frames(tapes: list[Path], tmp_path: Path) -> None:

@@ -100,7 +100,7 @@ def test_damage_of_a_live_run_is_shown_on_the_page(tape: Path, tmp_path: Path) -
     data, path = tape.read_bytes(), tmp_path / "live.mcap"
     path.write_bytes(data[:60_000])
     session = Session(path)
-    path.write_bytes(data[:60_000] + b"\xff" * 5000)
+    path.write_bytes(data[:60_000] + b"\xff" * 200_000)  # more than a chunk
     for _ in range(2):
         assert session.poll() == 1
         assert "is damaged" in session.problem

@@ -14,6 +14,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
+    BagOptions,
     File,
     Force,
     check_writable,
@@ -73,6 +74,7 @@ def measure_gap(
     logs: Logs,
     robot: RobotFile,
     outputs: GapOutputs,
+    bag: BagOptions,
     before: UnfittedRobot = "acsar",
     body: str = "planar",
     truth: File = None,
@@ -82,9 +84,10 @@ def measure_gap(
     Figures are over the logs that the robot wasn't fitted to, if there are any.
 
     Args:
-        logs: recordings of one robot, made with --record.
+        logs: recordings of one robot, made with --record, or ROS 2 bags of it.
         robot: the fitted robot, such as the file that identify wrote.
         outputs: files and limits.
+        bag: of ROS 2.
         before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
             first recording; "recorded" is the robot in each recording.
         body: physics of the twins, planar, bullet or mujoco.
@@ -94,7 +97,7 @@ def measure_gap(
 
     limits = outputs.prepare(twin_gap.LIMIT_NAMES)
     after = Path(robot).name, RobotConfig.of(robot)
-    recordings = _read_logs(logs)
+    recordings = _read_logs([bag.open(log, robot) for log in logs])
     if truth is not None:
         recordings = [(name, tracks.add_truth(log, truth)) for name, log in recordings]
     recorded, unfitted = recordings[0][1].config, None
@@ -146,7 +149,7 @@ def _read_logs(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
     logs = [(path.name, read(path)) for path in paths]
     seen: dict[str, str] = {}
     for name, log in logs:
-        begun = str(log.header["created"])  # tells a cut copy, too
+        begun = str((log.header["created"], log.header.get("cut")))  # tells a cut copy, too
         if begun in seen:
             raise ConfigError(f"{name}: is the same recording as {seen[begun]}")
         seen[begun] = name

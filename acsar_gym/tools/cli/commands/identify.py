@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
+    BagOptions,
     File,
     Force,
     HostOptions,
@@ -66,6 +68,8 @@ def identify_robot(
     setup: IdentifySetup,
     host: HostOptions,
     output: IdentifyOutputs,
+    bag: BagOptions,
+    logs: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="LOG [LOG ...]")] = (),
     duration: float = DURATION,
     yes: bool = False,
 ) -> int:
@@ -78,10 +82,12 @@ def identify_robot(
 
     Args:
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
-            --record.
+            --record, or ROS 2 bags of it.
         setup: robot and recording.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results.
+        bag: of ROS 2.
+        logs: recordings or ROS 2 bags, instead of a device.
         duration: of the manoeuvre [s].
         yes: don't ask before the wheels turn.
     """
@@ -91,20 +97,16 @@ def identify_robot(
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
-    if not sources:
-        raise ConfigError("identify needs a device, or recordings made with --record")
-    files = [Path(source).suffix == ".mcap" or Path(source).is_file() for source in sources]
-    device, robot = sources[0], setup.robot
-    if any(files) or len(sources) > 1:
-        if not all(files):
-            other = sources[files.index(False)]
-            raise ConfigError(f"{other}: isn't a recording; give one device, or recordings only")
+    recorded = _list_logs(sources, logs)
+    robot = setup.robot
+    if recorded:
         driving = (setup.twin, setup.quirk, setup.record, setup.view, duration != DURATION)
         options = ("--twin", "--quirk", "--record", "--view", "--duration")
         check_not_given(zip(options, driving, strict=True))
         known = None if robot is None else RobotConfig.of(robot)
-        found = identify.identify_files([Path(source) for source in sources], known)
+        found = identify.identify_files([bag.open(path, robot) for path in recorded], known)
     else:
+        device = sources[0]
         config, simulated = RobotConfig.of(robot), device in BODIES
         if (setup.twin is not None or setup.quirk) and not simulated:
             raise ConfigError(f"--twin and --quirk are for simulated robots: {' or '.join(BODIES)}")
@@ -139,3 +141,19 @@ def identify_robot(
         if written.misfit:
             say(written.misfit)
     return 0
+
+
+def _list_logs(sources: Sequence[str], logs: Sequence[str]) -> list[Path]:
+    """List the recordings and bags that are named; none where a device is."""
+    if logs and sources:
+        raise ConfigError("--from: give a device, or recordings with --from, not both")
+    paths = [Path(source) for source in (*sources, *logs)]
+    if not paths:
+        raise ConfigError("identify needs a device, or recordings made with --record")
+    files = [path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir() for path in paths]
+    if not (logs or any(files) or len(sources) > 1):
+        return []
+    if not all(files):
+        other = paths[files.index(False)]
+        raise ConfigError(f"{other}: isn't a recording; give one device, or recordings only")
+    return paths

@@ -1,7 +1,9 @@
-"""Look into recordings, or convert them: acsar-gym record info|export FILE."""
+"""Look into recordings, cut or convert them: acsar-gym record info|cut|export FILE."""
 
 from __future__ import annotations
 
+import math
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,7 +12,10 @@ import tyro
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
+    BagOptions,
+    File,
     ResultOptions,
+    RobotArg,
     print_results,
     say,
 )
@@ -19,20 +24,58 @@ Recorded = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
 @command("record info", "recordings")
-def describe_recording(file: Recorded, output: ResultOptions) -> int:
+def describe_recording(
+    file: Recorded, bag: BagOptions, output: ResultOptions, robot: RobotArg = None
+) -> int:
     """Tell what a recording holds.
 
     Args:
-        file: the recording.
+        file: the recording, or a ROS 2 bag.
+        bag: of ROS 2.
         output: results in a file.
+        robot: ROS 2 bags: preset or file of the robot that it is of.
     """
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
     output.check()
-    found = summarize(file)
+    found = summarize(bag.open(file, robot)) | {"file": str(file)}
     for line in summary_lines(found):
         say(line)
     print_results(json=output.json, data=found)
+    return 0
+
+
+def make_folder_name(file: Path) -> Path:
+    """Return the folder beside a recording, with its name."""
+    return file.with_name(f"{file.name}.tables") if file.is_dir() else file.with_suffix("")
+
+
+@command("record cut", "recordings")
+def cut_recording(
+    file: Recorded,
+    begin: Annotated[str, tyro.conf.arg(name="from", metavar="TIME")] = "0",
+    end: Annotated[str, tyro.conf.arg(name="to", metavar="TIME")] = "",
+    out: File = None,
+) -> int:
+    """Write a part of a recording, or of a ROS 2 bag in MCAP, to a new file.
+
+    Times are since the beginning of the recording, such as 90s, 20min, 1.5h or 1:02:30.
+
+    Args:
+        file: the recording.
+        begin: of the part.
+        end: of the part; default: the end of the recording.
+        out: the new file; default: FILE.part.mcap.
+    """
+    from acsar_gym.recording import cut  # noqa: PLC0415
+
+    target = out or file.with_suffix(f".part{file.suffix}")
+    first, last = cut.parse_duration(begin), cut.parse_duration(end) if end else math.inf
+    found = cut.cut_recording(file, first, last, target)
+    for damage in found.damages:
+        print(f"acsar-gym: {file}: left out, damaged: {damage}", file=sys.stderr)
+    count = f"{found.episodes} episode{'s' * (found.episodes != 1)}, " if found.episodes else ""
+    say(f"written: {target}: {count}{found.seconds:.1f} s")
     return 0
 
 
@@ -42,25 +85,30 @@ def export_recording(
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE [FILE ...]")
     ],
     to: Literal["parquet", "csv", "minari", "lerobot"],
+    bag: BagOptions,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None,
     env: str = "",
     goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None,
+    robot: RobotArg = None,
 ) -> int:
     """Convert a recording to tables, or recordings to a data set for offline learning.
 
     Args:
-        files: the recording; a data set may be made of several.
+        files: the recording, or a ROS 2 bag; a data set may be made of several.
         to: parquet or csv, one table for each kind of data; or minari or lerobot, a data set of
             what an agent would have seen and done.
+        bag: of ROS 2.
         out: folder to write; default: beside the first recording, with its name.
         env: data sets: the env whose observations are wanted; default: the one that recorded, or
             point_goal where a person drove.
         goal: data sets: x and y in the odometry frame [m]; default: the recorded goal, or the place
             where the drive ended.
+        robot: ROS 2 bags: preset or file of the robot that it is of.
     """
     if not files:
         raise ConfigError("record export needs a recording")
-    folder = out or files[0].with_suffix("")
+    folder = out or make_folder_name(files[0])
+    files = tuple(bag.open(file, robot) for file in files)
     if to in ("minari", "lerobot"):
         from acsar_gym.tools import datasets  # noqa: PLC0415
 

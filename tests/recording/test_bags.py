@@ -1,0 +1,204 @@
+"""ROS 2 bags of other robots, read as recordings."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_tools import JOINTS, make_bag, without_velocities, write_folder, write_mcap
+from recording_tools import drive
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError, RecordingWarning
+from acsar_gym.recording import Recording, read
+from acsar_gym.recording.bags import find_corner, find_wheels, is_recording, open_recording
+from acsar_gym.recording.export import make_tables
+from acsar_gym.tools.sysid.identify import identify_files
+from acsar_gym.tools.sysid.twin_gap import measure_gap
+
+TOPICS = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
+ROBOT = RobotConfig.of(None)
+
+
+@pytest.fixture(scope="module")
+def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return drive(tmp_path_factory.mktemp("tape") / "tape.mcap", ROBOT, 500)
+
+
+def read_bag(path: Path, robot: RobotConfig = ROBOT, topics: tuple[str, ...] = ()) -> Recording:
+    return read(open_recording(path, robot, topics), revolutions=True)
+
+
+def assert_same_drive(found: Recording, tape: Path, off: float = 0.011) -> None:
+    """Speeds, way, commands and scans of a bag are those that were recorded."""
+    (one,), (every,) = found.episodes, read(tape, revolutions=True).episodes
+    rows = len(one.stamps)
+    assert len(every.stamps) - 1 <= rows <= len(every.stamps)
+    np.testing.assert_allclose(one.speeds, every.speeds[-rows:], atol=off)
+    np.testing.assert_allclose(one.poses[-1, :2], every.poses[-1, :2], atol=0.02)
+    np.testing.assert_allclose(np.diff(one.stamps), np.diff(every.stamps[-rows:]), atol=2e-9)
+    _, sent = one.wire.commands(ROBOT)
+    _, sent_before = every.wire.commands(ROBOT)
+    np.testing.assert_allclose(sent[-300:], sent_before[-301:-1], atol=0.011)
+    assert np.isnan(one.truth).all()
+    assert len(one.scans.stamps) > 40
+    nearest = len(every.scans.stamps) - len(one.scans.stamps)
+    np.testing.assert_allclose(one.scans.ranges, every.scans.ranges[nearest:], atol=1e-4)
+
+
+def test_an_mcap_file_is_read_as_a_recording(tape: Path, tmp_path: Path) -> None:
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS))
+    assert is_recording(tape)
+    assert not is_recording(bag)
+    assert open_recording(tape, ROBOT) == tape
+    assert_same_drive(read_bag(bag), tape)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_folder_is_read_as_a_recording(
+    storage: StoragePlugin, tape: Path, tmp_path: Path
+) -> None:
+    folder = write_folder(tmp_path / "bag", make_bag(tape, TOPICS), storage)
+    assert_same_drive(read_bag(folder), tape)
+    (file,) = [path for path in folder.iterdir() if path.suffix in (".db3", ".mcap")]
+    assert_same_drive(read_bag(file), tape)
+    (folder / "metadata.yaml").unlink()  # as of a program that was killed
+    assert_same_drive(read_bag(folder), tape)
+
+
+@pytest.mark.parametrize("packed", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_packed_folders_are_read(packed: object, tape: Path, tmp_path: Path) -> None:
+    bag = make_bag(tape, TOPICS)
+    folder = write_folder(tmp_path / "bag", bag, StoragePlugin.SQLITE3, packed)
+    assert_same_drive(read_bag(folder), tape)
+
+
+def test_stamped_twists_and_positions_alone_will_do(tape: Path, tmp_path: Path) -> None:
+    bag = make_bag(tape, TOPICS, change=without_velocities)
+    assert_same_drive(read_bag(write_mcap(tmp_path / "bag.mcap", bag)), tape, off=1.0)
+
+
+def test_an_odometry_will_do(tape: Path, tmp_path: Path) -> None:
+    topics = {"/odom": "/base/odom", "/cmd_vel_sent": "/base/cmd_vel", "/scan": "/scan"}
+    found = read_bag(write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics)))
+    assert_same_drive(found, tape, off=0.1)
+
+
+def test_two_wheels_stand_for_their_sides(tape: Path, tmp_path: Path) -> None:
+    names = ("right_wheel_joint", "left_wheel_joint", "arm_1", "arm_2")
+    found = read_bag(write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS, names)))
+    (episode,) = found.episodes
+    np.testing.assert_array_equal(episode.speeds[:, 0], episode.speeds[:, 3])
+    np.testing.assert_array_equal(episode.speeds[:, 1], episode.speeds[:, 2])
+    assert abs(episode.poses[-1, 0]) > 0.5
+
+
+def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
+    crossed = ROBOT.with_(
+        wheels={
+            "a": {"motor": "b", "encoder": "b", "sign": -1},
+            "b": {"motor": "a", "encoder": "a"},
+        }
+    )
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS))
+    (episode,) = read_bag(bag, crossed).episodes
+    _, speeds = episode.wire.feedback(crossed)
+    np.testing.assert_allclose(speeds, episode.speeds, atol=0.006)
+
+
+@pytest.mark.parametrize(
+    ("name", "corner"),
+    [
+        ("front_left_wheel_joint", "fl"),
+        ("fl_wheel", "fl"),
+        ("wheel_front_left", "fl"),
+        ("base_link_left_wheel_joint", "l"),
+        ("rear_right_wheel", "br"),
+        ("wheel_back_right_joint", "br"),
+        ("rightRearWheel", "br"),
+        ("lf_wheel_joint", "fl"),
+        ("robot1/rl_wheel", "bl"),
+        ("leftwheel", "l"),
+        ("caster_wheel_left", ""),
+        ("wheel", ""),
+    ],
+)
+def test_joints_are_known_by_their_names(name: str, corner: str) -> None:
+    assert find_corner(name) == corner
+
+
+def test_the_order_of_joints_is_free() -> None:
+    names = ["arm", "fl_wheel", "rl_wheel", "fr_wheel", "rr_wheel", "left_finger"]
+    assert find_wheels(names, ROBOT) == (3, 1, 2, 4)
+    assert find_wheels(["arm_left", "finger"], ROBOT) is None
+
+
+def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
+    odd = ("a", "b", "c", "d")
+    without = write_mcap(tmp_path / "odd.mcap", make_bag(tape, TOPICS, odd))
+    with pytest.raises(ConfigError, match=r"odd.mcap: has no wheel speeds, .*joints are a, b, c"):
+        read_bag(without)
+    scans = write_mcap(tmp_path / "scans.mcap", make_bag(tape, {"/scan": "/scan"}))
+    with pytest.raises(ConfigError, match=r"it has /scan \(sensor_msgs/msg/LaserScan\)"):
+        read_bag(scans)
+    with pytest.raises(ConfigError, match="is a ROS 2 bag: name its robot with --robot"):
+        open_recording(scans, None)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"holds no ROS 2 bag: no metadata\.yaml"):
+        read_bag(tmp_path / "empty")
+    (tmp_path / "bad.db3").write_bytes(b"no database" * 100)
+    with pytest.raises(ConfigError, match="isn't a ROS 2 bag"):
+        read_bag(tmp_path / "bad.db3")
+    blind = make_bag(tape, {"/joint_states": "/joint_states"})
+    found = read(open_recording(write_mcap(tmp_path / "blind.mcap", blind), ROBOT))
+    with pytest.raises(ConfigError, match="left out, holds no commands, or no feedback"):
+        measure_gap([("blind", found)], ("robot", ROBOT), ("robot", ROBOT))
+
+
+def test_a_damaged_bag_without_its_end_says_so(tape: Path, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_bag(tape, {"/joint_states": "/joint_states"}))
+    data = bytearray(path.read_bytes())
+    path.write_bytes(data[: len(data) * 3 // 4])
+    with pytest.warns(RecordingWarning, match=r"bag\.mcap: the file is cut"):
+        open_recording(path, ROBOT)
+
+
+def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:
+    bag = [
+        message
+        for name in ("/robot1", "/robot2")
+        for message in make_bag(tape, {t: f"{name}{to}" for t, to in TOPICS.items()}, JOINTS)
+    ]
+    path = write_mcap(tmp_path / "two.mcap", sorted(bag, key=lambda message: message[2]))
+    with pytest.raises(ConfigError, match=r"several topics with joint states: /robot1/joint_sta"):
+        read_bag(path)
+    with pytest.raises(ConfigError, match="has no topic '/robot3'"):
+        read_bag(path, topics=("/robot3",))
+    assert_same_drive(read_bag(path, topics=("/robot1",)), tape)
+
+
+def test_a_twin_has_no_gap_to_a_bag_of_itself(tape: Path, tmp_path: Path) -> None:
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS))
+    found = measure_gap([("bag", read_bag(bag))], ("robot", ROBOT), ("robot", ROBOT))
+    assert found.figures("after")["wheel_speed_rms"] < 0.3
+    assert math.isfinite(found.figures("after")["end_odometry"])
+    ticks = make_tables(read_bag(bag))["ticks"]
+    assert len(ticks["x"]) > 400
+
+
+def test_motors_are_identified_from_a_bag(tmp_path: Path) -> None:
+    slow = ROBOT.with_(motor={"time_constant": 0.25})
+    path = tmp_path / "slow.mcap"
+    drive(path, slow, 2000)
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(path, TOPICS))
+    recording = open_recording(bag, ROBOT)
+    found = identify_files([recording], ROBOT)
+    lags = [one.value for one in found.findings if one.name == "motor.time_constant" and one.told]
+    assert lags
+    assert all(lag == pytest.approx(0.25, rel=0.15) for lag in lags if lag is not None)
+    logs = set(found.logs)
+    again = read(open_recording(bag, slow))
+    assert logs & again.sources  # it isn't held out

@@ -1,0 +1,295 @@
+"""Parts of recordings: cut out of one, or written to files in turn."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from recording_tools import drive, record_env
+
+from acsar_gym import Robot, RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.links import replay
+from acsar_gym.links.replay import ReplayLink
+from acsar_gym.recording import Episode, Recorder, read
+from acsar_gym.recording.cut import cut_recording, parse_duration
+from acsar_gym.recording.export import export_recording
+from acsar_gym.recording.messages import EXCHANGES, load_typestore
+from acsar_gym.recording.replay import Tape
+from acsar_gym.tools.datasets import read_demonstrations
+from acsar_gym.wire import STANDSTILL_TICKS
+
+
+@pytest.fixture(scope="module")
+def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three episodes of an env with a LiDAR."""
+    return record_env(tmp_path_factory.mktemp("tape") / "tape.mcap", "obstacle_goal", 3)
+
+
+def file_times(episode: Episode) -> np.ndarray:
+    return np.rint(episode.stamps * 1e9).astype(np.int64) + episode.offset
+
+
+def assert_playable(episode: Episode) -> list[tuple[bytes, bytes]]:
+    """All periods of an episode, without a gap."""
+    player, periods = Tape(episode), []
+    while not player.is_over:
+        assert not player.has_gap
+        periods.append(player.next())
+    return periods
+
+
+def test_a_part_has_what_was_recorded_then(tape: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.mcap"
+    whole = read(tape, revolutions=True)
+    result = cut_recording(tape, 1.234, 6.5, part)
+    found = read(part, revolutions=True)
+    assert result.episodes == len(found.episodes) == 3
+    assert result.seconds == pytest.approx(6.5 - 1.234)
+    assert not found.cut
+    assert found.dropped == 0
+    assert found.config == whole.config
+    assert whole.sha256 in found.sources
+    begin = round(whole.episodes[0].start * 1e9) + whole.episodes[0].offset
+    for one, every in zip(found.episodes, whole.episodes, strict=True):
+        times = file_times(every) - begin
+        inside = (times >= 1_234_000_000) & (times < 6_500_000_000)
+        np.testing.assert_array_equal(one.stamps, every.stamps[inside])
+        np.testing.assert_array_equal(one.poses, every.poses[inside])
+        np.testing.assert_array_equal(one.truth, every.truth[inside])
+        periods, all_periods = assert_playable(one), assert_playable(every)
+        skipped = len(all_periods) - len(periods) if "part" in one.info else 0
+        assert periods == all_periods[skipped : skipped + len(periods)]
+        assert len(one.observations) == len(one.actions) + 1 == len(one.step_stamps)
+        steps = every.step_stamps.tolist().index(one.step_stamps[0])
+        np.testing.assert_array_equal(one.observations[0], every.observations[steps])
+        np.testing.assert_array_equal(one.actions, every.actions[steps:][: len(one.actions)])
+        np.testing.assert_array_equal(one.rewards, every.rewards[steps:][: len(one.rewards)])
+        assert len(one.revolutions.measured) > 4
+        assert one.info["seed"] == every.info["seed"]
+    first = found.episodes[0]
+    assert first.info["part"]["from"] == pytest.approx(first.start - whole.episodes[0].start)
+    before = whole.episodes[0].stamps.tolist().index(first.stamps[0]) - 1
+    assert first.info["part"]["pose"] == whole.episodes[0].poses[before].tolist()
+    assert first.revolutions.exchanges[0] == -1
+
+
+def test_ros_tools_read_a_part(tape: Path, tmp_path: Path) -> None:
+    part = tmp_path / "part.mcap"
+    cut_recording(tape, 2.0, 3.0, part)
+    with part.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        topics = [channel.topic for _, channel, _ in reader.iter_messages()]
+        times = [message.log_time for _, _, message in reader.iter_messages()]
+    assert topics.count("/odom") == 100
+    assert topics.count("/tf_static") == 1
+    assert max(times) - min(times) <= 1.02e9
+
+
+def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) -> None:
+    part, whole = tmp_path / "part.mcap", read(tape)
+    second = whole.episodes[1]
+    begin = (round(second.start * 1e9) + second.offset) - whole.episodes[0].offset
+    cut_recording(tape, begin / 1e9, math.inf, part)
+    (one, _), (_, every, _) = read(part).episodes, whole.episodes
+    assert "part" not in one.info
+    assert assert_playable(one) == assert_playable(every)
+    assert one.terminated == every.terminated
+    (first, _), others = read_demonstrations([part]).episodes, read_demonstrations([tape]).episodes
+    np.testing.assert_array_equal(first.observations, others[1].observations)
+
+
+def test_a_part_of_a_drive_becomes_demonstrations(tmp_path: Path) -> None:
+    """An env plays it, though it begins while the wheels turn."""
+    assert replay.LEAD_PERIODS == STANDSTILL_TICKS
+    path, part = drive(tmp_path / "drive.mcap", RobotConfig.of(None), 600), tmp_path / "part.mcap"
+    cut_recording(path, 1.5, 5.5, part)
+    (episode,) = read(part).episodes
+    (shown,) = read_demonstrations([part]).episodes
+    assert shown.terminated  # where the drive ended
+    assert 30 < len(shown.actions) <= 40
+    (x, y, theta), goal = episode.info["part"]["pose"], episode.poses[-1, :2]
+    distance = math.hypot(goal[0] - x, goal[1] - y)
+    shown_again = read_demonstrations([part], goal=(distance, 0.0))
+    assert len(shown_again.episodes[0].actions) > 0
+    assert abs(theta) > 0.01
+
+
+def test_a_part_is_exported(tape: Path, tmp_path: Path) -> None:
+    cut_recording(tape, 1.0, 5.0, tmp_path / "part.mcap")
+    names = [path.name for path in export_recording(tmp_path / "part.mcap", "csv", tmp_path)]
+    assert names == ["ticks.csv", "wire.csv", "steps.csv", "scans.csv"]
+
+
+def test_a_part_of_a_part(tape: Path, tmp_path: Path) -> None:
+    cut_recording(tape, 1.0, 3.0, tmp_path / "part.mcap")
+    cut_recording(tmp_path / "part.mcap", 0.5, 1.0, tmp_path / "again.mcap")
+    (again,), every = read(tmp_path / "again.mcap").episodes, read(tape).episodes[0]
+    assert again.info["part"]["from"] == pytest.approx(again.start - every.start)
+    place = every.stamps.tolist().index(again.stamps[0])
+    np.testing.assert_array_equal(again.poses, every.poses[place : place + len(again.poses)])
+
+
+def test_what_cannot_be_cut_is_one_line(tape: Path, tmp_path: Path) -> None:
+    for begin, end, said in (
+        (3.0, 2.0, "must be 0 s or more, and in this order"),
+        (1e6, 2e6, r"nothing is there from 1e\+06 s on"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            cut_recording(tape, begin, end, tmp_path / "none.mcap")
+    assert not (tmp_path / "none.mcap").exists()
+    (tmp_path / "there.mcap").write_bytes(b"mine")
+    with pytest.raises(ConfigError, match="is there already: name another file with --out"):
+        cut_recording(tape, 0.0, 1.0, tmp_path / "there.mcap")
+    assert (tmp_path / "there.mcap").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("90", 90.0), ("90s", 90.0), ("20min", 1200.0), ("1.5h", 5400.0), ("1:02:30", 3750.0)],
+)
+def test_times_are_parsed(text: str, seconds: float) -> None:
+    assert parse_duration(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "h", "-1", "nan", "inf", "1 day", "1:x", "3hh", "1e999"])
+def test_what_is_no_time_is_told(text: str) -> None:
+    with pytest.raises(ConfigError, match="must be a time such as"):
+        parse_duration(text)
+
+
+def test_a_file_of_others_keeps_metadata_attachments_and_latched_topics(tmp_path: Path) -> None:
+    path, part = tmp_path / "bag.mcap", tmp_path / "part.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "rosbag2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        qos = {"offered_qos_profiles": "- history: 1\n  durability: 1\n"}
+        latched = writer.register_channel("/map", "cdr", schema, qos)
+        channel = writer.register_channel("/chatter", "cdr", schema)
+        writer.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy"})
+        writer.add_attachment(0, 0, "notes.txt", "text/plain", b"hello")
+        writer.add_message(latched, 10**9, b"the map", 10**9)
+        for number in range(100):
+            time = 10**9 + number * 10**8
+            writer.add_message(channel, time, struct.pack("<I", number), time, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert cut_recording(path, 2.0, 4.0, part).episodes == 0
+    with part.open("rb") as file:
+        reader = make_reader(file)
+        messages = list(reader.iter_messages())
+        assert [one.data for one in reader.iter_attachments()] == [b"hello"]
+        assert [one.metadata for one in reader.iter_metadata()] == [{"ROS_DISTRO": "jazzy"}]
+    assert [m.data for _, c, m in messages if c.topic == "/map"] == [b"the map"]
+    numbers = [m.sequence for _, c, m in messages if c.topic == "/chatter"]
+    assert numbers == list(range(20, 40))
+    assert all(schema is not None and schema.data == b"string data" for schema, _, _ in messages)
+
+
+def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:
+    config = RobotConfig.of(None)
+    drive(tmp_path / "one.mcap", config, 450)
+    drive(tmp_path / "many.mcap", config, 450, split=2.0)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["many-2.mcap", "many-3.mcap", "many.mcap", "one.mcap"]
+    files = [tmp_path / name for name in ("many.mcap", "many-2.mcap", "many-3.mcap")]
+    (whole,) = read(tmp_path / "one.mcap").episodes
+    parts = []
+    for number, path in enumerate(files):
+        recording = read(path, revolutions=True)
+        assert not recording.cut
+        assert recording.dropped == 0
+        (part,) = recording.episodes
+        assert_playable(part)
+        assert part.info.get("part", {}).get("from", 0.0) == pytest.approx(2.0 * number)
+        assert len(part.revolutions.measured) > 3
+        parts.append(part)
+    np.testing.assert_array_equal(np.concatenate([p.poses for p in parts]), whole.poses)
+    sent = b"".join(b"".join(part.wire.sent) for part in parts)
+    assert sent == b"".join(whole.wire.sent)
+    assert np.isfinite(np.concatenate([p.truth for p in parts])).all()
+
+
+def test_a_new_file_begins_with_an_episode_where_there_are_many(tmp_path: Path) -> None:
+    record_env(tmp_path / "one.mcap", "point_goal", 5)
+    record_env(Recorder(tmp_path / "many.mcap", split=6.0), "point_goal", 5)  # type: ignore[arg-type]
+    whole = read(tmp_path / "one.mcap").episodes
+    names = ("many.mcap", "many-2.mcap", "many-3.mcap")
+    parts = [one for name in names for one in read(tmp_path / name).episodes]
+    assert len(parts) == len(whole)
+    assert all("part" not in one.info for one in parts)
+    for one, every in zip(parts, whole, strict=True):
+        np.testing.assert_array_equal(one.observations, every.observations)
+
+
+def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
+    record_env(tmp_path / "one.mcap", "point_goal", 1)
+    record_env(Recorder(tmp_path / "many.mcap", split=1.5), "point_goal", 1)  # type: ignore[arg-type]
+    (whole,) = read(tmp_path / "one.mcap").episodes
+    names = ("many.mcap", "many-2.mcap", "many-3.mcap")
+    parts = [read(tmp_path / name).episodes[0] for name in names]
+    for part in parts:
+        assert len(part.observations) == len(part.actions) + 1
+        assert_playable(part)
+    np.testing.assert_array_equal(np.concatenate([p.actions for p in parts]), whole.actions)
+    np.testing.assert_array_equal(np.concatenate([p.rewards for p in parts]), whole.rewards)
+    observations = [parts[0].observations, *(p.observations[1:] for p in parts[1:])]
+    np.testing.assert_array_equal(np.concatenate(observations), whole.observations)
+    np.testing.assert_array_equal(parts[1].observations[0], parts[0].observations[-1])
+
+
+def test_a_split_that_is_no_time_is_told(tmp_path: Path) -> None:
+    for split in (0.0, -1.0, math.nan):
+        with pytest.raises(ConfigError, match=r"split = .*must be at least 1 s"):
+            Recorder(tmp_path / "x.mcap", split=split)
+
+
+def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:
+    path, part = drive(tmp_path / "drive.mcap", RobotConfig.of(None), 300), tmp_path / "part.mcap"
+    cut_recording(path, 1.0, 2.0, part)
+    link, config = ReplayLink(part, compare=False), RobotConfig.of(None)
+    (episode,) = read(part).episodes
+    with Robot(link, config) as robot:
+        robot.drive(0.1, 0.0)
+        assert robot.speeds == tuple(episode.speeds[0])
+        assert robot.wire.stamp == episode.stamps[0]
+
+
+@pytest.mark.parametrize(("place", "value"), [(0, math.nan), (1, 1e300), (2, math.inf)])
+def test_rows_of_strangers_are_one_line(place: int, value: float, tmp_path: Path) -> None:
+    """An exchange with a number that is none."""
+    tape = drive(tmp_path / "tape.mcap", RobotConfig.of(None), 300)
+    store, bad = load_typestore(), tmp_path / "bad.mcap"
+    with tape.open("rb") as source, bad.open("wb") as file:
+        reader, writer = make_reader(source), Writer(file)
+        writer.start("ros2", "")
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        channels: dict[int, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, number, dict(channel.metadata)
+                )
+            data = message.data
+            if channel.topic == EXCHANGES.name:
+                content = store.deserialize_cdr(data, EXCHANGES.kind)
+                content.data = np.array(content.data)
+                content.data[place] = value
+                data = bytes(store.serialize_cdr(content, EXCHANGES.kind))
+            time = message.log_time
+            writer.add_message(channels[channel.id], time, data, time, message.sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with pytest.raises(ConfigError, match="is damaged: a row with a broken number"):
+        cut_recording(bad, 1.0, 2.0, tmp_path / "part.mcap")
+    assert not (tmp_path / "part.mcap").exists()
