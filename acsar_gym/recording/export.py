@@ -61,7 +61,8 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
                         table: ParquetTable | CsvTable = CsvTable(target)
                         if to == "parquet":
                             table = ParquetTable(target)
-                        tables[name] = stack.enter_context(table)
+                        stack.enter_context(table)
+                        tables[name] = table
                     tables[name].add(columns)
     except OSError as error:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
