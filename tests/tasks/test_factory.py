@@ -99,7 +99,7 @@ SIGNATURES: list[tuple[str, Any]] = [
 @pytest.mark.parametrize(("method", "function"), SIGNATURES)
 def test_a_method_with_another_signature_is_named(kind: Any, method: str, function: Any) -> None:
     task = type("Mine", (Plain,), {method: function})
-    said = rf"^Mine: {method}\(\) must take \(state, memory.*\) .*: .* {place_of(function)}$"
+    said = rf"^Mine: must have {method}\(state, memory.*\), .*: .* {place_of(function)}$"
     with pytest.raises(TaskError, match=said):
         make(kind, task)
 
