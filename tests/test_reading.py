@@ -82,10 +82,11 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_leaves_the_file_that_was_there(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    path.write_bytes(b"before")
+    before = b"max_linear: 0.4\n"  # a robot's file is changed in place, so it must be one
+    path.write_bytes(before)
     with full_disk(50), pytest.raises((AcsarError, OSError), match="File too large"):
         WRITERS[name](path)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, b"before")]
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, before)]
     WRITERS[name](path)
     assert len(path.read_bytes()) > 50
     assert list(tmp_path.iterdir()) == [path]

@@ -39,7 +39,8 @@ def view_run(
     bag_or_file = Path(source)
     is_bag = bag_or_file.exists() and not is_recording(bag_or_file)
     path = bag.open(bag_or_file, robot) if is_bag else find_recording(source)
-    against = None if against is None else bag.open(against, robot)
+    if against is not None and path.exists():
+        against = bag.open(against, robot)
     with serve_page(path, port, against) as server, contextlib.suppress(KeyboardInterrupt):
         say(f"{path}: open http://127.0.0.1:{server.port} in a browser; Ctrl-C ends it")
         server.serve_forever()
