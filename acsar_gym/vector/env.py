@@ -157,6 +157,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     those of a new batch.
     """
 
+    closed = True  # until it is made: Gymnasium before 1.3 closes what raised an error in __init__
     metadata: dict[str, Any] = {  # noqa: RUF012 - as VectorEnv declares it
         "render_modes": ["rgb_array"],
         "render_fps": 10,
@@ -240,6 +241,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         drawn = self.fleet, self.num_envs, self.task.goal_tolerance
         self._screen = BatchScreen(*drawn) if self.render_mode is not None else None
         self._threads = Threads(choose_threads(asked.threads, self.num_envs))
+        self.closed = False
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
         self._whole = True
