@@ -60,7 +60,7 @@ def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
             process.kill()
         assert process.returncode == 128 + signal.SIGTERM
     assert started == []
-    assert [line.split(" ")[0] for line in said if "held-out" not in line] == [
+    assert [line.split(" ")[0] for line in said if line and "held-out" not in line] == [
         "interrupted",
         "written:",
     ]
