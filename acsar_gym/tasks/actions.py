@@ -29,7 +29,9 @@ def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
     problem = f"action{'' if is_single else 's'} = {{}}: must be {must}"
     try:
         given = np.asarray(actions)
-        numbers = given.astype(np.float64) if given.dtype.kind in NUMBER_KINDS else None
+        is_numeric = given.dtype.kind in NUMBER_KINDS
+        # numba would compile for arrays in another order
+        numbers = given.astype(np.float64, order="C") if is_numeric else None
     except Exception as error:
         reason = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
         raise CommandError(f"{problem.format(show_value(actions))}; {reason}") from error

@@ -44,9 +44,8 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     assert [row["rollout/ep_rew_mean"] != "" for row in rows] == [False, False, True, True, False]
     assert all(row["eval/success_rate"] for row in rows)
     assert all(row["eval/mean_return"] and row["eval/collision_rate"] for row in rows)
-    said = (
-        capsys.readouterr().out.strip().splitlines()
-    )  # rich before 15 ends bars with an empty line
+    # rich before 15 ends bars with an empty line
+    said = capsys.readouterr().out.strip().splitlines()
     assert said[0].startswith(f"{STEPS * ROBOTS:,} of {total:,} steps, ")
     assert "held-out success" in said[0]
     assert len(said) == 4
