@@ -10,6 +10,7 @@ import pickle
 import re
 import socket
 import stat
+import subprocess
 import sys
 import tempfile
 import threading
@@ -129,11 +130,18 @@ def test_the_command_stops_a_robot_that_another_process_drives(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with program(DRIVING, *command, emulator.device, "--robot", str(robot_file())) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        done = estop_command(capsys, monkeypatch)
-        assert done == (0, f"process {process.pid}: stopped\n", "")
-        said = process.communicate(timeout=TIMEOUT)
+    for _ in range(3):  # where the machine stalls, a check of doctor fails before it drives
+        with program(DRIVING, *command, emulator.device, "--robot", str(robot_file())) as process:
+
+            def is_driven_or_over(process: subprocess.Popen[str] = process) -> bool:
+                return emulator.is_driven() or process.poll() is not None
+
+            wait_until(is_driven_or_over, "a command that turns the wheels")
+            if process.poll() is None:
+                done = estop_command(capsys, monkeypatch)
+                assert done == (0, f"process {process.pid}: stopped\n", "")
+                said = process.communicate(timeout=TIMEOUT)
+                break
     assert process.returncode == 3
     assert "emergency stop" in "".join(said)
     wait_until(emulator.is_stopped, "zero as the newest command")
