@@ -14,7 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
-from acsar_gym.config.footprint import Outline
+from acsar_gym.config.footprint import make_circle
 from acsar_gym.errors import ConfigError, show_value
 
 PREFIX = "drawn:"
@@ -24,7 +24,6 @@ RADII = (0.16, 0.193, 0.233, 0.282, 0.341, 0.411, 0.497, 0.6)
 """Radii of the discs around footprints [m]: robots of equal radius share their worlds."""
 LARGEST_CIRCLE = 0.45
 """Robots of a larger radius are rectangles [m]."""
-CIRCLE_CORNERS = 16
 RAYS = (64,)
 """How many rays a LiDAR has, one of these."""
 FIELDS_OF_VIEW = (2.0 * math.pi,) * 7 + (1.5 * math.pi,) * 2 + (math.pi,)
@@ -117,7 +116,7 @@ def draw_robot(number: int) -> dict[str, Any]:
         "max_wheel_speed": fastest,
         "linear_limits": {"max_acceleration": round(speeds_up[0], 3)},
         "angular_limits": {"max_acceleration": round(speeds_up[1], 3)},
-        "footprint": _make_circle(radius) if is_round else None,
+        "footprint": make_circle(radius) if is_round else None,
         "lidar_x_offset": round(length * (abs(ahead) if view < 6.0 else ahead), 3),
         "lidar_y_offset": round(width * aside * float(rng.random() < 0.3), 3),
         "lidar_z_offset": round(height + 0.1, 3),
@@ -151,13 +150,3 @@ def _fit_width(length: float, radius: float) -> float:
     while math.hypot(half, other) > radius:
         other = math.nextafter(other, 0.0)
     return 2.0 * other
-
-
-def _make_circle(radius: float) -> Outline:
-    """Corners of a circle; the first is at exactly this distance, others a hair nearer."""
-    angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
-    near = radius - 2e-6
-    others = [
-        (round(near * math.cos(a), 6) + 0.0, round(near * math.sin(a), 6) + 0.0) for a in angles
-    ]
-    return ((radius, 0.0), *others)

@@ -21,6 +21,8 @@ from acsar_gym.errors import ConfigError
 Point = tuple[float, float]
 Outline = tuple[Point, ...]
 MAX_CORNERS = 100
+CIRCLE_CORNERS = 16
+"""Corners of a round footprint, as nav2 draws it."""
 MIN_BORDER_DISTANCE = 1e-3
 """Smallest allowed distance of an outline from the origin [m]."""
 MIN_AREA = 1e-9
@@ -31,6 +33,20 @@ def make_rectangle(length: float, width: float) -> Outline:
     """Return a rectangle around the origin, `length` along x, `width` along y [m]."""
     x, y = length / 2.0, width / 2.0
     return ((x, y), (-x, y), (-x, -y), (x, -y))
+
+
+def make_circle(radius: float) -> Outline:
+    """Return the corners of a circle; the first is at exactly this distance, others a hair nearer.
+
+    Args:
+        radius: [m].
+    """
+    angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
+    near = radius - 2e-6
+    others = [
+        (round(near * math.cos(a), 6) + 0.0, round(near * math.sin(a), 6) + 0.0) for a in angles
+    ]
+    return ((radius, 0.0), *others)
 
 
 def validate_outline(corners: Sequence[Point]) -> Outline:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from acsar_gym import reading
+from acsar_gym.config.footprint import make_circle
 from acsar_gym.config.parts import MEASURES, RobotPart
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
@@ -42,8 +43,6 @@ LIMITS = {
 """Limits by the flag that switches them on: has_acceleration_limits, has_jerk_limits."""
 USUAL_RATES = (10, 20, 40, 50, 100, 200)
 """Rates of a controller manager at which a robot can tick [Hz]; others don't fit its steps."""
-CIRCLE_CORNERS = 16
-"""Corners of a round footprint, as nav2 draws it."""
 SKIDS = 1.02
 """A wheel_separation_multiplier above this tells how the wheels skid."""
 _OTHER_DRIVES = {
@@ -273,11 +272,7 @@ def _find_footprint(nodes: Mapping[str, Mapping[str, Any]]) -> list[tuple[float,
         if isinstance(given, str) and given.strip() not in ("", "[]"):
             return _parse_footprint(given)
         if isinstance(radius, float | int) and not _is_unset(radius):
-            turn = 2.0 * math.pi / CIRCLE_CORNERS
-            return [
-                (round(radius * math.cos(n * turn), 6), round(radius * math.sin(n * turn), 6))
-                for n in range(CIRCLE_CORNERS)
-            ]
+            return list(make_circle(radius))
     return []
 
 

@@ -23,7 +23,7 @@ ECHO_WAIT, ECHO_TIMEOUT = 0.1, 0.5
 """How long an echo may take, at least, and the longest wait for lines without one [s]."""
 ECHO_LINES = 3
 """A board that has sent so many lines meanwhile doesn't echo."""
-FEWEST_LINES, FEWEST_REFUSED = 3, 10
+FEWEST_VALID, FEWEST_REFUSED = 3, 10
 """A board that has sent so many valid lines has the right baud rate; one that then sends fewer
 refused parts than these before it is silent was reset, where a bad cable goes on."""
 FORMATS: tuple[tuple[str, bytes, bytes], ...] = (
@@ -145,7 +145,7 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
             "file",
         )
     begun = decoder.rest or decoder.damaged
-    if decoder.lines >= FEWEST_LINES and begun and decoder.damaged < FEWEST_REFUSED:
+    if decoder.lines >= FEWEST_VALID and begun and decoder.damaged < FEWEST_REFUSED:
         newest = shown_bytes(decoder.rest or decoder.sample)
         return BoardSilentError(
             f"no feedback for {age:.2f} s, the board stopped in mid-line after {newest}: it was "

@@ -15,7 +15,7 @@ from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.vector.batch import Batch
 from acsar_gym.worlds.world import to_world
 
-MAX_DRAWN = 16
+MAX_PICTURES = 16
 """Robots that are drawn, at most; the pictures of the others are empty."""
 TILE_SIDE = 240
 """Width and height of a robot's picture [pixels]."""
@@ -63,7 +63,7 @@ class BatchScreen:
 
     def __init__(self, fleet: Sequence[RobotConfig], robots: int, tolerance: float) -> None:
         self._fleet, self._robots, self._tolerance = fleet, robots, tolerance
-        self._drawn = min(robots, MAX_DRAWN)
+        self._drawn = min(robots, MAX_PICTURES)
         columns = math.isqrt(robots - 1) + 1
         side = min(TILE_SIDE, max(SMALLEST_SIDE, LARGEST_SIDE // columns // 2 * 2))
         self._size = (side, side)

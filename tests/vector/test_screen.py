@@ -12,7 +12,7 @@ import pytest
 from gymnasium.wrappers.vector import RecordVideo
 
 from acsar_gym.errors import RenderError
-from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_DRAWN
+from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_PICTURES
 
 OPTIONS: dict[str, dict[str, Any]] = {
     "acsar_gym/PointGoal-v0": {},
@@ -56,7 +56,7 @@ def test_the_first_robots_of_a_large_batch_are_drawn() -> None:
     pictures = env.render()
     assert len(pictures) == 300
     drawn = [(picture != EMPTY_COLOUR).any() for picture in pictures]
-    assert drawn == [True] * MAX_DRAWN + [False] * (300 - MAX_DRAWN)
+    assert drawn == [True] * MAX_PICTURES + [False] * (300 - MAX_PICTURES)
     assert pictures[0].shape[0] * 18 <= 1920  # all of them, as the recorder tiles them
     env.close()
 
