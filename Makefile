@@ -11,9 +11,9 @@ WORKERS ?= 3
 FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware
-BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/links/test_watchdog.py \
+BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/guard/test_watchdog.py \
   tests/links/test_watched_link.py \
-  tests/safety/test_estop.py
+  tests/guard/test_estop.py
 CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics tests/recording \
   tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training \
   --ignore tests/recording/test_sinks.py

@@ -14,7 +14,7 @@ from acsar_gym import registration
 if TYPE_CHECKING:
     from acsar_gym import envs, errors, kinematics, odometry, protocol, worlds
     from acsar_gym.config import RobotConfig
-    from acsar_gym.envs.base import RobotEnv
+    from acsar_gym.envs.robot_env import RobotEnv
     from acsar_gym.links import Link, open_link
     from acsar_gym.registration import register
     from acsar_gym.robot import Robot
@@ -68,7 +68,7 @@ def __getattr__(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != home:
             raise
-        raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}") from None
+        raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}") from error
     found = getattr(module, name) if name in _HOMES else module
     globals()[name] = found
     return found

@@ -14,7 +14,7 @@ def main() -> None:
     """Entry point of the command."""
     open_streams()  # before anything else opens a file
     if sys.argv[1:2] == ["estop"]:
-        from acsar_gym.safety import estop  # noqa: PLC0415
+        from acsar_gym.guard import estop  # noqa: PLC0415
 
         if (stop := estop.parse_stop(sys.argv[2:])) is not None:
             sys.exit(run_guarded(stop))

@@ -15,6 +15,8 @@ from typing import Any
 
 BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
 """What to do on a busy computer."""
+MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
+"""What to do in a process that has too many open files."""
 
 
 class AcsarError(Exception):
@@ -88,8 +90,8 @@ def require_extra(feature: str, extra: str) -> Iterator[None]:
     """
     try:
         yield
-    except ImportError:
-        raise MissingExtraError(feature, extra) from None
+    except ImportError as error:
+        raise MissingExtraError(feature, extra) from error
 
 
 def check_extra(feature: str, extra: str, *modules: str) -> None:

@@ -39,7 +39,7 @@ TOOLS = PACKAGE / "tools"
 """Sources that have a stamp of their own."""
 SLOW_MODULES = {
     "acsar_gym.vector.kernel.": "the loops of batches",
-    "acsar_gym.sensors.map": "the map",
+    "acsar_gym.sensors.map.sensor": "the map",
 }
 """Modules whose functions take long to compile, and what they are to a user."""
 TASK_MODULE = "acsar_gym.vector.kernel.task"

@@ -68,7 +68,7 @@ def read_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> 
     try:
         return read_content(path, limit, error)
     except error as problem:
-        raise error(f"{shorten_text(str(path))}: {problem}") from None
+        raise error(f"{shorten_text(str(path))}: {problem}") from problem
 
 
 def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> bytes:
@@ -95,7 +95,7 @@ def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
         with _open_checked(path, limit, ConfigError) as file:
             yield file
     except ConfigError as problem:
-        raise ConfigError(f"{shorten_text(str(path))}: {problem}") from None
+        raise ConfigError(f"{shorten_text(str(path))}: {problem}") from problem
 
 
 @contextlib.contextmanager
@@ -113,10 +113,10 @@ def _open_checked(path: Path, limit: int | None, error: type[AcsarError]) -> Ite
                 status = os.fstat(file.fileno())
         with file:
             yield file
-    except FileNotFoundError:
-        raise error("there is no such file") from None
+    except FileNotFoundError as problem:
+        raise error("there is no such file") from problem
     except (OSError, ValueError) as problem:
-        raise error(f"can't be read: {explain_error(problem)}") from None
+        raise error(f"can't be read: {explain_error(problem)}") from problem
 
 
 def _too_large(limit: int, error: type[AcsarError]) -> AcsarError:
@@ -141,7 +141,7 @@ def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigEr
     except (OSError, ValueError) as problem:
         raise error(
             f"{shorten_text(str(path))}: can't be written: {explain_error(problem)}"
-        ) from None
+        ) from problem
 
 
 @contextlib.contextmanager
@@ -236,7 +236,7 @@ def open_lines(path: Path) -> IO[str]:
     try:
         return open(path, "w", buffering=1, encoding="ascii", opener=open_nonblocking)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from error
 
 
 def write_line(file: IO[str], line: str) -> None:
@@ -246,7 +246,7 @@ def write_line(file: IO[str], line: str) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             file.close()
-        raise ConfigError(f"{file.name}: can't be written: {error.strerror}") from None
+        raise ConfigError(f"{file.name}: can't be written: {error.strerror}") from error
 
 
 def explain_error(problem: BaseException) -> str:
@@ -289,7 +289,7 @@ def import_object(what: str, name: str) -> Any:
     except AcsarError:
         raise
     except (ImportError, AttributeError) as error:
-        raise ConfigError(f"{field}: {explain_error(error)}; {like}") from None
+        raise ConfigError(f"{field}: {explain_error(error)}; {like}") from error
     except (Exception, SystemExit) as error:
         said = f"{type(error).__name__}: {explain_error(error)}"
         raise ConfigError(f"{field}: the module {module} can't be imported: {said}") from error
@@ -309,8 +309,8 @@ def decode_text(data: bytes, error: type[AcsarError] = ConfigError) -> str:
     """Decode UTF-8; raises `error` if it isn't UTF-8."""
     try:
         return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise error("isn't UTF-8 text: save it as UTF-8") from None
+    except UnicodeDecodeError as problem:
+        raise error("isn't UTF-8 text: save it as UTF-8") from problem
 
 
 def _parse_finite(text: str) -> float:
@@ -343,7 +343,7 @@ def parse_json(
             raise error(f"has more than {most:,} values, the most that are read")
         return _JSON.decode(text)
     except (ValueError, RecursionError) as problem:
-        raise error(f"not valid JSON: {explain_error(problem)}") from None
+        raise error(f"not valid JSON: {explain_error(problem)}") from problem
 
 
 def parse_yaml(
@@ -364,7 +364,7 @@ def parse_yaml(
         _check_events(text, error, most)
         return yaml.load(text, Loader=_Loader)  # noqa: S506 -- derived from the safe loader
     except YAML_ERRORS as problem:
-        raise error(f"not valid YAML: {explain_error(problem)}") from None
+        raise error(f"not valid YAML: {explain_error(problem)}") from problem
 
 
 def parse_yaml_entry(

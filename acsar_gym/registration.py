@@ -103,14 +103,14 @@ def register(
                 **{**given, "robots": tuple(given.get("robots", ("acsar",)))}
             )
         except (TypeError, AttributeError) as error:
-            raise ConfigError(f"{id}: scenes {name!r}: {error}") from None
+            raise ConfigError(f"{id}: scenes {name!r}: {error}") from error
     kind = import_object("task", task) if isinstance(task, str) else task
     named = importable_task(kind)
     check_register_options(id, kind, options, REGISTER_OPTIONS)
     SCENE_CHOICES[id] = chosen or {"test": SceneChoice()}
     gymnasium.register(
         id=id,
-        entry_point="acsar_gym.envs.base:RobotEnv",
+        entry_point="acsar_gym.envs.robot_env:RobotEnv",
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,

@@ -22,6 +22,7 @@ from acsar_gym.errors import (
     WheelError,
     escape_unprintable,
 )
+from acsar_gym.guard.estop import StopListener, check_released, release_process
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.links.recorded import record_link
@@ -29,7 +30,6 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Decoder, Speeds
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.encoder import Fault, Scanned, Tick
-from acsar_gym.safety.estop import StopListener, check_released, release_process
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
@@ -383,7 +383,7 @@ class Robot:
                 found = (
                     f"{error.found}; the board says {escape_unprintable(wire.decoder.notes[-1])}"
                 )
-                raise WheelError(found, error.fix, error.wheel) from None
+                raise WheelError(found, error.fix, error.wheel) from error
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
 

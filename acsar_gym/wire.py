@@ -8,7 +8,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import WHILE_WAITING, Link, echoes_of
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.links.lateness import STANDSTILL
-from acsar_gym.physics.model import line_time
 from acsar_gym.protocol import (
     ZERO,
     Decoder,
@@ -60,7 +59,7 @@ class Wire:
         self._settled = self._timed = False
         self._echoes: EchoDecoder | None = None
         self._set_points: SetPointWatch | None = None
-        self._line_time = line_time(config)
+        self._line_time = config.line_time
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""

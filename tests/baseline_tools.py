@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from acsar_gym import RobotConfig
-from acsar_gym.tasks.base import Floats
+from acsar_gym.tasks.task import Floats
 from acsar_gym.tools import baselines
 from acsar_gym.tools.baselines.base import BaselinePolicy
-from acsar_gym.tools.policies.base import DecodedObservation, PolicyContext
+from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import RaySpec
 
 PERIOD = 0.1

@@ -28,8 +28,8 @@ from nursery import nursery as programs
 from serial_tools import Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
-from acsar_gym.links import watchdog
-from acsar_gym.safety.estop import release_process
+from acsar_gym.guard import watchdog
+from acsar_gym.guard.estop import release_process
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as under nohup: tests of Ctrl-C need it
     signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -6,7 +6,7 @@ from typing import Any
 
 import gymnasium
 
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 
 IDS = {
     "acsar_gym/PointGoal-v0": {},

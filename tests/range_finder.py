@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import acsar_gym
-from acsar_gym.physics.body import GroundTruth
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.geometry import measure_ranges
 
 BEARINGS = np.radians([-30.0, 0.0, 30.0])

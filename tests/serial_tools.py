@@ -25,7 +25,7 @@ from typing import IO, Any
 
 import pytest
 
-from acsar_gym.links.shutdown import install_handlers
+from acsar_gym.guard.shutdown import install_handlers
 from acsar_gym.protocol import ZERO, Decoder
 
 TIMEOUT = 30.0

@@ -42,11 +42,11 @@ from serial_tools import Emulated, start
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
+from acsar_gym.guard.estop import stop_all
 from acsar_gym.links import open_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.robot import Robot
-from acsar_gym.safety.estop import stop_all
 from acsar_gym.tools import teleop
 from acsar_gym.tools.gamepad import ABS_RZ, BTN_TL, EV_ABS, EV_KEY
 from acsar_gym.worlds import Scene

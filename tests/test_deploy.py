@@ -19,7 +19,7 @@ import pytest
 import stopping
 from serial_tools import TIMEOUT, Emulated, wait_until
 
-from acsar_gym.links.watchdog_child import IGNORED_SIGNALS
+from acsar_gym.guard.watchdog_child import IGNORED_SIGNALS
 from acsar_gym.resources import ASSETS
 from acsar_gym.tools.cli import app
 from acsar_gym.tools.cli.commands import COMMANDS

@@ -182,7 +182,7 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 COMPILE_MAP = """
 import sys
 from acsar_gym import jit as compiled
-from acsar_gym.sensors.map import log_share
+from acsar_gym.sensors.map.sensor import log_share
 
 def double_share(value, most):
     return 2.0 * log_share(value, most)

@@ -12,9 +12,9 @@ from board_like import LikeABoard
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config import FirmwareConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
-from acsar_gym.physics.body import GroundTruth
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.recording import Recorder, read
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")

@@ -14,7 +14,7 @@ from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LateTicksError, LidarError
-from acsar_gym.links.shutdown import install_handlers
+from acsar_gym.guard.shutdown import install_handlers
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Pose, Scene

@@ -12,7 +12,7 @@ from typing import Any
 
 import gymnasium
 
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.tools.policies.describe import describe_policy
 
 NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")

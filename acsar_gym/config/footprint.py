@@ -80,10 +80,10 @@ def _listed(given: Any) -> Any:
     try:
         listed = reading.parse_json(given) if isinstance(given, str) else given
         return [(x, y) for x, y in listed]
-    except (ConfigError, TypeError, ValueError):
+    except (ConfigError, TypeError, ValueError) as error:
         raise ValueError(
             "must be a list of corners (x, y), such as [[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]"
-        ) from None
+        ) from error
 
 
 Corners = Annotated[

@@ -62,7 +62,7 @@ def validate_measured(measured: Mapping[str, Measured], model: type[Section]) ->
                 known[name].validate_python(value)
             except ValidationError as error:
                 allowed = error.errors(include_url=False)[0]["msg"].removeprefix("Input should ")
-                raise ConfigError(f"measured.{name}.{end} = {value:g}: must {allowed}") from None
+                raise ConfigError(f"measured.{name}.{end} = {value:g}: must {allowed}") from error
 
 
 @functools.cache

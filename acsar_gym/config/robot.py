@@ -589,6 +589,16 @@ class RobotConfig(Section):
         return 1.0 / self.control_rate
 
     @property
+    def line_time(self) -> float:
+        """Duration of a line on the wire [s]."""
+        return (LINE_BYTES + self.trailing_comma) * BITS_PER_BYTE / self.baud_rate
+
+    @property
+    def wire_time(self) -> float:
+        """Time from sending a line until it is used, without extra latency or delay [s]."""
+        return self.line_time + self.firmware.processing_time
+
+    @property
     def late_tick(self) -> float:
         """How long after its deadline a tick has ended that is just not late [s]."""
         return self.late_after * self.period

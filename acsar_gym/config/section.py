@@ -48,7 +48,7 @@ class Section(BaseModel):
             told = [cls._describe_problem(item) for item in found[:MAX_PROBLEMS]]
             if len(found) > MAX_PROBLEMS:
                 told.append(f"and {len(found) - MAX_PROBLEMS:,} more")
-            raise ConfigError("; ".join(told)) from None
+            raise ConfigError("; ".join(told)) from error
 
     @classmethod
     def _describe_stranger(cls, data: Any) -> str | None:

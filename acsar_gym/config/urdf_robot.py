@@ -129,10 +129,10 @@ def _take_params(block: Block, names: Sequence[str], part: RobotPart) -> None:
 def _halve(diameter: str) -> float:
     try:
         return float(diameter) / 2.0
-    except ValueError:
+    except ValueError as error:
         raise ConfigError(
             f"a wheel's diameter or radius = {show_value(diameter)}: must be a number"
-        ) from None
+        ) from error
 
 
 # Wheels

@@ -6,7 +6,7 @@ from typing import Any
 
 from acsar_gym.config import RobotSource
 from acsar_gym.config.fleet import FleetSource
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.links import Link
 from acsar_gym.tasks import Barn
 from acsar_gym.vector.env import RobotVectorEnv

@@ -55,9 +55,9 @@ def find_id(name: str) -> str:
                 importlib.import_module(module)
     except AcsarError:
         raise
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
+    except (Exception, SystemExit) as error:
         said = f"{type(error).__name__}: {_one_line(error)}"
-        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from None
+        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from error
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
@@ -67,7 +67,7 @@ def find_id(name: str) -> str:
                 f"mine_package:{name}"
             ) from error
         how = f"importing {module} doesn't register it: " if module else ""
-        raise ConfigError(f"env {name}: {how}{_one_line(error)}") from None
+        raise ConfigError(f"env {name}: {how}{_one_line(error)}") from error
     return env_id
 
 
@@ -86,7 +86,7 @@ def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
     try:
         batch = gymnasium.make_vec(env_id, num_envs, vectorization_mode=mode, **options)
     except (gymnasium.error.Error, ImportError, TypeError) as error:
-        raise ConfigError(f"{env_id}: no batch of these options: {_one_line(error)}") from None
+        raise ConfigError(f"{env_id}: no batch of these options: {_one_line(error)}") from error
     if not isinstance(batch, RobotVectorEnv):
         batch.close()
         raise ConfigError(f"{env_id}: its batch isn't one of acsar_gym's robots")

@@ -9,7 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.physics.body import Camera, GroundTruth
+from acsar_gym.physics.body import Camera
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)

@@ -22,6 +22,7 @@ from serial.tools import list_ports
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
+    MORE_FILES_ADVICE,
     ConfigError,
     LinkError,
     LinkLostError,
@@ -47,8 +48,6 @@ with contextlib.suppress(ImportError):  # Windows has no termios
 
 WAIT_ERRORS: tuple[type[Exception], ...] = (ValueError, *PORT_ERRORS)
 """The same where a port can't be waited for."""
-MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
-"""Advice for a process that has too many open files."""
 WRITE_TIMEOUT = 0.2
 """A socket that accepts no bytes for this time is lost [s]."""
 WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
@@ -227,9 +226,9 @@ def open_port(device: str, config: RobotConfig) -> SerialPort:
     try:
         port = serial.serial_for_url(device, **options)
     except ValueError as error:
-        raise LinkError(f"{device}: can't be opened as a serial port", str(error)) from None
+        raise LinkError(f"{device}: can't be opened as a serial port", str(error)) from error
     except PORT_ERRORS as error:
-        raise _opening_error(device, error) from None
+        raise _opening_error(device, error) from error
     with contextlib.suppress(AttributeError, ValueError, NotImplementedError, OSError):
         port.set_low_latency_mode(True)
     with contextlib.suppress(AttributeError, OSError):  # send packets at once
@@ -289,7 +288,7 @@ def translate_port_errors(device: str) -> Iterator[None]:
     except PORT_ERRORS as error:
         raise LinkLostError(
             f"{device}: lost while in use ({error})", "check the cable, then start again"
-        ) from None
+        ) from error
 
 
 def write_all(port: SerialPort, data: bytes) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.links import shutdown
+from acsar_gym.guard import shutdown
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
 from acsar_gym.recording.encoder import Exchange, Written
 from acsar_gym.recording.recorder import Recorder, close_recorders

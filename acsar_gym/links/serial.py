@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError, LinkLostError, SafetyWarning
+from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
+from acsar_gym.guard.watchdog import Watchdog, end_searches
 from acsar_gym.links.base import Arrivals
 from acsar_gym.links.handshake import find_echo, wait_for_board
 from acsar_gym.links.ports import OpenPort, PortLocation
-from acsar_gym.links.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
-from acsar_gym.links.watchdog import Watchdog, end_searches
 from acsar_gym.protocol import ECHO_PROBE, ECHO_ZERO, ZERO, encode, line_end
 from acsar_gym.worlds import Scene
 

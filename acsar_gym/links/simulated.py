@@ -8,8 +8,9 @@ from collections.abc import Callable
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link
-from acsar_gym.physics.body import Body, Camera, GroundTruth
+from acsar_gym.physics.body import Body, Camera
 from acsar_gym.physics.firmware import Firmware
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 

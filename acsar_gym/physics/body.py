@@ -8,7 +8,6 @@ import math
 import os
 import re
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -16,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.protocol import Speeds
-from acsar_gym.worlds import Pose, Scene
+from acsar_gym.truth import GroundTruth
+from acsar_gym.worlds import Scene
 
 Image = NDArray[np.uint8]
 """(height, width, 3): an RGB picture."""
@@ -28,22 +28,6 @@ CHASSIS_CLEARANCE = 0.02
 """Height of the chassis above the floor [m]."""
 OBSTACLE_PAINT = (0.42, 0.45, 0.5, 1.0)
 GOAL_PAINT = (0.15, 0.68, 0.38, 0.85)
-
-
-@dataclass(frozen=True, slots=True)
-class GroundTruth:
-    """What only a simulator knows, in the frame of the world.
-
-    It is never part of an observation.
-    """
-
-    pose: Pose = (0.0, 0.0, 0.0)
-    """x [m], y [m], theta [rad]."""
-    twist: tuple[float, float] = (0.0, 0.0)
-    """Forward speed [m/s], yaw rate [rad/s]."""
-    contact: bool = False
-    """Whether the robot has touched an obstacle since the reset; checked at the end of every
-    tick."""
 
 
 class Body(Protocol):

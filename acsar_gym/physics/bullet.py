@@ -36,12 +36,12 @@ from acsar_gym.physics.body import (
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
-    GroundTruth,
     Image,
     has_display,
     prepare_opengl,
 )
 from acsar_gym.protocol import ZERO, Speeds
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
 
 
@@ -61,8 +61,8 @@ def _quiet_stderr() -> Iterator[None]:
 try:
     with _quiet_stderr():
         import pybullet
-except ImportError:
-    raise MissingExtraError("the PyBullet robot", "bullet") from None
+except ImportError as error:
+    raise MissingExtraError("the PyBullet robot", "bullet") from error
 
 Floats = NDArray[np.float64]
 Point3 = tuple[float, float, float]

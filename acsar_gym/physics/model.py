@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.protocol import Speeds
 
@@ -35,16 +35,6 @@ def loop_period(config: RobotConfig) -> float:
     return 1.0 / config.firmware.loop_rate
 
 
-def line_time(config: RobotConfig) -> float:
-    """Duration of a line on the wire [s]."""
-    return (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
-
-
-def wire_time(config: RobotConfig) -> float:
-    """Time from sending a line until it is used, without extra latency or delay [s]."""
-    return line_time(config) + config.firmware.processing_time
-
-
 @jit
 def whole_loops(time: float, dt: float) -> float:
     """Firmware loops until something is used that is there after `time` [s]."""
@@ -54,7 +44,7 @@ def whole_loops(time: float, dt: float) -> float:
 
 def wire_loops(config: RobotConfig, command_delay: float = 0.0) -> int:
     """Firmware loops from sending a line until it is used, without extra latency."""
-    return int(whole_loops(wire_time(config) + command_delay, loop_period(config)))
+    return int(whole_loops(config.wire_time + command_delay, loop_period(config)))
 
 
 @jit

@@ -28,7 +28,6 @@ from acsar_gym.physics.body import (
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
-    GroundTruth,
     Image,
     has_display,
     prepare_opengl,
@@ -37,6 +36,7 @@ from acsar_gym.physics.body import (
 from acsar_gym.physics.model import Physics
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.world import MAX_COORDINATE
 
@@ -181,10 +181,10 @@ class MujocoBody:
             camera.distance, camera.elevation, camera.azimuth = 2.2, -38.0, math.degrees(theta)
             self._renderer.update_scene(self._data, camera)
             picture: Image = self._renderer.render()
-        except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError):
+        except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError) as error:
             raise RenderError(
                 "MuJoCo's camera needs OpenGL: install EGL or OSMesa, set MUJOCO_GL=egl or osmesa"
-            ) from None
+            ) from error
         return picture
 
     def _free_renderer(self) -> None:

@@ -7,9 +7,10 @@ import math
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import record_of
 from acsar_gym.physics import model
-from acsar_gym.physics.body import GroundTruth, wrap_angle
+from acsar_gym.physics.body import wrap_angle
 from acsar_gym.physics.model import loop_period, motor_power
 from acsar_gym.protocol import ZERO, Speeds
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, footprint_collides, make_surroundings
 

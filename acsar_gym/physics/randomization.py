@@ -344,7 +344,7 @@ class Randomization(Section):
                 config.with_(firmware={"feedback_rate": applied})
             except ConfigError as error:
                 said = f"randomization.feedback_rate = {self.feedback_rate}: {error}"
-                raise ConfigError(said) from None
+                raise ConfigError(said) from error
         if self.turn_factor and (least := self.turn_factor[0] * turn_factor(config)) <= 1.0:
             raise ConfigError(
                 f"randomization.turn_factor = {self.turn_factor}: makes this robot's turn factor "

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
-from acsar_gym.physics.body import GroundTruth
 from acsar_gym.protocol import PRINTED_STEP, Speeds
 from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
@@ -29,6 +28,7 @@ from acsar_gym.recording.messages import (
     stamp_fields,
     twist_fields,
 )
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]

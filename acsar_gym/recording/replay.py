@@ -13,9 +13,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import WIRE_LETTERS
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.bodies import make_body
-from acsar_gym.physics.body import GroundTruth
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.recording.types import Episode, Floats, Recording, WireLog
+from acsar_gym.truth import GroundTruth
 
 PHASE_TOLERANCE = 0.0005
 """Phases that differ by less are the same [s]."""

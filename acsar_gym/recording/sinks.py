@@ -65,7 +65,7 @@ def check_target(path: Path, source: Path | None = None) -> None:
                         f"{path}: isn't a recording, so it isn't replaced: name another file"
                     )
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+        raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from error
 
 
 def next_number(path: Path) -> Path:
@@ -92,9 +92,9 @@ def _open_locked(path: str, flags: int) -> int:
     if fcntl is not None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        except BlockingIOError as error:
             os.close(file)
-            raise OSError(0, "another recorder writes it: name a file for each") from None
+            raise OSError(0, "another recorder writes it: name a file for each") from error
         except OSError:  # a file system that can't lock
             pass
     return file
@@ -142,7 +142,7 @@ class McapFile:
             self.flush()
         except (OSError, ValueError) as error:
             self.abandon()
-            raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from None
+            raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from error
 
     def add(self, message: Message) -> None:
         """Add a message; it is in the file after the next `flush`."""

@@ -291,6 +291,6 @@ def _pillow() -> Any:
         import PIL.Image  # noqa: PLC0415
         import PIL.ImageDraw  # noqa: PLC0415
         import PIL.ImageFont  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("pictures", "pictures") from None
+    except ImportError as error:
+        raise MissingExtraError("pictures", "pictures") from error
     return PIL

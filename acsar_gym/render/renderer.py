@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, MissingExtraError, OffScreenWarning, RenderError
+from acsar_gym.lidar.scan import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
 from acsar_gym.physics.bodies import LINKS_WITH_CAMERA
-from acsar_gym.physics.body import GroundTruth, Image
-from acsar_gym.sensors.scan import Scan, ray_spec
+from acsar_gym.physics.body import Image
 from acsar_gym.tasks import Assignment, State
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import point_in_world, to_world
 
@@ -186,15 +187,15 @@ class Window:
         instead = "use render_mode='rgb_array'"
         try:
             import tkinter as tk  # noqa: PLC0415 - not every Python has it
-        except ImportError:
+        except ImportError as error:
             raise RenderError(
                 "render_mode='human' needs tkinter, which this Python lacks: install python3-tk, "
                 f"or {instead}"
-            ) from None
+            ) from error
         try:
             root = tk.Tk(className="acsar_gym")
-        except tk.TclError:
-            raise RenderError(f"render_mode='human' needs a display; {instead}") from None
+        except tk.TclError as error:
+            raise RenderError(f"render_mode='human' needs a display; {instead}") from error
         # A callback that is a method would keep this object alive; a finalizer doesn't.
         self._destroy = weakref.finalize(self, root.destroy)
         root.protocol("WM_DELETE_WINDOW", self._destroy)
@@ -218,8 +219,8 @@ def import_moviepy() -> Any:
         with warnings.catch_warnings():  # of its dependencies' own old calls
             warnings.simplefilter("ignore")
             from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("a video", "video") from None
+    except ImportError as error:
+        raise MissingExtraError("a video", "video") from error
     return FFMPEG_VideoWriter
 
 
@@ -243,7 +244,7 @@ def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate: float) ->
         why = " ".join((error.strerror or str(error)).split())
         full = "No space left on device"
         reason = full if full[:13] in why else why[-160:]
-        raise ConfigError(f"{path}: can't be written: {reason}") from None
+        raise ConfigError(f"{path}: can't be written: {reason}") from error
 
 
 def _encode_video(

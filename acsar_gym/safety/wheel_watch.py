@@ -19,7 +19,6 @@ from collections import deque
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WheelError
-from acsar_gym.physics.model import wire_time
 from acsar_gym.protocol import MOTORS, WHEELS, ZERO, Speeds
 
 SLOWER_FACTOR = 2.0
@@ -243,7 +242,7 @@ class WheelWatch:
         known = "firmware.command_delay" in config.measured
         slow = board.command_delay + max(board.delay_samples, default=0.0)
         delay = slow if known else max(slow, UNKNOWN_DELAY)
-        delay += 2.0 * wire_time(config) + config.encoder.window + ADAPTER_DELAY + feedback
+        delay += 2.0 * config.wire_time + config.encoder.window + ADAPTER_DELAY + feedback
         lag = max(config.motor.of_wheel(wheel).time_constant for wheel in range(4))
         self._look = max(CHECK_INTERVAL, feedback)
         self._gap = max(FEEDBACK_GAP, 2.5 * feedback)

@@ -1,24 +1,20 @@
-"""LiDARs: the contract, the sensor that observes their ranges, and the replayed one."""
+"""The sensor that observes the ranges of a LiDAR."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline, outline_reach
-from acsar_gym.errors import LidarError, show_value
-from acsar_gym.links.base import Link, ScannedLink
-from acsar_gym.odometry import Odometry
-from acsar_gym.physics.body import GroundTruth
-from acsar_gym.recording.types import MAX_DISTANCE, MAX_STAMP
-from acsar_gym.sensors.base import LIDAR, Sensor
-from acsar_gym.sensors.scan import (
-    FULL_TURN,
+from acsar_gym.errors import LidarError
+from acsar_gym.lidar.contract import Lidar, check_age, check_revolution
+from acsar_gym.lidar.replayed import ReplayedLidar
+from acsar_gym.lidar.scan import (
     Revolution,
     Scan,
     Trail,
@@ -26,46 +22,15 @@ from acsar_gym.sensors.scan import (
     make_rays,
     ray_spec,
 )
-from acsar_gym.sensors.simulated import OLDEST_SIMULATED, SimulatedLidar, draw_episode
+from acsar_gym.lidar.simulated import SimulatedLidar
+from acsar_gym.odometry import Odometry
+from acsar_gym.sensors.sensor import LIDAR, Sensor
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
 STALE_PERIODS = 2.0
 """A scan that is older than this many periods of the LiDAR counts as stale."""
-MAX_AHEAD = 60.0
-"""A revolution may end so long after the time on the link's clock, and reconnect_timeout: that
-stands still where the link is recorded and a device starts. One further ahead has another clock
-[s]."""
-
-
-class Lidar(Protocol):
-    """A LiDAR, simulated or real. Times are on the clock of the robot's link.
-
-    One that must see every tick, as the simulated one does, has a method `poll(truth, now)` as
-    well; see `Sensor.poll`.
-    """
-
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; opens a device that is closed.
-
-        Args:
-            scene: the world, and the robot's start in it.
-            rng: for the noise.
-
-        Raises:
-            LidarError: the device can't be opened, or doesn't measure.
-        """
-
-    def scan(self) -> Revolution:
-        """Return the newest complete revolution; doesn't wait for one.
-
-        Raises:
-            LidarError: the device is gone. That a revolution is older than the configured time-out
-                is found out by `LidarSensor`.
-        """
-
-    def close(self) -> None:
-        """Stop the motor and close the device; idempotent."""
 
 
 class LidarSensor(Sensor):
@@ -186,85 +151,6 @@ class LidarSensor(Sensor):
         return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
-def check_revolution(made: Revolution, source: str) -> Revolution:
-    """Check what a LiDAR measured before compiled loops get it.
-
-    Args:
-        made: by the LiDAR; lists will do as well.
-        source: name of the LiDAR, for messages.
-
-    Returns:
-        The same in arrays of float64.
-
-    Raises:
-        LidarError: it isn't a Revolution, or one of its fields is none of finite numbers, or out
-            of the range that a recording can have.
-    """
-    fix = "see acsar_gym.sensors.scan.Revolution"
-    try:
-        bearings, distances, times = (np.ascontiguousarray(made[k], np.float64) for k in range(3))
-        checked = Revolution(bearings, distances, times, float(made[3]))
-    except (TypeError, ValueError, IndexError, KeyError):
-        raise LidarError(
-            f"{source}.scan() gave {show_value(made)}: must be a Revolution of numbers", fix
-        ) from None
-    values: Any
-    for name, values in zip(Revolution._fields, checked, strict=True):
-        shape = () if name == "stamp" else (len(bearings),)
-        if np.shape(values) != shape:
-            raise LidarError(
-                f"{source}.scan(): {name} has shape {np.shape(values)}, bearings "
-                f"{bearings.shape}: must be one number each for n measurements",
-                fix,
-            )
-        if not np.isfinite(values).all():
-            raise LidarError(
-                f"{source}.scan(): {name} = {show_value(np.asarray(values).tolist())}: must be "
-                "finite",
-                fix + "; a distance that wasn't measured is 0",
-            )
-    for name, low, high, unit in (
-        ("bearings", -FULL_TURN, FULL_TURN, "rad"),
-        ("distances", 0.0, MAX_DISTANCE, "m"),
-        ("times", -MAX_STAMP, MAX_STAMP, "s"),
-        ("stamp", -MAX_STAMP, MAX_STAMP, "s"),
-    ):
-        values = np.atleast_1d(getattr(checked, name))
-        wrong = values[(values < low) | (values > high)]
-        if len(wrong):
-            raise LidarError(
-                f"{source}.scan(): {name} has {wrong[0]:g}: must be {low:.4g} to {high:.4g} {unit}",
-                fix,
-            )
-    return checked
-
-
-def check_age(source: str, revolution: Revolution, now: float, config: RobotConfig) -> None:
-    """Check that a LiDAR still measures, by the clock of the robot's link.
-
-    Args:
-        source: name of the LiDAR, for messages.
-        revolution: its newest one.
-        now: on that clock [s].
-        config: of the robot.
-
-    Raises:
-        LidarError: the revolution is older than lidar.timeout, or further ahead than it can be.
-    """
-    newest, timeout = revolution.stamp, config.lidar.timeout
-    if now - newest > timeout:
-        raise LidarError(
-            f"{source}: no complete turn for {now - newest:.2f} s (lidar.timeout = {timeout:g} s)",
-            "check its power and that its head turns freely, then reset",
-        )
-    newest = max(newest, revolution.times.max(initial=newest))
-    if newest - now > MAX_AHEAD + config.reconnect_timeout:
-        raise LidarError(
-            f"{source}: measured {newest - now:g} s after now by the link's clock",
-            "its times and stamp must be on that clock: see acsar_gym.links.base.clock_of",
-        )
-
-
 def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
     """The LiDAR among a robot's sensors; None without one."""
     for sensor in sensors[:2]:  # the map may come before it
@@ -293,46 +179,3 @@ def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.fl
 def stale_after(config: RobotConfig) -> float:
     """Age from which a scan counts as stale [s]."""
     return STALE_PERIODS / config.lidar.rate
-
-
-class ReplayedLidar:
-    """Plays the revolutions of a recording, beside the bytes of its wire.
-
-    Args:
-        tape: the link that replays it.
-        link: the robot's link, with the recorded ground truth where the recording was a simulation.
-    """
-
-    oldest = 0.0
-    """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""
-
-    def __init__(self, tape: ScannedLink, link: Link) -> None:
-        self._tape = tape
-        self._link = link
-        self._measured: NDArray[np.float64] | None = None
-        self._newest: Revolution | None = None
-
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode."""
-        self._newest = None
-        if self._link.truth is not None:
-            draw_episode(rng)  # as the simulated LiDAR did here
-            self.oldest = min(self._tape.oldest_measurement(), OLDEST_SIMULATED)
-
-    def scan(self) -> Revolution:
-        """Return the revolution that was the newest one; LidarError where none was recorded."""
-        found = self._tape.revolution()
-        if found is None:
-            raise LidarError(
-                "the recording has no revolutions of a LiDAR",
-                "it was made without one, or by a version that kept no more than the scans: "
-                "record again",
-            )
-        stamp, measured = found
-        if self._newest is None or measured is not self._measured:
-            self._measured = measured
-            self._newest = Revolution(measured[0], measured[1], measured[2], stamp)
-        return self._newest
-
-    def close(self) -> None:
-        """Do nothing: there is no device."""

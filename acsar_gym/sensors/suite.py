@@ -11,14 +11,16 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, SensorError, show_value, suggest_name, translate_errors
+from acsar_gym.lidar.contract import Lidar
+from acsar_gym.lidar.replayed import ReplayedLidar
+from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.links.base import Link, clock_of, tape_of
 from acsar_gym.odometry import Odometry
-from acsar_gym.physics.body import GroundTruth
 from acsar_gym.reading import import_object
-from acsar_gym.sensors.base import LIDAR, MAP, Factory, Floats, Sensor
-from acsar_gym.sensors.lidar import Lidar, LidarSensor, ReplayedLidar, find_lidar
-from acsar_gym.sensors.map import MapSensor
-from acsar_gym.sensors.simulated import SimulatedLidar
+from acsar_gym.sensors.lidar import LidarSensor, find_lidar
+from acsar_gym.sensors.map.sensor import MapSensor
+from acsar_gym.sensors.sensor import LIDAR, MAP, Factory, Floats, Sensor
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 
@@ -305,8 +307,8 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
 def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
     """Make the LiDAR of a model and its serial device, "model://device"; as `open_lidar`."""
-    from acsar_gym.sensors.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
-    from acsar_gym.sensors.serial_lidar import SerialLidar  # noqa: PLC0415
+    from acsar_gym.lidar.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
+    from acsar_gym.lidar.serial import SerialLidar  # noqa: PLC0415
 
     model, _, device = url.partition("://")
     drivers = find_drivers()

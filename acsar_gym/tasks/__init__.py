@@ -1,6 +1,10 @@
 """Tasks: the goal, the observation, the reward and the end of an episode."""
 
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.episode import Assignment
+from acsar_gym.tasks.goal import PointGoal
+from acsar_gym.tasks.navigation import Barn, ObstacleGoal
+from acsar_gym.tasks.path import PathFollow
+from acsar_gym.tasks.task import (
     OBSERVATION_LIMIT,
     Goal,
     Observation,
@@ -8,10 +12,6 @@ from acsar_gym.tasks.base import (
     State,
     Task,
 )
-from acsar_gym.tasks.episode import Assignment
-from acsar_gym.tasks.goal import PointGoal
-from acsar_gym.tasks.navigation import Barn, ObstacleGoal
-from acsar_gym.tasks.path import PathFollow
 
 __all__ = [
     "OBSERVATION_LIMIT",

@@ -20,7 +20,15 @@ from acsar_gym.errors import (
     translate_errors,
 )
 from acsar_gym.jit import jit
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.factory import (
+    ask_outcome,
+    ask_reward,
+    check_distances,
+    check_reset_options,
+    method_place,
+    task_name,
+)
+from acsar_gym.tasks.task import (
     Goal,
     Info,
     Observation,
@@ -32,14 +40,6 @@ from acsar_gym.tasks.base import (
     point_in_disc,
     relative_point,
     says_shortest_path,
-)
-from acsar_gym.tasks.factory import (
-    ask_outcome,
-    ask_reward,
-    check_distances,
-    check_reset_options,
-    method_place,
-    task_name,
 )
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
@@ -401,11 +401,11 @@ class RunningEpisode:
             given = self.task.observe(state, self.memory)
         try:
             numbers = np.array(given, np.float32)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError) as error:
             raise TaskError(
                 f"{name}.observe returned {show_value(given)}: must be numbers"
                 f"{method_place(self.task, 'observe')}"
-            ) from None
+            ) from error
         if numbers.shape != (size,):
             raise TaskError(
                 f"{name}.observe returned numbers of shape {numbers.shape}: must be ({size},)"

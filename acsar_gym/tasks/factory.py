@@ -29,7 +29,7 @@ from acsar_gym.errors import (
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.task import (
     RESERVED_INFO,
     Memory,
     Outcome,
@@ -78,7 +78,7 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
             try:
                 task = task(**{name: _tupled(value) for name, value in options.items()})
             except TypeError as error:
-                raise ConfigError(f"{task_name(task)}: {error}") from None
+                raise ConfigError(f"{task_name(task)}: {error}") from error
     elif options:
         names = ", ".join(str(name)[:40] for name in options)
         raise ConfigError(f"{names}: no option of the env, and the task is made already")

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.factory import check_distances, check_positive
+from acsar_gym.tasks.task import (
     OBSERVATION_LIMIT,
     Goal,
     Outcome,
@@ -23,7 +24,6 @@ from acsar_gym.tasks.base import (
     clip_to,
     relative_point,
 )
-from acsar_gym.tasks.factory import check_distances, check_positive
 from acsar_gym.trigonometry import cos_sin
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MAP
-from acsar_gym.sensors.map import (
+from acsar_gym.sensors.map.sensor import (
     FARTHEST_CLEARANCE,
     FIRST_SECTOR,
     GAINED,
@@ -30,9 +30,9 @@ from acsar_gym.sensors.map import (
     STALLED,
     log_share,
 )
-from acsar_gym.tasks.base import Outcome, State
 from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import GoalTask, goal_distance
+from acsar_gym.tasks.task import Outcome, State
 
 BARN_TOLERANCE = 1.0
 """The run is a success once odometry is this close to the goal [m]."""

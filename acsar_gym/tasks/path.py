@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.factory import check_positive
+from acsar_gym.tasks.task import (
     OBSERVATION_LIMIT,
     Floats,
     Outcome,
@@ -17,7 +18,6 @@ from acsar_gym.tasks.base import (
     clip_to,
     relative_point,
 )
-from acsar_gym.tasks.factory import check_positive
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds.search import PATH_SPACING
 

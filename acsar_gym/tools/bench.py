@@ -24,14 +24,14 @@ from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import MissingExtraError
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links import open_link
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.render.top_view import TopView, TopViewFrame
 from acsar_gym.robot import Robot
-from acsar_gym.sensors.map import MapSensor
-from acsar_gym.sensors.scan import ray_spec
+from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks import Outcome, State, Task
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.vector.env import RobotVectorEnv, usable_cores

@@ -158,12 +158,12 @@ class Gamepad:
         self._file: int | None = None
         try:
             self._open(found[0])
-        except PermissionError:
+        except PermissionError as error:
             raise CommandError(
                 f"{found[0]}: not readable for you: sudo usermod -aG input $USER, then log in again"
-            ) from None
+            ) from error
         except OSError as error:
-            raise CommandError(f"{found[0]}: {error.strerror or error}") from None
+            raise CommandError(f"{found[0]}: {error.strerror or error}") from error
 
     def _open(self, device: str) -> None:
         """Open the device. CommandError where it is no gamepad."""

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import COMPILED, compiled_beside, record_of
+from acsar_gym.lidar.scan import make_rays
+from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.physics import Randomization, compute_physics
 from acsar_gym.physics.randomization import DrawnRanges, drawn_places
 from acsar_gym.sensors import Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges
-from acsar_gym.sensors.map import RECORD, MapSensor, make_record
-from acsar_gym.sensors.scan import make_rays
-from acsar_gym.sensors.simulated import SimulatedLidar
-from acsar_gym.sensors.way import SCRATCH
-from acsar_gym.tasks.base import Task
+from acsar_gym.sensors.map.sensor import RECORD, MapSensor, make_record
+from acsar_gym.sensors.map.way import SCRATCH
 from acsar_gym.tasks.episode import ObservationCheck, Spawn
 from acsar_gym.tasks.factory import method_place, task_name
+from acsar_gym.tasks.task import Task
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors

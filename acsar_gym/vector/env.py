@@ -19,7 +19,6 @@ from acsar_gym.errors import ConfigError, RenderError, show_value
 from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tasks.actions import read_actions
-from acsar_gym.tasks.base import Task
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.factory import (
     PlainSpec,
@@ -31,6 +30,7 @@ from acsar_gym.tasks.factory import (
     task_spaces,
     validate_task,
 )
+from acsar_gym.tasks.task import Task
 from acsar_gym.vector.batch import Batch
 from acsar_gym.vector.screen import BatchScreen, Image, check_render_mode
 from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
@@ -400,8 +400,10 @@ def _check_seeds(seed: Any, robots: int) -> list[int | None] | None:
     single = isinstance(seed, int | np.integer)
     try:
         seeds = [seed] if single else list(seed)
-    except TypeError:
-        raise ConfigError(f"seed = {show_value(seed)}: must be a whole number, or a list") from None
+    except TypeError as error:
+        raise ConfigError(
+            f"seed = {show_value(seed)}: must be a whole number, or a list"
+        ) from error
     if not single and len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
     for one in seeds:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, check_extra, show_value
-from acsar_gym.sensors.scan import ray_spec
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.vector.batch import Batch
 from acsar_gym.worlds.world import to_world
 

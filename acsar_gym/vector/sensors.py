@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
 from acsar_gym.jit import COMPILED, overloads
-from acsar_gym.physics.body import GroundTruth
 from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
-from acsar_gym.sensors.base import name_memory
 from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.sensor import name_memory
 from acsar_gym.sensors.suite import (
     add_sensor_info,
     check_info_key,
@@ -31,7 +30,8 @@ from acsar_gym.sensors.suite import (
     naming_sensor,
     sensor_factories,
 )
-from acsar_gym.tasks.base import is_compiled
+from acsar_gym.tasks.task import is_compiled
+from acsar_gym.truth import GroundTruth
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel.binding import (
     bind_methods,

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import LINE_BYTES, RobotConfig, whole_ratio
 from acsar_gym.errors import ConfigError, WorldError
+from acsar_gym.lidar.scan import count_trail_rows, ray_spec
 from acsar_gym.links.faults import WIRE_BUFFER, Faults
-from acsar_gym.physics.model import line_time, loop_period, wire_loops, wire_time
+from acsar_gym.physics.model import loop_period, wire_loops
 from acsar_gym.physics.randomization import DrawnRanges, longest_delay
 from acsar_gym.safety import rules
 from acsar_gym.sensors.lidar import stale_after
-from acsar_gym.sensors.map import MAP_NAMES
-from acsar_gym.sensors.scan import count_trail_rows, ray_spec
-from acsar_gym.tasks.base import Task
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks.episode import Spawn, path_from_start
 from acsar_gym.tasks.factory import check_reset_options
+from acsar_gym.tasks.task import Task
 from acsar_gym.vector.kernel import layout
 from acsar_gym.vector.kernel.layout import LineFaults
 from acsar_gym.wire import STANDSTILL_TIMEOUT
@@ -142,7 +142,7 @@ def make_setup(  # noqa: PLR0913 - all that a batch is made of
     return layout.Setup(
         dt=dt,
         period=config.period,
-        wire_time=wire_time(config),
+        wire_time=config.wire_time,
         isotropic=not turns_vary and all(one.body.turn_factor is None for one in fleet),
         window=round(config.encoder.window * firmware.loop_rate),
         ticks=ticks,
@@ -158,7 +158,7 @@ def make_setup(  # noqa: PLR0913 - all that a batch is made of
             late=float(faults.late_lines),
             lateness=float(faults.lateness),
             patience=math.ceil(STANDSTILL_TIMEOUT / config.period),
-            line_time=line_time(config),
+            line_time=config.line_time,
             processing_time=firmware.processing_time,
             command_timeout=firmware.command_timeout or math.inf,
         ),

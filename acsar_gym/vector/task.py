@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, TaskError, translate_errors
 from acsar_gym.jit import COMPILED
-from acsar_gym.tasks.base import (
+from acsar_gym.tasks.factory import ask_outcome, ask_reward, task_name
+from acsar_gym.tasks.task import (
     TASK_METHODS,
     Memory,
     Outcome,
@@ -19,7 +20,6 @@ from acsar_gym.tasks.base import (
     is_compiled,
     new_memory,
 )
-from acsar_gym.tasks.factory import ask_outcome, ask_reward, task_name
 from acsar_gym.vector.kernel import task as kernel
 from acsar_gym.vector.kernel.binding import explain_error, is_compile_error, numbers_of
 from acsar_gym.vector.kernel.episode import update_info
@@ -100,7 +100,7 @@ class CompiledLoops:
             raise ConfigError(
                 f"{task_name(self._task)}: memory.{name} isn't declared: give it a first value in "
                 f'the class, such as memory = {{"{name}": 0.0}}'
-            ) from None
+            ) from error
         except Exception as error:
             if is_compile_error(error):
                 name, kind = task_name(self._task), type(self._task)
@@ -158,7 +158,7 @@ class PythonLoops:
             try:
                 tables.observations[driven, : setup.numbers] = observed
             except (TypeError, ValueError) as error:
-                raise TaskError(f"{task_name(task)}.observe: {error}") from None
+                raise TaskError(f"{task_name(task)}.observe: {error}") from error
         update_info(tables.blocks, first, last, self._setups)
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:

@@ -214,7 +214,7 @@ def load_world(path: Path | str, placement: Placement | None = None) -> World:
             return _parse_world(reading.parse_json(text, WorldError), path, placement)
         return _parse_world(reading.parse_yaml(text, WorldError, MAX_YAML_EVENTS), path, placement)
     except WorldError as error:
-        raise WorldError(f"{path}: {error}") from None
+        raise WorldError(f"{path}: {error}") from error
 
 
 def _read_gazebo(path: Path, placement: Placement) -> World:
@@ -293,7 +293,7 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
             raise WorldError(f"{folder}: there is no such folder")
         paths = [path for path in folder.iterdir() if path.suffix.lower() in WORLD_SUFFIXES]
     except OSError as error:
-        raise WorldError(f"{folder}: can't be read: {reading.explain_error(error)}") from None
+        raise WorldError(f"{folder}: can't be read: {reading.explain_error(error)}") from error
     paths = [path for path in paths if not path.name.startswith(".")]
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")
@@ -327,7 +327,7 @@ def save_world(world: World, path: Path) -> None:
     try:
         data = format_world(world, path.suffix)
     except WorldError as error:
-        raise WorldError(f"{path}: {error}") from None
+        raise WorldError(f"{path}: {error}") from error
     reading.write_atomically(path, data, WorldError)
 
 
@@ -390,7 +390,7 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
     except WorldError:
         raise
     except ConfigError as error:
-        raise WorldError(str(error)) from None
+        raise WorldError(str(error)) from error
     start, goal = file.start, file.goal
     segments = np.array(file.segments, np.float64).reshape(-1, 4)
     if model is MapFile:
@@ -399,7 +399,7 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
             picture = reading.read_content(path.parent / config.image, MAX_IMPORT_BYTES, WorldError)
             segments = np.concatenate([segments, maps.map_segments(picture, config)])
         except WorldError as error:
-            raise WorldError(f"image {show_value(config.image)}: {error}") from None
+            raise WorldError(f"image {show_value(config.image)}: {error}") from error
     return World(
         np.array(file.circles, np.float64),
         segments,
@@ -437,8 +437,8 @@ def _barn_path(path: Path) -> Floats | None:
             warnings.simplefilter("ignore")  # the file may be of Python 2
             # Mapped, because a header may claim more bytes than the file has.
             cells = np.lib.format.open_memmap(found[0], mode="r")
-    except NPY_ERRORS:
-        raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from None
+    except NPY_ERRORS as error:
+        raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from error
     if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
         raise WorldError(f"{name}: must hold cells (row, column), has shape {cells.shape}")
     if len(cells) > MAX_OBSTACLES or not (np.abs(cells) <= MAX_COORDINATE).all():

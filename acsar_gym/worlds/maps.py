@@ -86,7 +86,7 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
     try:
         return MapSettings.model_validate(data)
     except ConfigError as error:
-        raise WorldError(str(error)) from None
+        raise WorldError(str(error)) from error
 
 
 def map_segments(picture: bytes, config: MapSettings) -> Floats:
@@ -166,8 +166,8 @@ def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
     """
     try:
         from PIL import Image  # noqa: PLC0415
-    except ImportError:
-        raise MissingExtraError("reading a map's picture", "pictures") from None
+    except ImportError as error:
+        raise MissingExtraError("reading a map's picture", "pictures") from error
     plain = picture[:2] in PLAIN_MAGIC
     if picture[:1] == b"P":
         header = PNM_HEADER.match(picture[:MAX_HEADER])
@@ -193,9 +193,9 @@ def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
                 if image.mode in ("1", "L"):
                     return np.asarray(image.convert("L")), np.arange(256) / 255.0, None
                 pixels = np.asarray(image.convert("RGBA"))
-    except Image.DecompressionBombError:
-        raise WorldError(f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it") from None
-    except PICTURE_ERRORS:
-        raise WorldError(UNSOUND_PICTURE) from None
+    except Image.DecompressionBombError as error:
+        raise WorldError(f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it") from error
+    except PICTURE_ERRORS as error:
+        raise WorldError(UNSOUND_PICTURE) from error
     levels = pixels[:, :, 0].astype(np.uint16) + pixels[:, :, 1] + pixels[:, :, 2]
     return levels, np.arange(766) / 3.0 / 255.0, pixels[:, :, 3] == 255

@@ -226,7 +226,7 @@ def read_worlds(
         return [files.load_world(path, placement)] if named or path.exists() else None
     except (OSError, ValueError) as error:
         reason = explain_error(error)
-        raise WorldError(f"worlds = {show_value(str(source))}: can't be read: {reason}") from None
+        raise WorldError(f"worlds = {show_value(str(source))}: can't be read: {reason}") from error
 
 
 def place_worlds(

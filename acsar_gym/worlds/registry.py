@@ -130,11 +130,11 @@ def register(name: str, make: Maker) -> None:
         )
     try:
         inspect.signature(make).bind(None, 0.0, 0.0)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError) as error:
         raise ConfigError(
             f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
-        ) from None
+        ) from error
     new, other = OwnGenerator(name, make, hash_function(make)), _OWN.get(name)
     if name in BUILT_IN_KINDS or (other is not None and other.place != new.place):
         owner = "acsar_gym" if other is None else other.home
@@ -188,7 +188,7 @@ def import_generator(module: str, kind: str) -> None:
         raise WorldError(
             f"{where}: can't import {module}: {one_line_error(error)}; install it, or name its "
             "folder in PYTHONPATH"
-        ) from None
+        ) from error
     except (Exception, SystemExit) as error:
         raise WorldError(f"{where}: importing {module} raised {one_line_error(error)}") from error
     if kind not in _OWN:

@@ -21,6 +21,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links.base import camera_of
 from acsar_gym.render.canvas import INK_COLOUR
 from acsar_gym.render.top_view import (
@@ -36,7 +37,6 @@ from acsar_gym.render.top_view import (
     TopView,
     TopViewFrame,
 )
-from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import episodes, runs
 from acsar_gym.tools.evaluation.episodes import DrawnTrack

@@ -21,9 +21,9 @@ from tapes import playing, recorded
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LidarError, LinkError
+from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.scan import Revolution
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
 

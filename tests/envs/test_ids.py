@@ -19,8 +19,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 from acsar_gym import RobotConfig, World
-from acsar_gym.envs.base import EnvOptions
 from acsar_gym.envs.ids import find_id
+from acsar_gym.envs.robot_env import EnvOptions
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
@@ -29,7 +29,7 @@ from acsar_gym.errors import (
     MissingExtraError,
     OffScreenWarning,
 )
-from acsar_gym.sensors.scan import Revolution
+from acsar_gym.lidar.scan import Revolution
 from acsar_gym.worlds import Region, Scene
 
 

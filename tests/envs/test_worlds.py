@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from acsar_gym import RobotConfig, World
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.world import to_world

@@ -30,7 +30,7 @@ import psutil
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LinkError
-from acsar_gym.links import watchdog
+from acsar_gym.guard import watchdog
 from acsar_gym.tools.emulation.board import run_emulator
 
 CURVE = np.array([0.3, 0.5], np.float32)

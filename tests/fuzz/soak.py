@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 import psutil
 
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.tools.emulation.board import run_emulator
 
 MOST_GROWTH = 4_000_000

@@ -15,8 +15,9 @@ from tapes import recorded
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.faults import WIRE_BUFFER, FaultSeed, FaultyLink
-from acsar_gym.physics.body import Camera, GroundTruth, Image
+from acsar_gym.physics.body import Camera, Image
 from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")

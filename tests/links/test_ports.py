@@ -16,7 +16,8 @@ from serial_tools import TIMEOUT, Emulated, StartEmulator
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
-from acsar_gym.links import ports, watchdog
+from acsar_gym.guard import watchdog
+from acsar_gym.links import ports
 from acsar_gym.links.factory import is_device
 from acsar_gym.links.ports import PortInfo, find_lasting_name, locate_port
 from acsar_gym.links.serial import SerialLink

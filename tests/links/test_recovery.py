@@ -29,7 +29,8 @@ from acsar_gym.errors import (
     LinkLostError,
     PortNotFoundError,
 )
-from acsar_gym.links import ports, watchdog
+from acsar_gym.guard import watchdog
+from acsar_gym.links import ports
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.worlds import Scene

@@ -21,10 +21,11 @@ from watchdog_tools import HASTY, TURNING, ZEROS, children
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
-from acsar_gym.links import ports, serial, watchdog
+from acsar_gym.guard import watchdog
+from acsar_gym.guard.watchdog_child import BEAT, ZERO_INTERVAL
+from acsar_gym.links import ports, serial
 from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.serial import SerialLink
-from acsar_gym.links.watchdog_child import BEAT, ZERO_INTERVAL
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.worlds import Scene

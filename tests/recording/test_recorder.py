@@ -28,7 +28,7 @@ from acsar_gym.recording.encoder import Clock, Exchange
 from acsar_gym.recording.reader import summarize
 from acsar_gym.recording.recorder import WriterThread, close_recorders
 from acsar_gym.recording.sinks import McapFile
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.worlds import Scene
 
 CONFIG = RobotConfig.of(None)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym import Robot, RobotConfig, kinematics
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder

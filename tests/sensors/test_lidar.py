@@ -12,13 +12,13 @@ import pytest
 
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LidarError
+from acsar_gym.lidar.scan import Revolution, Scan, make_rays
+from acsar_gym.lidar.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.links import open_link
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.physics.model import Physics, compute_physics
 from acsar_gym.recording import Recorder
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.scan import Revolution, Scan, make_rays
-from acsar_gym.sensors.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")

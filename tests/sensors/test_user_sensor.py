@@ -17,12 +17,12 @@ from range_finder import REACH, ThreeRays, three_rays
 from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig, Sensor, World
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, LinkError, SensorError
 from acsar_gym.links.base import Link
-from acsar_gym.physics.body import GroundTruth
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal, PointGoal
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Region
 
 WALL = World(

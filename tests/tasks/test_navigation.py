@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from task_tools import ACSAR, Played
 
-from acsar_gym.sensors.map import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, STALLED, log_share
+from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, STALLED, log_share
 from acsar_gym.tasks import Barn, ObstacleGoal
 from acsar_gym.tasks.navigation import BARN_SCORES, CHALLENGE_SPEED, barn_score
 from acsar_gym.worlds import Region, World

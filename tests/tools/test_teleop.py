@@ -32,10 +32,10 @@ from serial_tools import (
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import CommandError
+from acsar_gym.guard.estop import stop_all
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.reader import read
-from acsar_gym.safety.estop import stop_all
 from acsar_gym.tools import gamepad, teleop
 from acsar_gym.tools.gamepad import (
     ABS_RZ,

@@ -13,9 +13,9 @@ from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
 from acsar_gym.jit import COMPILED
+from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.worlds.geometry import measure_ranges
 
 ENV_ID = "acsar_gym/ObstacleGoal-v1"

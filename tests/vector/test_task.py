@@ -16,7 +16,7 @@ from acsar_gym.errors import ConfigError, TaskError
 from acsar_gym.jit import COMPILED
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Outcome, PointGoal, State
-from acsar_gym.tasks.base import is_compiled
+from acsar_gym.tasks.task import is_compiled
 from acsar_gym.vector.env import RobotVectorEnv
 
 needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")

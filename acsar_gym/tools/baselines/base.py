@@ -16,7 +16,7 @@ from acsar_gym.errors import MissingExtraError
 from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, RobotUnits, find_constants
-from acsar_gym.tools.policies.base import DecodedObservation, FilePolicy, PolicyContext
+from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, PolicyContext
 
 
 class BaselinePolicy(FilePolicy):

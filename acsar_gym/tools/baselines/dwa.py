@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.jit import jit, loop
-from acsar_gym.tasks.base import Floats
+from acsar_gym.tasks.task import Floats
 from acsar_gym.tools.baselines.mapping import (
     MapConstants,
     MappedPolicy,
@@ -31,7 +31,7 @@ from acsar_gym.tools.baselines.mapping import (
     way_left,
 )
 from acsar_gym.tools.baselines.tuning import constant
-from acsar_gym.tools.policies.base import DecodedObservation, PolicyContext
+from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
 LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
 """How many linear and angular velocities of the window are tried."""

@@ -21,11 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.sensors.scan import ray_spec
-from acsar_gym.tasks.base import Floats
+from acsar_gym.lidar.scan import ray_spec
+from acsar_gym.tasks.task import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
-from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
 
 DIRECTION_BINS = 360
 """Directions that are distinguished."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
-from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation
+from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation
 
 
 class RandomActions(BaselinePolicy):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import jit, loop
-from acsar_gym.sensors.scan import ray_spec
-from acsar_gym.tasks.base import OBSERVATION_LIMIT, Floats
+from acsar_gym.lidar.scan import ray_spec
+from acsar_gym.tasks.task import OBSERVATION_LIMIT, Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
-from acsar_gym.tools.policies.base import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside
 from acsar_gym.worlds.search import COST_FADE, Costs, clearance_costs, sweep_distances
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from acsar_gym.tasks.base import Floats
+from acsar_gym.tasks.task import Floats
 from acsar_gym.tools.baselines.mapping import (
     MapConstants,
     MappedPolicy,
@@ -19,7 +19,7 @@ from acsar_gym.tools.baselines.mapping import (
     points_clearance,
 )
 from acsar_gym.tools.baselines.tuning import constant
-from acsar_gym.tools.policies.base import DecodedObservation
+from acsar_gym.tools.policies.policy import DecodedObservation
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acsar_gym.tasks.base import Floats
+from acsar_gym.tasks.task import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
-from acsar_gym.tools.policies.base import PATH_NUMBERS, DecodedObservation
+from acsar_gym.tools.policies.policy import PATH_NUMBERS, DecodedObservation
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from numpy.typing import ArrayLike
 
 from acsar_gym.errors import ConfigError, require_extra, show_value, suggest_name
 from acsar_gym.tasks import Task
-from acsar_gym.tasks.base import info_names, says_shortest_path
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.navigation import BARN_SCORES
+from acsar_gym.tasks.task import info_names, says_shortest_path
 from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
 from acsar_gym.tools.benchmark.store import Cell, EpisodeRecord, Part
 from acsar_gym.tools.evaluation import metrics

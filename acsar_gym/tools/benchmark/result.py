@@ -92,7 +92,7 @@ def run_benchmark(
         try:
             (folder / name).unlink(missing_ok=True)
         except PermissionError as error:
-            raise ConfigError(f"{folder / name}: {reading.explain_error(error)}") from None
+            raise ConfigError(f"{folder / name}: {reading.explain_error(error)}") from error
     parts = runner.run_plan(plan, Store(folder), workers=workers, address=address)
     told = make_result(plan.as_dict(), parts)
     if submit:
@@ -279,7 +279,7 @@ def check_row(path: Path) -> str:
     try:
         told = reading.parse_json(data)
     except ConfigError as error:
-        raise ConfigError(f"{path}: {NOT_A_ROW}: {error}") from None
+        raise ConfigError(f"{path}: {NOT_A_ROW}: {error}") from error
     try:
         if told["schema"] != BENCHMARK_SCHEMA:
             raise ConfigError(f"{path}: a row of another version of the benchmark")
@@ -313,8 +313,15 @@ def check_row(path: Path) -> str:
             f"{path}: sound: {', '.join(names)}, {count} episodes, acsar_gym {version}{note}, "
             "scenes of this version, figures as computed from the episodes"
         )
-    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError):
-        raise ConfigError(f"{path}: {NOT_A_ROW}") from None
+    except (
+        ValueError,
+        TypeError,
+        LookupError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ) as error:
+        raise ConfigError(f"{path}: {NOT_A_ROW}") from error
 
 
 def _check_header(path: Path, header: Told) -> None:

@@ -31,9 +31,9 @@ from rich.progress import (
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CancelledError, PolicyError
-from acsar_gym.tasks.base import says_shortest_path
 from acsar_gym.tasks.episode import RunningEpisode
 from acsar_gym.tasks.goal import GoalTask
+from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.benchmark.figures import Scoring, record_episode
 from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
 from acsar_gym.tools.benchmark.scenes import SceneSet
@@ -102,11 +102,11 @@ def run_plan(
                 seed = "" if cell.training_seed is None else f" {cell.training_seed}"
                 told = f"{cell.scenes} {cell.link} {cell.condition} {cell.agent}{seed}"
                 progress.update(task, advance=job.count, description=report.escape_text(told))
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         raise CancelledError(
             f"interrupted: {len(done)} of {len(every)} parts are kept in {store.folder}; the same "
             "command goes on with the others"
-        ) from None
+        ) from error
     finally:
         close_kept_env()
     return [done[job.cell, job.first] for job in every if (job.cell, job.first) in done]

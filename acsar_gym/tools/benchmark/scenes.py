@@ -40,13 +40,13 @@ from gymnasium.utils import seeding
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
 from acsar_gym.tasks import PointGoal
-from acsar_gym.tasks.base import says_shortest_path
 from acsar_gym.tasks.episode import Spawn
+from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.worlds import World, registry
 from acsar_gym.worlds.cache import keep_worlds
 from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
@@ -334,7 +334,7 @@ def _make_planar(env_id: str) -> RobotEnv:
         said = " ".join(str(error).split())
         raise ConfigError(
             f"--env {show_value(env_id)}: not an environment of acsar_gym: {said}"
-        ) from None
+        ) from error
     env.close()
     if not isinstance(env, RobotEnv):
         raise ConfigError(f"--env {show_value(env_id)}: not an environment of acsar_gym")

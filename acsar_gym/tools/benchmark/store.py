@@ -199,10 +199,10 @@ class Store:
         for number, line in enumerate(whole.splitlines(), start=1):
             try:
                 parts.append(Part.of(reading.parse_json(line)))
-            except (ConfigError, ValueError, TypeError, LookupError, AttributeError):
+            except (ConfigError, ValueError, TypeError, LookupError, AttributeError) as error:
                 raise ConfigError(
                     f"{self.file}: line {number} isn't a benchmark's: use another folder"
-                ) from None
+                ) from error
         return parts
 
     def add(self, part: Part) -> Part:
@@ -224,7 +224,7 @@ class Store:
             raise ConfigError(
                 f"{self.file}: can't be written: {reading.explain_error(error)}; what was finished "
                 "is kept: make room and give the same command again"
-            ) from None
+            ) from error
         return Part.of(json.loads(data))
 
     def _truncate(self, size: int) -> None:
@@ -235,7 +235,7 @@ class Store:
         except OSError as error:
             raise ConfigError(
                 f"{self.file}: can't be written: {reading.explain_error(error)}"
-            ) from None
+            ) from error
 
 
 def _check_plan(noted: Path, plan: Mapping[str, Any]) -> None:
@@ -244,8 +244,8 @@ def _check_plan(noted: Path, plan: Mapping[str, Any]) -> None:
     try:
         before = reading.parse_json(content)
         keys = sorted({*before, *plan})
-    except (ConfigError, TypeError):
-        raise ConfigError(f"{noted}: isn't a benchmark's plan: use another folder") from None
+    except (ConfigError, TypeError) as error:
+        raise ConfigError(f"{noted}: isn't a benchmark's plan: use another folder") from error
     now = json.loads(json.dumps(plan))
     differing = next((key for key in keys if before.get(key) != now.get(key)), None)
     if differing is not None:

@@ -187,7 +187,7 @@ def _kept_terminal() -> Iterator[None]:
         yield
         return
     before = termios.tcgetattr(0)
-    from acsar_gym.links import shutdown  # noqa: PLC0415
+    from acsar_gym.guard import shutdown  # noqa: PLC0415
 
     def restore() -> None:
         with contextlib.suppress(OSError, termios.error):

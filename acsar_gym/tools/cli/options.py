@@ -149,8 +149,8 @@ def ask_user(question: str) -> str:
     """Ask on the terminal; CancelledError where it ends."""
     try:
         return input(escape_unprintable(question))
-    except EOFError:
-        raise CancelledError("cancelled: no answer") from None
+    except EOFError as error:
+        raise CancelledError("cancelled: no answer") from error
 
 
 @contextlib.contextmanager
@@ -300,8 +300,8 @@ class HostOptions:
             ConfigError: the priority or cores aren't allowed.
             LinkError: `acsar-gym estop` couldn't stop the robot, and that isn't allowed.
         """
+        from acsar_gym.guard.estop import StopListener  # noqa: PLC0415
         from acsar_gym.links.factory import is_device  # noqa: PLC0415
-        from acsar_gym.safety.estop import StopListener  # noqa: PLC0415
         from acsar_gym.tools.doctor import host  # noqa: PLC0415
 
         if drives is not None and not self.without_estop and is_device(drives):

@@ -57,4 +57,4 @@ def write_dataset(
         folder.mkdir(parents=True, exist_ok=True)
         return DATASET_FORMATS[to](data, folder, paths[0].stem), data
     except OSError as error:
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import read
@@ -27,8 +27,8 @@ from acsar_gym.recording.export import is_incomplete
 from acsar_gym.recording.types import Episode, Floats, begin_at_part
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors import LIDAR
-from acsar_gym.tasks.base import Goal
 from acsar_gym.tasks.goal import PointGoal
+from acsar_gym.tasks.task import Goal
 from acsar_gym.worlds import Scene
 
 DEFAULT_ENV = "point_goal"
@@ -196,7 +196,7 @@ def _make_replay_env(
         try:
             made = gymnasium.make(env_id, link=link, robot=config, on_fault="raise", **options)
         except TypeError as error:
-            raise ConfigError(f"{env_id}: can't replay a recording: {error}") from None
+            raise ConfigError(f"{env_id}: can't replay a recording: {error}") from error
         env = made.unwrapped  # without the limit of time
         if not isinstance(env, RobotEnv) or env.task.follows:
             raise ConfigError(f"{env_id}: has no goal: choose an env with one, such as point_goal")

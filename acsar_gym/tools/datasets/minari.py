@@ -66,7 +66,7 @@ def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
                 description=f"Recorded by acsar_gym {package_version()}: {data.env_id}.",
             )
     except ValueError as error:  # it is there already
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from None
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
     finally:
         os.environ.pop(MINARI_FOLDER)
         if before is not None:

@@ -8,8 +8,8 @@ from typing import Any
 
 from rich.table import Table
 
+from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.ports import find_ports
-from acsar_gym.safety.estop import StopListener
 
 STATUS_MARKS = {
     "ok": "[green]ok[/]",

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError
 from acsar_gym.tools.doctor.checks import Check, warn_if
 
@@ -45,7 +45,7 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
     try:
         for allowed in (priority + 1, priority):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(allowed))
-    except OSError:
+    except OSError as error:
         if os.geteuid() == 0:
             why = (
                 "refused even to root, as in a container: start it with 'docker run --cap-add "
@@ -59,7 +59,7 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
             )
         raise ConfigError(
             f"real-time priority {priority}: {why}, or run without --realtime"
-        ) from None
+        ) from error
 
 
 def _pin_to_cores(cores: Sequence[int]) -> None:
@@ -112,7 +112,7 @@ def check_computer(
         yield Check("CPU governor", "skip", none)
     if device and "://" not in device:
         yield from _check_adapter(device, root)
-    lines = config.baud_rate / (BITS_PER_BYTE * (LINE_BYTES + config.trailing_comma))
+    lines = 1.0 / config.line_time
     yield warn_if(
         max(config.control_rate, config.feedback_rate) > TIGHT_LINE * lines,
         "baud rate",

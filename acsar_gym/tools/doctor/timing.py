@@ -30,8 +30,8 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks import State
-from acsar_gym.tasks.base import new_memory
 from acsar_gym.tasks.goal import PointGoal
+from acsar_gym.tasks.task import new_memory
 from acsar_gym.tools.doctor.checks import Check, draw_checks, warn_if
 from acsar_gym.tools.doctor.host import check_computer
 from acsar_gym.tools.policies import OnnxPolicy, Policy

@@ -14,12 +14,12 @@ from acsar_gym.errors import (
     EmergencyStopError,
     LinkError,
 )
+from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.base import Link
 from acsar_gym.links.recorded import record_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder
-from acsar_gym.safety.estop import StopListener
 from acsar_gym.tools.doctor.board import BoardProbe, check_feedback
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.commission import Commission
@@ -51,7 +51,7 @@ def at_baud_rate(config: RobotConfig, baud: int) -> RobotConfig:
                 return config.with_(baud_rate=baud, control_rate=rate)
             except ConfigError:
                 continue
-        raise error from None
+        raise error from error
 
 
 def search_baud_rate(device: str, config: RobotConfig) -> Check:

@@ -15,8 +15,8 @@ try:
     import pty
     import termios
     import tty
-except ImportError:
-    raise ConfigError("this operating system has no pseudo-terminals to emulate on") from None
+except ImportError as error:
+    raise ConfigError("this operating system has no pseudo-terminals to emulate on") from error
 
 PSEUDO_TERMINALS = Path("/dev/pts")
 DEVICE_PREFIXES = ("/dev/pts/", "/dev/ttys")
@@ -106,14 +106,14 @@ class EmulatedCable:
             if self._name.is_symlink():
                 self._name.unlink()
             self._name.symlink_to(self.device)
-        except FileExistsError:
+        except FileExistsError as error:
             self.pull()
             raise ConfigError(
                 f"{self._name}: exists and isn't a symbolic link: name another"
-            ) from None
+            ) from error
         except OSError as error:
             self.pull()
-            raise ConfigError(f"{self._name}: can't be made a symbolic link: {error}") from None
+            raise ConfigError(f"{self._name}: can't be made a symbolic link: {error}") from error
 
     def pull(self) -> None:
         """Remove the device. Idempotent."""

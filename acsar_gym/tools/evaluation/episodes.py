@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors.lidar import newest_scan
-from acsar_gym.tasks.base import info_names
 from acsar_gym.tasks.navigation import BARN_SCORES
+from acsar_gym.tasks.task import info_names
 from acsar_gym.tools.policies import FilePolicy, Policy
-from acsar_gym.tools.policies.base import PolicyContext
+from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
@@ -439,8 +439,8 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
         events = [json.loads(line) for line in lines if line.endswith(b"\n")]
         truths = [(float(event["t"]), event["pose"]) for event in events if "pose" in event]
         poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
-    except (ValueError, TypeError, LookupError):
-        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from None
+    except (ValueError, TypeError, LookupError) as error:
+        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from error
     if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
     return [stamp for stamp, _ in truths], poses

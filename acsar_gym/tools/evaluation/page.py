@@ -128,8 +128,8 @@ def check_report_extra() -> None:
     try:
         import jinja2  # noqa: F401, PLC0415 - optional
         import plotly.offline  # noqa: F401, PLC0415 - optional
-    except ImportError:
-        raise MissingExtraError("an HTML report", "report") from None
+    except ImportError as error:
+        raise MissingExtraError("an HTML report", "report") from error
 
 
 def line_trace(

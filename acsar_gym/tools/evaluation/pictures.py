@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from acsar_gym import reading
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.render import renderer
 from acsar_gym.render.canvas import encode_png
 from acsar_gym.render.top_view import RgbImage, TopView, TopViewFrame
-from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.evaluation.episodes import DrawnTrack, EpisodeResult
 from acsar_gym.worlds import Pose

@@ -103,7 +103,7 @@ def make_folder(path: Path) -> None:
     except (OSError, ValueError) as error:
         raise ConfigError(
             f"{path}: can't be made a folder: {reading.explain_error(error)}"
-        ) from None
+        ) from error
 
 
 def write_json(path: Path | None, data: Mapping[str, Any]) -> None:

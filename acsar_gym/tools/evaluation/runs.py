@@ -14,8 +14,8 @@ import gymnasium
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym.config import RobotConfig, RobotSource
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import (
     ConfigError,
     EmergencyStopError,
@@ -40,8 +40,8 @@ from acsar_gym.tools.policies import (
     resolve,
     statistics_beside,
 )
-from acsar_gym.tools.policies.base import PolicyContext, format_error, quote_text
 from acsar_gym.tools.policies.describe import RETRAIN_HINT, describe_policy, env_policy_rate
+from acsar_gym.tools.policies.policy import PolicyContext, format_error, quote_text
 from acsar_gym.worlds import registry
 
 Env = gymnasium.Env[Any, Any]
@@ -173,12 +173,12 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             env.close()
             env = gymnasium.make(env_id, **given, worlds=f"{pool.kind}:{registry.TEST}")
     except (gymnasium.error.Error, ImportError) as error:
-        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from None
+        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from error
     except TypeError as error:
         names = ", ".join(given)
         raise ConfigError(
             f"{env_id} doesn't take all of: {names} ({format_error(error)})"
-        ) from None
+        ) from error
     inner = env.unwrapped
     try:
         if isinstance(inner, RobotEnv):
@@ -208,7 +208,7 @@ def _check_id(policy: FilePolicy) -> str:
     try:
         return find_id(env_id)
     except ConfigError as error:
-        raise PolicyError(f"{policy.path}: {error}") from None
+        raise PolicyError(f"{policy.path}: {error}") from error
 
 
 def seed_range(first: int, count: int) -> range:

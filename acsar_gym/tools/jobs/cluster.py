@@ -67,14 +67,14 @@ def _take_result(ray: Any, done: Any, job: object) -> Any:
     """Return the result of a finished job, or raise its error."""
     try:
         result, error = ray.get(done)
-    except ray.exceptions.WorkerCrashedError:
+    except ray.exceptions.WorkerCrashedError as error:
         raise JobError(
             f"{name_job(job)}: ended {MAX_RETRIES + 1} processes: run it with --workers 1 to see "
             "why"
-        ) from None
+        ) from error
     except ray.exceptions.RayError as failure:
         why = getattr(failure, "cause", None) or failure
-        raise JobError(f"{name_job(job)}: {type(why).__name__}: {_shorten(why)}") from None
+        raise JobError(f"{name_job(job)}: {type(why).__name__}: {_shorten(why)}") from failure
     if error is not None:
         raise error
     return result
@@ -113,7 +113,7 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ClusterError(
             f"--address {show_value(address)}: {_shorten(error)}", START_HINT
-        ) from None
+        ) from error
     try:
         yield ray
     finally:
@@ -134,10 +134,10 @@ def _check_address(grpc: Any, address: str) -> None:
     with grpc.insecure_channel(place) as channel:
         try:
             grpc.channel_ready_future(channel).result(timeout=CLUSTER_TIMEOUT)
-        except grpc.FutureTimeoutError:
+        except grpc.FutureTimeoutError as error:
             raise ClusterError(
                 f"--address {show_value(address)}: doesn't answer", START_HINT
-            ) from None
+            ) from error
 
 
 def _shorten(error: BaseException) -> str:

@@ -3,8 +3,8 @@
 Importing this package imports neither torch nor onnxruntime.
 """
 
-from acsar_gym.tools.policies.base import CallablePolicy, FilePolicy, Policy, is_callable, resolve
 from acsar_gym.tools.policies.onnx import OnnxPolicy, actor, save
+from acsar_gym.tools.policies.policy import CallablePolicy, FilePolicy, Policy, is_callable, resolve
 from acsar_gym.tools.policies.sb3_zip import ZipPolicy, statistics_beside
 
 __all__ = [

@@ -229,7 +229,7 @@ def parse_bundle(text: str) -> Bundle:
     try:
         return Bundle.model_validate(found)
     except ConfigError as error:
-        raise _BundleError(str(error)) from None
+        raise _BundleError(str(error)) from error
 
 
 def _deeper(value: Any, most: int) -> bool:

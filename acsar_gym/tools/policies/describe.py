@@ -21,8 +21,8 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import outline_radius
 from acsar_gym.config.robot import hash_calibration, hash_config
 from acsar_gym.config.section import Section
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import full_id, strip_module
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import AcsarError, PolicyError, escape_unprintable, shorten_text
 from acsar_gym.physics import Randomization
 from acsar_gym.physics.model import turn_factor
@@ -204,7 +204,7 @@ def describe_policy(
             },
         )
     except AcsarError as error:
-        raise PolicyError(f"the policy can't be described: {error}") from None
+        raise PolicyError(f"the policy can't be described: {error}") from error
 
 
 def take_sensors(task: Task, sensors: Sequence[Sensor], width: int | None) -> Sequence[Sensor]:

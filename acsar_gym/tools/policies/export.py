@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from acsar_gym import reading
 from acsar_gym.errors import PolicyError, require_extra
-from acsar_gym.tools.policies.base import MAX_POLICY_BYTES, format_error
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, NormalizerSummary
+from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES, format_error
 
 with require_extra("writing an ONNX policy (torch, onnx, onnxscript)", "train"):
     import onnx
@@ -190,9 +190,9 @@ def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) ->
     try:
         with torch.no_grad():
             given = module(*example)
-    except Exception as error:  # noqa: BLE001 - whatever a user's module raises
+    except Exception as error:
         said = f"observations of shape (batch, {example[0].shape[1]}): {format_error(error)}"
-        raise PolicyError(f"the module doesn't take {said}") from None
+        raise PolicyError(f"the module doesn't take {said}") from error
     action, *after = given if isinstance(given, tuple) else (given,)
     if action.shape != (1, 2):
         raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")

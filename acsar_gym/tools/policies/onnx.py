@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs.base import RobotEnv
 from acsar_gym.envs.ids import find_id
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
 from acsar_gym.physics import Randomization
 from acsar_gym.resources import AGENTS
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies import trial
-from acsar_gym.tools.policies.base import MAX_POLICY_BYTES, FilePolicy, format_error, resolve
 from acsar_gym.tools.policies.bundle import (
     BUNDLE_KEY,
     Bundle,
@@ -30,6 +29,7 @@ from acsar_gym.tools.policies.bundle import (
 )
 from acsar_gym.tools.policies.describe import describe_policy
 from acsar_gym.tools.policies.kinds import describe_other_file
+from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES, FilePolicy, format_error, resolve
 
 if TYPE_CHECKING:
     import torch
@@ -44,10 +44,10 @@ def read_network(data: bytes) -> tuple[trial.Network, Bundle]:
     """
     try:
         network = trial.load_network(data)
-    except ImportError:
-        raise MissingExtraError("running a policy", "deploy") from None
-    except Exception as error:  # noqa: BLE001 - onnxruntime's errors have no common base of their own
-        raise PolicyError(f"not an ONNX policy: {format_error(error)}") from None
+    except ImportError as error:
+        raise MissingExtraError("running a policy", "deploy") from error
+    except Exception as error:
+        raise PolicyError(f"not an ONNX policy: {format_error(error)}") from error
     if BUNDLE_KEY not in network.metadata:
         raise PolicyError(
             "an ONNX network without a bundle, which says what it was trained for: write it with "
@@ -89,7 +89,7 @@ def open_policy_file(path: Path) -> tuple[str, trial.Network, Bundle]:
     try:
         return hashlib.sha256(data).hexdigest(), *read_network(data)
     except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from None
+        raise PolicyError(f"{path}: {error}") from error
 
 
 class OnnxPolicy(FilePolicy):
@@ -228,11 +228,11 @@ def save(
     try:
         env = gymnasium.make(find_id(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
     except (gymnasium.error.Error, ImportError) as error:
-        raise ConfigError(f"{env_id}: {error}") from None
+        raise ConfigError(f"{env_id}: {error}") from error
     except TypeError as error:
         raise ConfigError(
             f"{env_id}: doesn't take these arguments: {format_error(error)}"
-        ) from None
+        ) from error
     try:
         if not isinstance(env, RobotEnv):
             raise ConfigError(f"{env_id}: not an environment of acsar_gym")

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from acsar_gym import reading
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, PolicyError, require_extra
-from acsar_gym.tools.policies.base import format_error
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, StateLayout
+from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.vector.env import RobotVectorEnv
 
 with require_extra("stable-baselines3", "train"):
@@ -317,8 +317,8 @@ def read_normalizer(path: Path, width: int, frames: int = 1) -> torch.nn.Module 
     data = reading.read_file(path, MAX_STATISTICS_BYTES, PolicyError)
     try:
         saved: Any = pickle.loads(data)  # noqa: S301 - only with --trust
-    except Exception as error:  # noqa: BLE001 - whatever a pickle raises
-        raise PolicyError(f"{path}: not a VecNormalize: {format_error(error)}") from None
+    except Exception as error:
+        raise PolicyError(f"{path}: not a VecNormalize: {format_error(error)}") from error
     if not isinstance(saved, VecNormalize):
         raise PolicyError(f"{path}: holds a {type(saved).__name__}, not a VecNormalize")
     if not saved.norm_obs:

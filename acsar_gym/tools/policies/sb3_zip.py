@@ -23,9 +23,9 @@ from acsar_gym.errors import MissingExtraError, PolicyError, require_extra, shor
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name, task_spaces
-from acsar_gym.tools.policies.base import FilePolicy, format_error, resolve
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
 from acsar_gym.tools.policies.kinds import describe_other_zip
+from acsar_gym.tools.policies.policy import FilePolicy, format_error, resolve
 
 if TYPE_CHECKING:
     from stable_baselines3.common.policies import BasePolicy
@@ -77,10 +77,10 @@ class ZipPolicy(FilePolicy):
         except MissingExtraError:
             raise
         except PolicyError as error:
-            raise PolicyError(f"{self.path}: {error}") from None
-        except Exception as error:  # noqa: BLE001 - whatever pickle and torch raise on such a file
+            raise PolicyError(f"{self.path}: {error}") from error
+        except Exception as error:
             said = format_error(error)
-            raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from None
+            raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from error
         self.sha256 = hashlib.sha256(content).hexdigest()
         by_train = self.bundle is not None and self.bundle.training is not None
         self.normalized = False if by_train else uses_normalization(data)

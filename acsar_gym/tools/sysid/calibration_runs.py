@@ -212,9 +212,9 @@ def _name_errors(path: Path) -> Iterator[None]:
         yield
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         what = " ".join(str(error).split())[:100]
-        raise ConfigError(f"{path}: broken calibration runs ({what})") from None
+        raise ConfigError(f"{path}: broken calibration runs ({what})") from error
     except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def _parse_run(entry: Any) -> CalibrationRun:

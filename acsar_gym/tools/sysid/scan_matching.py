@@ -13,9 +13,9 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LidarError, require_extra
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.robot import Robot
 from acsar_gym.sensors.lidar import newest_scan
-from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.sysid.calibration_drive import RunPlan
 from acsar_gym.tools.sysid.calibration_runs import RunReading
 from acsar_gym.tools.sysid.delays import Floats

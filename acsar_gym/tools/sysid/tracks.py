@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import BITS_PER_BYTE, LINE_BYTES, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.odometry import Odometry
 from acsar_gym.recording.replay import remove_jitter, replay_commands
@@ -88,7 +88,7 @@ class BoardTrack:
 
 def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
     """Decode one episode of the wire; None where it holds no commands or no readings."""
-    line = (LINE_BYTES + config.trailing_comma) * BITS_PER_BYTE / config.baud_rate
+    line = config.line_time
     took = line + config.firmware.processing_time
     sent, commands = log.commands(config)
     got, speeds = log.feedback(config)

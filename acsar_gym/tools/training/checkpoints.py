@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.tools.policies.base import format_error
+from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.vector import env as vector
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -147,7 +147,7 @@ def restore_state(state: TrainingState, model: BaseAlgorithm, batch: RobotVector
         if "cuda" in arrays and torch.cuda.is_available():
             torch.cuda.set_rng_state(torch.from_numpy(arrays["cuda"]))
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ConfigError(f"the checkpoint is of another training: {error}") from None
+        raise ConfigError(f"the checkpoint is of another training: {error}") from error
 
 
 def write_checkpoint(folder: Path, save: Callable[[Path], object], state: TrainingState) -> Path:
@@ -195,7 +195,7 @@ def read_state(path: Path) -> TrainingState:
             return TrainingState(**{"run": ""} | facts, arrays=arrays)
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
         said = format_error(error)
-        raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from None
+        raise ConfigError(f"{path}: not a whole checkpoint of 'acsar-gym train': {said}") from error
 
 
 def read_run(path: Path) -> str:
@@ -230,7 +230,7 @@ def explain_disk_errors(out: Path) -> Iterator[None]:
         kept = f"{found[-1]} is whole" if found else "there is no checkpoint yet"
         go_on = f", then go on with --resume {out} --trust" if found else ""
         said = f"{os.strerror(full.errno)}; {kept}: make room{go_on}"
-        raise AcsarError(f"--out {out}: can't be written: {said}") from None
+        raise AcsarError(f"--out {out}: can't be written: {said}") from error
 
 
 class StopRequest:

@@ -11,7 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.tools.policies import ZipPolicy, sb3
-from acsar_gym.tools.policies.base import format_error
+from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.tools.training import recipes
 from acsar_gym.tools.training.held_out import Decide
 from acsar_gym.tools.training.plan import TrainingPlan
@@ -53,8 +53,8 @@ def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
         return plan.algorithm.load()(env=recipe.wrap_batch(sb3.BatchVecEnv(env)), **given)
     except AcsarError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever a constructor makes of bad values
-        raise ConfigError(f"{recipe.file}: {recipe.key}: {format_error(error)}") from None
+    except Exception as error:
+        raise ConfigError(f"{recipe.file}: {recipe.key}: {format_error(error)}") from error
 
 
 def load_model(

@@ -23,7 +23,7 @@ from acsar_gym import reading
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, require_extra, shorten_text, show_value, suggest_name
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.policies.base import format_error
+from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.worlds import registry
 
 if TYPE_CHECKING:  # imports torch
@@ -158,8 +158,8 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
     try:
         with reading.find_modules_here():
             return getattr(importlib.import_module(module), kind)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises
-        raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from None
+    except (Exception, SystemExit) as error:
+        raise ConfigError(f"{place}: {name}: can't be imported: {format_error(error)}") from error
 
 
 def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()) -> dict[str, Any]:
@@ -292,7 +292,7 @@ class Recipe:
                     batch = find_class("vec_env_wrapper", name, self.modules)(batch, **given)
                 except TypeError as error:
                     said = format_error(error)
-                    raise ConfigError(f"vec_env_wrapper: {name}: {said}") from None
+                    raise ConfigError(f"vec_env_wrapper: {name}: {said}") from error
         return batch
 
 
@@ -302,7 +302,7 @@ def name_errors(*names: object) -> Iterator[None]:
     try:
         yield
     except ConfigError as error:
-        raise ConfigError(": ".join([*map(str, names), str(error)])) from None
+        raise ConfigError(": ".join([*map(str, names), str(error)])) from error
 
 
 def read_recipe(

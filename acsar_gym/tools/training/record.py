@@ -159,7 +159,7 @@ def read_record(folder: Path) -> dict[str, Any]:
         found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])
     except (ConfigError, KeyError, TypeError, ValueError) as error:
         said = reading.explain_error(error)
-        raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from None
+        raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from error
     return found
 
 

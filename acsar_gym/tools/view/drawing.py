@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.recording.types import Floats
 from acsar_gym.safety.rules import Reason
-from acsar_gym.sensors.scan import ray_spec
 from acsar_gym.tools.view.log import REASON_WORDS
 from acsar_gym.tools.view.overlay import Partner, measure_gaps, measure_true_gap
 from acsar_gym.tools.view.tail import TICK_PLACES, GrowingEpisode

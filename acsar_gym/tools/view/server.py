@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym.errors import ConfigError, LinkError, require_extra, shorten_text
+from acsar_gym.guard import estop
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.reading import explain_error
-from acsar_gym.safety import estop
 from acsar_gym.tools.view.session import Session
 
 PAGE_HOST = "127.0.0.1"
@@ -91,7 +91,7 @@ def serve_page(path: Path, port: int = PAGE_PORT, over: Path | None = None) -> I
         listener = socket.create_server((PAGE_HOST, port))
     except OSError as error:
         why = f"can't be used on {PAGE_HOST}: {explain_error(error)}; 0 takes any free one"
-        raise ConfigError(f"--port {port}: {why}") from None
+        raise ConfigError(f"--port {port}: {why}") from error
     with listener:
         server = make_server(
             PAGE_HOST,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.errors import ConfigError, LinkError, RenderError
-from acsar_gym.safety import estop
+from acsar_gym.guard import estop
 from acsar_gym.tools.view import drawing, log
 from acsar_gym.tools.view.camera import Camera, Shot
 from acsar_gym.tools.view.log import LogLine

@@ -313,7 +313,7 @@ class RecordingTail:
                     changed |= self._drain()
         except FileCut as cut:  # the rest of the record isn't written yet
             if cut.damaged:
-                raise ConfigError("is damaged: what follows is no record") from None
+                raise ConfigError("is damaged: what follows is no record") from cut
         self._place = records.place
         self.damages += records.damages
         if collector.header is None:

@@ -12,8 +12,8 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.links.faults import WHOLE_EPISODE, line_hash
 from acsar_gym.physics.model import whole_loops
 from acsar_gym.physics.randomization import draw_robot
-from acsar_gym.tasks.base import point_in_disc, relative_point
 from acsar_gym.tasks.episode import goal_at
+from acsar_gym.tasks.task import point_in_disc, relative_point
 from acsar_gym.vector.kernel.drive import newest_line, settle_with_faults
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,

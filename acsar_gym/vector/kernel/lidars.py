@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.sensors.map import MAP_NAMES, clear_map, update_map
-from acsar_gym.sensors.scan import begin_trail, fill_scan
-from acsar_gym.sensors.simulated import LidarTraits, make_beams, measure_revolution
+from acsar_gym.lidar.scan import begin_trail, fill_scan
+from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution
+from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Robots, Setup, Tables, to_world
 from acsar_gym.worlds.geometry import Surroundings, footprint_collides

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import COMPILED, jit
-from acsar_gym.tasks.base import TASK_METHODS, Outcome, State, Task
+from acsar_gym.tasks.task import TASK_METHODS, Outcome, State, Task
 from acsar_gym.vector.kernel.binding import bind_methods
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Records, Setup, Spawns, TaskTables

@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 import pytest
 
-from acsar_gym.envs.base import RobotEnv
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS

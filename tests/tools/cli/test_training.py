@@ -60,7 +60,10 @@ acsar_gym.register("mine/Unsound-v0", task=Unsound, max_episode_steps=20)
 acsar_gym.register("mine/Failing-v0", task=Failing, max_episode_steps=20)
 acsar_gym.register("mine/Endless-v0", task=Ahead)
 gymnasium.register(
-    "mine/Single-v0", "acsar_gym.envs.base:RobotEnv", kwargs={"task": Ahead}, max_episode_steps=20
+    "mine/Single-v0",
+    "acsar_gym.envs.robot_env:RobotEnv",
+    kwargs={"task": Ahead},
+    max_episode_steps=20,
 )
 """
 

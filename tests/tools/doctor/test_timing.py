@@ -16,9 +16,9 @@ from serial_tools import Emulated, no_leak, program, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LinkError, MissingExtraError
+from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.lateness import DurationSpread, TickTiming
 from acsar_gym.protocol import ZERO
-from acsar_gym.safety.estop import StopListener
 from acsar_gym.tools.doctor import timing as doctor_timing
 from acsar_gym.tools.doctor.checks import Check
 from acsar_gym.tools.doctor.timing import HISTOGRAM_EDGES, TimingReport, examine_timing

@@ -21,8 +21,8 @@ from serial_tools import (
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import BoardGarbledError, ConfigError, EmergencyStopError
+from acsar_gym.guard.estop import StopListener
 from acsar_gym.protocol import ZERO, encode
-from acsar_gym.safety.estop import StopListener
 from acsar_gym.tools.cli import main
 from acsar_gym.tools.doctor import board, wire
 from acsar_gym.tools.doctor import checks as doctor_checks

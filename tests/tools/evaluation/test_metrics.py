@@ -17,7 +17,7 @@ from acsar_gym.config.footprint import make_rectangle
 from acsar_gym.errors import TaskError
 from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
 from acsar_gym.tasks import Observation, ObstacleGoal, PathFollow, PointGoal
-from acsar_gym.tasks.base import says_shortest_path
+from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episodes import (
     EpisodeResult,
     footprint_clearance,

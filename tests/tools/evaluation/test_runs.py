@@ -19,7 +19,7 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import provenance, runs
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.tools.policies.base import PolicyContext
+from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import Region, World
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"

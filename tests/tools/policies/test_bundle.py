@@ -16,7 +16,7 @@ from onnx_tools import ENV_ID, GOOD, bundle_of, changed, counting, fitting, rela
 from acsar_gym import RobotConfig
 from acsar_gym.config.robot import hash_calibration, hash_config
 from acsar_gym.errors import PolicyError, PolicyWarning
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tools import cli
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy

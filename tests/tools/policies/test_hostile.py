@@ -14,7 +14,7 @@ from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, bundle_of, relabelled
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.tools.policies.base import MAX_POLICY_BYTES
+from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES
 
 
 def refused(path: Path) -> str:

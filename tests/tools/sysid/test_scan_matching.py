@@ -7,10 +7,10 @@ import pytest
 from sysid_tools import ACSAR
 
 from acsar_gym.errors import LidarError
+from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
 from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.simulated import SimulatedLidar
 from acsar_gym.tools.sysid.calibration_drive import (
     RunPlan,
     TruthObserver,

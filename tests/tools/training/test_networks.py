@@ -11,7 +11,7 @@ import pytest
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.policies.describe import describe_policy

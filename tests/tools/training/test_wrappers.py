@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecEnv
 import acsar_gym  # noqa: F401 - registers the ids
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.sensors.map import MAP_NAMES
+from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.tools.policies import sb3
 from acsar_gym.tools.training.wrappers import without_rays

@@ -14,7 +14,7 @@ import pytest
 from recording_tools import begun
 
 from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.safety.estop import StopListener
+from acsar_gym.guard.estop import StopListener
 from acsar_gym.tools.view import session
 from acsar_gym.tools.view.server import find_recording, serve_page
 from acsar_gym.tools.view.session import BROKEN, STOPPED, Session, StopAnswer
@@ -93,7 +93,7 @@ def test_without_a_driver_nothing_is_called_stopped() -> None:
 
 
 def test_a_driver_that_hangs_is_not_called_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.05)
+    monkeypatch.setattr("acsar_gym.guard.estop.ANSWER_TIMEOUT", 0.05)
     listener = StopListener("/dev/ttyX")
     try:
         found = session.stop_process(os.getpid())
@@ -116,7 +116,7 @@ def test_others_that_hang_are_not_waited_for(
     with silent(place, 1):
         found = session.stop_process(os.getpid())
         assert (found.state, driving) == ("stopped", ["zero"])
-        monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.5)
+        monkeypatch.setattr("acsar_gym.guard.estop.ANSWER_TIMEOUT", 0.5)
         with pytest.raises(LinkError, match="process 1"):
             find_recording("/dev/ttyY")
 
@@ -124,7 +124,7 @@ def test_others_that_hang_are_not_waited_for(
 def test_a_driver_that_ends_without_an_answer_has_nothing_to_stop(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("acsar_gym.safety.estop.ANSWER_TIMEOUT", 0.3)
+    monkeypatch.setattr("acsar_gym.guard.estop.ANSWER_TIMEOUT", 0.3)
     StopListener("/dev/ttyX").close()  # makes the folder
     with silent(place, os.getpid()) as killed:
         ending = threading.Timer(0.05, os.unlink, [killed.getsockname()])

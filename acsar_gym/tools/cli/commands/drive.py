@@ -100,6 +100,6 @@ def stop_robots(
         list: only list who drives which robot, and since when.
         release: let them drive again, after their programs' next reset.
     """
-    from acsar_gym.safety import estop  # noqa: PLC0415
+    from acsar_gym.guard import estop  # noqa: PLC0415
 
     return estop.run_command(name, listing=list, release=release)

@@ -1,0 +1,1 @@
+"""What stops the wheels when programs don't: watchdog, shutdown, emergency stop."""

@@ -1,0 +1,55 @@
+"""A LiDAR that plays the revolutions of a recording."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acsar_gym.errors import LidarError
+from acsar_gym.lidar.scan import Revolution
+from acsar_gym.lidar.simulated import OLDEST_SIMULATED, draw_episode
+from acsar_gym.links.base import Link, ScannedLink
+from acsar_gym.worlds import Scene
+
+
+class ReplayedLidar:
+    """Plays the revolutions of a recording, beside the bytes of its wire.
+
+    Args:
+        tape: the link that replays it.
+        link: the robot's link, with the recorded ground truth where the recording was a simulation.
+    """
+
+    oldest = 0.0
+    """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""
+
+    def __init__(self, tape: ScannedLink, link: Link) -> None:
+        self._tape = tape
+        self._link = link
+        self._measured: NDArray[np.float64] | None = None
+        self._newest: Revolution | None = None
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Begin an episode."""
+        self._newest = None
+        if self._link.truth is not None:
+            draw_episode(rng)  # as the simulated LiDAR did here
+            self.oldest = min(self._tape.oldest_measurement(), OLDEST_SIMULATED)
+
+    def scan(self) -> Revolution:
+        """Return the revolution that was the newest one; LidarError where none was recorded."""
+        found = self._tape.revolution()
+        if found is None:
+            raise LidarError(
+                "the recording has no revolutions of a LiDAR",
+                "it was made without one, or by a version that kept no more than the scans: "
+                "record again",
+            )
+        stamp, measured = found
+        if self._newest is None or measured is not self._measured:
+            self._measured = measured
+            self._newest = Revolution(measured[0], measured[1], measured[2], stamp)
+        return self._newest
+
+    def close(self) -> None:
+        """Do nothing: there is no device."""

@@ -1,0 +1,23 @@
+"""What only a simulator knows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from acsar_gym.worlds import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """What only a simulator knows, in the frame of the world.
+
+    It is never part of an observation.
+    """
+
+    pose: Pose = (0.0, 0.0, 0.0)
+    """x [m], y [m], theta [rad]."""
+    twist: tuple[float, float] = (0.0, 0.0)
+    """Forward speed [m/s], yaw rate [rad/s]."""
+    contact: bool = False
+    """Whether the robot has touched an obstacle since the reset; checked at the end of every
+    tick."""

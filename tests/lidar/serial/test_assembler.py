@@ -1,0 +1,213 @@
+"""What every driver makes of the bytes of its LiDARs: turns, and when each measurement was made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from lidar_tools import Floats, nothing, room
+from lidar_twins import MAKERS
+from serial_lidar_tools import show_turned, shows_the_room
+
+from acsar_gym.lidar.drivers import find_drivers
+from acsar_gym.lidar.scan import Revolution
+from acsar_gym.lidar.serial import RevolutionAssembler, estimate_times
+from acsar_gym.tools.emulation.lidar import LidarTwin, Look
+
+every_maker = pytest.mark.parametrize("model", MAKERS)
+PERIOD = 0.005
+"""How often bytes are read [s]."""
+
+
+def make_twin(model: str, look: Look = room, **options: Any) -> LidarTwin:
+    maker = MAKERS[model]
+    twin = maker.twin(look, **{"rate": 10.0, **maker.options, **options})
+    twin.receive(maker.scan)
+    return twin
+
+
+def make_assembler(model: str) -> RevolutionAssembler:
+    return RevolutionAssembler(find_drivers()[model]())
+
+
+def stream(model: str, look: Look = room, turns: float = 3.6, **options: Any) -> bytes:
+    """Half a turn, which isn't seen, and the bytes of others."""
+    twin = make_twin(model, look, **options)
+    twin.advance(0.05)
+    return b"".join(twin.advance(PERIOD) for _ in range(round(turns * 0.1 / PERIOD)))
+
+
+def turns_of(model: str, data: bytes, size: int = 10_000) -> list[Revolution]:
+    assembler = make_assembler(model)
+    return [
+        turn
+        for at in range(0, len(data), size)
+        for turn in assembler.feed(data[at : at + size], at * 1e-5)
+    ]
+
+
+@every_maker
+@pytest.mark.parametrize("size", [1, 64, 10_000])
+def test_turns_are_whole_whatever_the_pieces(model: str, size: int) -> None:
+    found = turns_of(model, stream(model), size)
+    assert [len(turn.bearings) for turn in found] == [MAKERS[model].options["samples"]] * 3
+    assert all(map(shows_the_room, found))
+
+
+@every_maker
+def test_a_head_turns_as_its_maker_says(model: str) -> None:
+    (turn, *_) = turns_of(model, stream(model))
+    assert np.sign(np.median(show_turned(turn))) == (1.0 if model == "neato" else -1.0)
+
+
+@every_maker
+def test_a_turn_that_lost_bytes_is_dropped(model: str) -> None:
+    data = stream(model)
+    whole = turns_of(model, data)
+    rng = np.random.default_rng(0)
+    for first in rng.integers(len(data) // 5, len(data) // 2, 40):
+        count = int(rng.choice([1, 3, 47, 90, 300]))
+        found = turns_of(model, data[:first] + data[first + count :])
+        assert len(found) < 3
+        for turn in found:
+            assert shows_the_room(turn)
+            assert len(turn.bearings) == len(whole[0].bearings)
+
+
+@every_maker
+def test_what_is_no_measurement_is_refused(model: str) -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, 50_000, np.uint8).tobytes()
+    assert not turns_of(model, noise)
+    found = turns_of(model, noise[:1000] + stream(model), 64)
+    assert len(found) == 3
+    assert all(map(shows_the_room, found))
+
+
+@every_maker
+def test_where_nothing_was_measured_bearings_are_still_those_of_the_head(model: str) -> None:
+    def look(bearings: Floats, ages: Floats) -> Floats:
+        return np.where(np.abs(bearings % 6.28) < 2.0, np.inf, room(bearings))
+
+    for turn in turns_of(model, stream(model, look)):
+        missed = turn.distances == 0.0
+        assert 0.1 < missed.mean() < 0.6
+        assert np.abs(turn.distances - room(turn.bearings))[~missed].max() < 0.01
+        assert np.degrees(np.abs(show_turned(turn)).max()) < 8.0  # an X4's beam deviates by 12
+    for turn in turns_of(model, stream(model, nothing)):
+        assert not turn.distances.any()
+        assert np.degrees(np.abs(show_turned(turn)).max()) < 2.0
+
+
+def reads(twin: LidarTwin, seconds: float, jitter: float, baud: float) -> list[tuple[float, bytes]]:
+    """What a reader gets that is late by up to `jitter` [s], and when."""
+    rng, now, due = np.random.default_rng(1), 0.0, PERIOD
+    sent = waiting = b""
+    found: list[tuple[float, bytes]] = []
+    while now < seconds:
+        sent += twin.advance(0.002)
+        count = int(min(baud / 10.0 * 0.002, len(sent)))
+        waiting, sent = waiting + sent[:count], sent[count:]
+        now += 0.002
+        if now >= due:
+            found.append((now, waiting))
+            waiting = b""
+            due = now + PERIOD + float(rng.choice([0.0, rng.uniform(0.0, jitter)]))
+    return found
+
+
+@every_maker
+@pytest.mark.parametrize(
+    ("wobble", "jitter", "slow"),
+    [(0.0, 0.0, False), (0.0, 0.02, True), (0.25, 0.0, True), (0.25, 0.02, False)],
+)
+def test_each_measurement_has_the_time_at_which_it_was_made(
+    model: str, wobble: float, jitter: float, slow: bool
+) -> None:
+    """Whether its bytes come one after the other, as through a slow wire, or all at once."""
+    clock = 0.0
+
+    def tell_time(bearings: Floats, ages: Floats) -> Floats:
+        return 1.0 + (clock - ages) % 3.0
+
+    rate = 4.5 if model == "neato" else 6.0  # its wire carries no more than 5.8
+    twin = make_twin(model, tell_time, wobble=wobble, rate=rate)
+    advance: Callable[[float], bytes] = twin.advance
+
+    def tick(dt: float) -> bytes:
+        nonlocal clock
+        clock += dt
+        return advance(dt)
+
+    twin.advance = tick  # type: ignore[method-assign]
+    assembler, turns = make_assembler(model), 0
+    for now, data in reads(twin, 2.5, jitter, MAKERS[model].baud if slow else math.inf):
+        for turn in assembler.feed(data, now):
+            turns += 1
+            late = (turn.times + 1.0 - turn.distances + 1.5) % 3.0 - 1.5
+            assert np.abs(late).max() < 0.005
+            assert turn.stamp <= now
+    assert turns > 6
+
+
+@pytest.mark.parametrize("lost", [1, 5, 15, 30])
+def test_packets_lost_before_a_turn_do_not_spoil_its_times(lost: int) -> None:
+    """An LD06's time stamps count the lost ones in."""
+    clock = 0.0
+
+    def tell_time(bearings: Floats, ages: Floats) -> Floats:
+        return 1.0 + clock - ages
+
+    twin, packets = make_twin("ld06", tell_time), list[tuple[float, bytes]]()
+    for _ in range(round(0.4 / PERIOD)):
+        clock += PERIOD
+        data = twin.advance(PERIOD)
+        packets += [(clock, data[at : at + 47]) for at in range(0, len(data), 47)]
+    first, last = (
+        [int.from_bytes(data[at : at + 2], "little") for _, data in packets] for at in (4, 42)
+    )
+    crosses = next(k for k in range(lost + 1, len(packets)) if last[k] < first[k])
+    assembler = make_assembler("ld06")
+    turns = [
+        turn
+        for now, data in packets[: crosses - lost] + packets[crosses:]
+        for turn in assembler.feed(data, now)
+    ]
+    assert len(turns) >= 2
+    for turn in turns:
+        assert np.abs(turn.times + 1.0 - turn.distances).max() < 0.005
+
+
+def test_times_follow_what_arrived_first() -> None:
+    device = np.arange(0.0, 100.0)
+    late = np.random.default_rng(0).exponential(3.0, 100)
+    late[[10, 60]] = 0.0
+    marks = list(zip(device.tolist(), (50.0 + 0.5 * device + late).tolist(), strict=True))
+    assert estimate_times(device, marks) == pytest.approx(50.0 + 0.5 * device)
+    assert estimate_times(device, marks[:1]) == pytest.approx(marks[0][1])
+
+
+NODE = b"\x3e\x01\x00\x00\x00"
+"""A measurement of an RPLIDAR in the midst of a turn."""
+
+
+@pytest.mark.parametrize(
+    ("first", "piece"),
+    [(b"", NODE), (b"\x3d" + NODE[1:], NODE), (b"", 4 * NODE), (b"", b"\x00\x00")],
+    ids=["no start", "no second start", "several at once", "no packet"],
+)
+def test_a_stream_without_turns_takes_no_memory(first: bytes, piece: bytes) -> None:
+    assembler = make_assembler("rplidar")
+    assembler.feed(first, 0.0)
+    for now in range(25_000):
+        assert not assembler.feed(piece, float(now))
+    assert len(assembler._marks) <= 20_000
+    assert len(assembler._arrivals) <= 2
+    assert len(assembler._buffer) < 5
+
+
+def test_a_turn_of_few_measurements_is_none() -> None:
+    assert not turns_of("rplidar", stream("rplidar", samples=20))

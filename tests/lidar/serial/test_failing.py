@@ -1,0 +1,258 @@
+"""A LiDAR that is frozen, unplugged, busy, or something else."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lidar_twins import MAKERS
+from serial_lidar_tools import Open, Start, newer, reset, shows_the_room
+from serial_tools import Emulated, no_leak, wait_until
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
+from acsar_gym.lidar import serial as serial_lidar
+from acsar_gym.lidar.drivers import rplidar
+from acsar_gym.lidar.serial import Driver, SerialLidar
+from acsar_gym.links import ports
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+
+def error_of(action: Callable[[], object]) -> str:
+    """The LidarError's message; one line, and the device is closed again."""
+    with no_leak(), pytest.raises(LidarError) as caught:
+        action()
+    message = str(caught.value)
+    assert "\n" not in message
+    assert caught.value.fix
+    return message
+
+
+def is_lost(lidar: SerialLidar) -> bool:
+    try:
+        lidar.scan()
+    except LidarError as error:
+        return "lost while in use" in str(error)
+    return False
+
+
+def scans_again(lidar: SerialLidar) -> bool:
+    try:
+        return shows_the_room(lidar.scan())
+    except LidarError:
+        return False
+
+
+def test_a_frozen_device_is_an_error_and_comes_back(
+    start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulated = start()
+    lidar = make(emulated, timeout=0.5)
+    reset(lidar)
+    emulated.pause()
+    wait_until(lambda: not scans_again(lidar), "the time-out")
+    with pytest.raises(LidarError, match=r"no complete turn for .* \(lidar.timeout = 0.5 s\)"):
+        lidar.scan()
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.05)
+    with pytest.raises(LidarError, match="no answer"):
+        reset(lidar)
+    with pytest.raises(LidarError, match="is closed"):
+        lidar.scan()
+    emulated.process.send_signal(signal.SIGCONT)
+    monkeypatch.undo()
+    reset(lidar)
+
+
+def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
+    make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.02)
+    monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
+    board, terminal = os.openpty()
+    with pytest.raises(LidarError, match="no answer"):
+        reset(make(os.ttyname(terminal)))
+    os.close(board)
+    os.close(terminal)
+
+
+@pytest.fixture
+def plug(tmp_path: Path) -> Path:
+    """A name of the device's own; the terminal's may be another one's once it is unplugged."""
+    return tmp_path / "rplidar"
+
+
+@pytest.mark.parametrize("model", MAKERS)
+@pytest.mark.parametrize("closed", [True, False], ids=["closed", "left open"])
+def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
+    start: Start, make: Open, plug: Path, closed: bool, model: str
+) -> None:
+    emulated = start("--model", model)
+    plug.symlink_to(emulated.device)
+    lidar = make(str(plug), model)
+    reset(lidar)
+    emulated.kill()
+    plug.unlink()
+    wait_until(lambda: is_lost(lidar), "an error")
+    if closed:
+        lidar.close()
+        assert "no such device" in error_of(lambda: reset(lidar))
+    plug.symlink_to(start("--model", model).device)
+    reset(lidar)
+    assert shows_the_room(lidar.scan())
+
+
+@pytest.mark.parametrize("model", MAKERS)
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--fault", "silent"), "no answer in .* s: check its power and cable"),
+        (("--fault", "garbage"), "bytes in .* s, but none from .*: check the port's name"),
+        (("--baud", "57600"), "bytes in .* s, but none from .*: check|no answer in"),
+        (("--spin-up", "1000"), "no complete turn in 0.3 s: check that its head|no answer in 0.3"),
+        (("--broken",), "reports error 0x8001"),
+    ],
+    ids=["silent", "garbage", "baud", "stuck", "broken"],
+)
+def test_what_does_not_measure_says_why(
+    start: Start,
+    make: Open,
+    monkeypatch: pytest.MonkeyPatch,
+    model: str,
+    arguments: Any,
+    said: str,
+) -> None:
+    if arguments == ("--broken",) and "rplidar" not in model:
+        pytest.skip("it can't say so")
+    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.1)
+    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.3)
+    lidar = make(start("--model", model, *arguments), model)
+    message = error_of(lambda: reset(lidar))
+    assert message.startswith(f"LiDAR {lidar.device}: ")
+    assert re.search(said, message)
+
+
+@pytest.mark.parametrize("model", MAKERS)
+def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model: str) -> None:
+    lidar = make(start("--model", model, "--lose", "9001"), model)
+    reset(lidar)
+    stamp = lidar.scan().stamp
+    for _ in range(3):
+        turn = newer(lidar, stamp)
+        assert shows_the_room(turn)
+        stamp = turn.stamp
+
+
+def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for name, said in (("gone", "no such device"), ("file", "isn't a serial port")):
+        lidar = make(str(tmp_path / name))
+        assert said in error_of(functools.partial(reset, lidar))
+    with pytest.raises(ConfigError, match="must be like"):
+        reset(make("socket://nowhere"))
+
+
+def test_a_device_in_use_stays_with_its_owner(sensor: Emulated, make: Open) -> None:
+    owner, other = make(sensor), make(sensor)
+    reset(owner)
+    message = error_of(lambda: reset(other))
+    assert "in use by another process: close it first" in message
+    newer(owner, time.monotonic())
+    owner.close()
+    reset(other)
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """A board's end of a pseudo-terminal, and the device's name."""
+    board, device = os.openpty()
+    os.set_blocking(board, False)
+    yield board, os.ttyname(device)
+    os.close(board)
+    os.close(device)
+
+
+@pytest.mark.parametrize(("model", "told"), [("ld14p", True), ("ld06", False), ("stl19p", False)])
+def test_of_ldrobots_lidars_an_ld14p_alone_gets_commands(
+    make: Open,
+    monkeypatch: pytest.MonkeyPatch,
+    terminal: tuple[int, str],
+    model: str,
+    told: bool,
+) -> None:
+    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.05)
+    board, device = terminal
+    assert "no answer" in error_of(functools.partial(reset, make(device, model)))
+    heard = b""
+    with contextlib.suppress(BlockingIOError):
+        heard = os.read(board, 1000)
+    assert bool(heard) == told
+
+
+class OwnDriver(Driver):
+    """A user's own; sends itself a byte."""
+
+    rate = 9600
+
+    def __init__(self, board: int) -> None:
+        super().__init__("mine")
+        self.board = board
+
+    def start(self, port: Any) -> None:
+        self.set_baud_rate(port, self.rate)
+        os.write(self.board, b"x")
+
+    def parse(self, data: bytearray, at: int) -> tuple[int, Any]:
+        raise ValueError(f"{data[at]}\nisn't\nknown")
+
+
+class OddRateDriver(OwnDriver):
+    rate = -1
+
+
+class UnfinishedDriver(Driver):
+    """Has no method yet."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (OwnDriver, r"OwnDriver.parse\(\) raised ValueError: 120 isn't known\): mend that driver"),
+        (OddRateDriver, "Not a valid baudrate: -1: connect the mine by another adapter"),
+    ],
+)
+def test_an_error_of_a_driver_is_told(
+    terminal: tuple[int, str], kind: type[OwnDriver], said: str
+) -> None:
+    board, device = terminal
+    lidar = SerialLidar(device, lambda: kind(board), RobotConfig(), time.monotonic)
+    for _ in range(2):
+        assert re.search(said, error_of(lambda: reset(lidar)))
+
+
+def test_a_driver_without_a_start_is_not_taken_for_an_adapter_of_few_rates(
+    terminal: tuple[int, str],
+) -> None:
+    lidar = SerialLidar(
+        terminal[1], lambda: UnfinishedDriver("mine"), RobotConfig(), time.monotonic
+    )
+    with no_leak(), pytest.raises(NotImplementedError):
+        reset(lidar)
+
+
+def test_without_lds2d_the_extra_is_named(
+    sensor: Emulated, make: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "lds2d.drivers", None)
+    with no_leak(), pytest.raises(MissingExtraError, match=r"acsar_gym\[lidar\]"):
+        reset(make(sensor))

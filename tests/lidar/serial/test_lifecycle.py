@@ -1,0 +1,193 @@
+"""A LiDAR that is opened, closed, forked, suspended, or left behind."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import pickle
+import statistics
+import threading
+import time
+
+import numpy as np
+import pytest
+from lidar_tools import room, state, turns
+from lidar_twins import MAKERS
+from serial_lidar_tools import Open, Start, measure, newer, open_serial, reset, shows_the_room
+from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
+
+from acsar_gym.errors import LidarError
+from acsar_gym.lidar.drivers import find_drivers
+from acsar_gym.lidar.serial import RevolutionAssembler, _Reader
+from acsar_gym.tools.emulation.rplidar import RplidarTwin
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+STANDSTILL = (False, False)
+
+PROGRAM = """
+import os, resource, signal, sys, time
+import numpy as np
+from acsar_gym import RobotConfig
+from acsar_gym.lidar.drivers import find_drivers
+from acsar_gym.lidar.serial import SerialLidar
+from acsar_gym.worlds import Scene
+
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+config = RobotConfig.preset("acsar").with_(lidar={"timeout": 20.0})
+lidar = SerialLidar(sys.argv[1], find_drivers()["rplidar"], config, time.monotonic)
+lidar.reset(Scene(), np.random.default_rng(0))
+print("scanning", flush=True)
+"""
+"""Beginning of a program that scans with the device in argv[1]."""
+
+
+@pytest.mark.parametrize("model", MAKERS)
+def test_closing_stops_scan_and_motor_and_twice_is_once(
+    start: Start, make: Open, model: str
+) -> None:
+    emulated = start("--model", model)
+    lidar = make(emulated, model)
+    lidar.close()
+    with no_leak():
+        reset(lidar)
+        assert state(emulated) == (True, True)
+        lidar.close()
+        lidar.close()
+    if MAKERS[model].stops:
+        wait_until(lambda: not any(state(emulated)), "a stop")
+    with pytest.raises(LidarError, match=r"is closed: call reset\(\) first"):
+        lidar.scan()
+
+
+def test_opened_closed_or_forgotten_it_leaves_nothing_behind(sensor: Emulated) -> None:
+    threads = threading.active_count()
+    with no_leak():
+        lidar = open_serial(sensor)
+        for _ in range(10):
+            assert shows_the_room(measure(lidar))
+            assert threading.active_count() == threads
+        reset(lidar)
+        del lidar
+        gc.collect()
+        assert threading.active_count() == threads
+
+
+def test_copies_and_pickles_are_closed(sensor: Emulated, make: Open) -> None:
+    lidar = make(sensor)
+    reset(lidar)
+    for twin in (copy.copy(lidar), copy.deepcopy(lidar), pickle.loads(pickle.dumps(lidar))):  # noqa: S301
+        assert twin.device == lidar.device
+        with pytest.raises(LidarError, match="is closed"):
+            twin.scan()
+    newer(lidar, time.monotonic())
+
+
+def test_it_spins_up_from_standstill(start: Start, make: Open) -> None:
+    emulated = start("--spin-up", "0.5", "--rate", "5.5", "--baud", "460800")  # a C1's
+    lidar = make(emulated)
+    for _ in range(2):
+        reset(lidar)
+        assert shows_the_room(lidar.scan())
+        lidar.close()
+        wait_until(lambda: state(emulated) == STANDSTILL, "a stop")
+
+
+@pytest.mark.parametrize("ending", ["os.kill(os.getpid(), signal.SIGTERM)", "pass"])
+def test_a_process_that_ends_stops_the_motor(sensor: Emulated, ending: str) -> None:
+    with program(PROGRAM + ending, sensor.device) as process:
+        assert first_line(process) == "scanning"
+        process.communicate(timeout=TIMEOUT)
+    wait_until(lambda: state(sensor) == STANDSTILL, "a stop")
+
+
+def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make: Open) -> None:
+    with program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)", sensor.device) as process:
+        process.communicate(timeout=TIMEOUT)
+    assert state(sensor)[0]
+    assert shows_the_room(measure(make(sensor)))
+
+
+def test_a_forked_child_leaves_its_parents_device_alone(sensor: Emulated) -> None:
+    forking = """
+import warnings
+warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
+if os.fork() == 0:
+    try:
+        lidar.scan()
+    except Exception as error:
+        print(type(error).__name__, flush=True)
+    lidar.close()
+    sys.exit()
+os.wait()
+before = time.monotonic()
+while lidar.scan().stamp < before:
+    time.sleep(0.01)
+print("goes on", flush=True)
+"""
+    with program(PROGRAM + forking, sensor.device) as process:
+        said, complaints = process.communicate(timeout=TIMEOUT)
+    assert said.split("\n")[1:3] == ["LidarError", "goes on"]
+    assert not complaints
+
+
+def test_an_open_one_resets_at_once_and_does_not_wait(sensor: Emulated, make: Open) -> None:
+    lidar = make(sensor)
+    reset(lidar)
+    assert len({lidar.scan().stamp for _ in range(100)}) < 100
+    before, states = lidar.scan().stamp, len([e for e in sensor.events() if "running" in e])
+    for _ in range(100):
+        reset(lidar)
+    assert lidar.scan().stamp >= before
+    newer(lidar, time.monotonic())
+    assert len([e for e in sensor.events() if "running" in e]) == states
+
+
+@pytest.mark.parametrize("model", MAKERS)
+def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
+    emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
+    lidar = make(emulated, model)
+    reset(lidar)
+    stamps: list[float] = []
+    for _ in range(7):
+        turn = newer(lidar, stamps[-1] if stamps else 0.0)
+        assert shows_the_room(turn)
+        assert turn.stamp <= time.monotonic()
+        stamps.append(turn.stamp)
+    ends = np.array(turns(emulated))
+    # The emulator says when it has sent the beginning of the next turn.
+    off = [float(np.abs(ends - stamp).min()) for stamp in stamps]
+    assert statistics.median(off) < 0.25 / 5.5  # were it the turn before, a whole turn
+
+
+class SlowPort:
+    """A port whose reader sleeps now and then; what it missed is as old as its sleep."""
+
+    def __init__(self) -> None:
+        self.twin = RplidarTwin(room, rate=20.0, samples=100)
+        self.twin.receive(b"\xa5\x20")
+        self.pause = 0.0
+        self.flushed = 0
+
+    def read(self, size: int) -> bytes:
+        time.sleep(self.pause)
+        return self.twin.advance(0.005 + self.pause)[-size:]
+
+    def reset_input_buffer(self) -> None:
+        self.flushed += 1
+
+
+def test_what_was_missed_is_dropped_not_stamped_as_new() -> None:
+    port = SlowPort()
+    reader = _Reader(port, RevolutionAssembler(find_drivers()["rplidar"]()), time.monotonic)
+    reader.start()
+    wait_until(lambda: reader.newest is not None, "a turn")
+    port.pause = 0.2
+    wait_until(lambda: port.flushed > 2, "flushes")
+    stale = reader.newest
+    time.sleep(0.5)
+    assert reader.newest is stale
+    port.pause = 0.0
+    wait_until(lambda: reader.newest is not stale, "a turn")
+    reader.running = False
+    reader.join()

@@ -1,0 +1,156 @@
+"""Which LiDAR a URL means."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lidar_twins import MAKERS
+from serial_tools import cli
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.lidar.drivers import find_drivers
+from acsar_gym.lidar.scan import Revolution
+from acsar_gym.lidar.serial import SerialLidar
+from acsar_gym.lidar.simulated import SimulatedLidar
+from acsar_gym.links.base import ForwardingLink, clock_of
+from acsar_gym.links.recorded import RecordedLink
+from acsar_gym.recording import Recorder
+from acsar_gym.sensors.lidar import LidarSensor
+from acsar_gym.sensors.suite import open_lidar
+from acsar_gym.worlds import Scene
+
+ACSAR = RobotConfig.preset("acsar")
+
+
+class OwnLidar:
+    """A wall in every direction."""
+
+    def __init__(self, link: Any, config: RobotConfig) -> None:
+        self._now = link.now
+        self.config = config
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Nothing to open."""
+
+    def scan(self) -> Revolution:
+        now = self._now()
+        bearings = np.radians(np.arange(360.0))
+        return Revolution(bearings, np.full(360, 2.0), np.full(360, now), now)
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+def make_none(link: Any, config: RobotConfig) -> None:
+    """A factory that makes no LiDAR."""
+
+
+def make_broken(link: Any, config: RobotConfig) -> None:
+    """A factory that raises an error."""
+    raise OSError("no such bus")
+
+
+def test_every_model_has_a_driver_and_every_driver_is_emulated() -> None:
+    drivers = find_drivers()
+    made = {name: make() for name, make in drivers.items()}
+    assert all(driver.product for driver in made.values())
+    assert {type(made[name]) for name in MAKERS} == {type(driver) for driver in made.values()}
+
+
+@pytest.mark.parametrize("model", [*find_drivers(), "LD06", "ydlidar-x4"])
+def test_urls_name_models(model: str) -> None:
+    lidar = open_lidar(f"{model}:///dev/ttyUSB1", open_link("/dev/ttyUSB0", ACSAR), ACSAR)
+    assert isinstance(lidar, SerialLidar)
+    assert lidar.device == "/dev/ttyUSB1"
+
+
+def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
+    link = open_link("planar", ACSAR)
+    for url in (None, "simulated"):
+        assert isinstance(open_lidar(url, link, ACSAR), SimulatedLidar)
+    own = open_lidar(f"{__name__}:OwnLidar", link, ACSAR)
+    assert type(own).__name__ == "OwnLidar"
+    assert open_lidar(own, link, ACSAR) is own
+    assert type(open_lidar(OwnLidar, link, ACSAR)) is OwnLidar
+
+
+class Unfinished(OwnLidar):
+    """Lacks a parameter."""
+
+    def __init__(self) -> None:
+        """Take neither link nor config."""
+
+
+def test_an_error_of_a_class_is_its_own() -> None:
+    with pytest.raises(SensorError, match=r"Unfinished.* raised TypeError"):
+        open_lidar(Unfinished, open_link("planar", ACSAR), ACSAR)
+
+
+@pytest.mark.parametrize("name", ["planar", "replay:none.mcap"])
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: Path) -> None:
+    link = open_link(name, ACSAR)
+    if wrapped:
+        link = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
+    with pytest.raises(ConfigError, match="measures in real time, and this link is a simulation"):
+        open_lidar("ld06:///dev/ttyUSB1", link, ACSAR)
+
+
+def test_the_clock_of_a_device_goes_on_where_the_link_is_recorded(tmp_path: Path) -> None:
+    link = open_link("/dev/ttyUSB0", ACSAR)
+    recorded = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
+    for one in (link, recorded, ForwardingLink(recorded)):
+        first = clock_of(one)()
+        assert clock_of(one)() > first
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("rplidr:///dev/ttyUSB1", r"unknown model; known: ld06, .*rplidar, .*ydlidar_x4_pro$"),
+        ("rplidar://", "names no device: must be like 'rplidar:///dev/ttyUSB1'"),
+        ("ld06:/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class'"),
+        ("/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or 'simulated'"),
+        (7, "must be like"),
+        (f"{__name__}:make_none", "must be like"),
+        (f"{__name__}:Nobody", "has no attribute 'Nobody'"),
+    ],
+)
+def test_what_names_no_lidar_is_refused(url: Any, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as caught:
+        open_lidar(url, open_link("planar", ACSAR), ACSAR)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_error_of_ones_own_class_names_it() -> None:
+    with pytest.raises(SensorError, match=r"make_broken.* raised OSError: no such bus"):
+        open_lidar(f"{__name__}:make_broken", open_link("planar", ACSAR), ACSAR)
+
+
+def test_a_class_of_ones_own_is_observed() -> None:
+    link = open_link("planar", ACSAR)
+    sensor = LidarSensor(OwnLidar(link, ACSAR), ACSAR)
+    with Robot(link, ACSAR, [sensor]) as robot:
+        robot.drive(0.0, 0.0)
+        assert robot.read() == pytest.approx(2.0 / ACSAR.lidar.max_range)
+
+
+def test_the_command_line_names_the_known_models() -> None:
+    done = cli(
+        "run",
+        "1",
+        "0",
+        "--policy",
+        "follow_gap",
+        "--env",
+        "obstacle_goal",
+        "--lidar",
+        "ld6:///dev/ttyUSB1",
+    )
+    assert done.returncode == 2
+    assert "unknown model; known: ld06, ld14p" in done.stderr
+    assert "Traceback" not in done.stderr

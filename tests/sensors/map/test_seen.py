@@ -1,0 +1,220 @@
+"""The grid of what a robot has seen: its window, its counts and its costs."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from acsar_gym.lidar.scan import Rays
+from acsar_gym.sensors.map.seen import (
+    CELL_SIDE,
+    CELLS,
+    COST_LETHAL,
+    COST_UNIT,
+    COUNT_FREE,
+    COUNT_MOST,
+    COUNT_OCCUPIED,
+    LAST_CELL,
+    MISS,
+    OCCUPIED,
+    SHARED_RAYS,
+    STAMP_REACH,
+    STAMP_WIDTH,
+    Grid,
+    add_scan,
+    cell_at,
+    cell_centre,
+    make_stamp,
+    move_window,
+    raise_costs,
+)
+
+SIDE, FARTHEST = 0.05, 4.0
+"""Of a cell, and of the LiDAR: it sees beyond the window [m]."""
+STAMP = make_stamp(0.12, 0.2)
+HALF = CELLS // 2
+CELL = st.integers(-500, 500)
+
+
+def empty() -> Grid:
+    return Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(2)))
+
+
+def in_window(cell: tuple[int, int], middle: tuple[int, int]) -> bool:
+    return all(-HALF <= a - b < HALF for a, b in zip(cell, middle, strict=True))
+
+
+def place(cell: tuple[int, int]) -> tuple[int, int]:
+    return cell[0] % CELLS, cell[1] % CELLS
+
+
+@pytest.mark.parametrize("side", [0.05, 0.0771, 1.0])
+def test_a_cells_centre_lies_in_it_and_the_origin_between_no_two(side: float) -> None:
+    for cell in (-1000, -129, -128, -1, 0, 1, 127, 128, 1000):
+        assert cell_at(cell_centre(cell, side), side) == cell
+        assert cell & LAST_CELL == cell % CELLS
+    for x in (-1.0, 0.0, 1.0):
+        assert {cell_at(x * side + error, side) for error in (-1e-9, 1e-9)} == {round(x)}
+
+
+@given(
+    begin=st.tuples(CELL, CELL),
+    moves=st.lists(st.tuples(st.integers(-140, 140), st.integers(-140, 140)), max_size=4),
+    small=st.lists(st.tuples(st.integers(-2, 2), st.integers(-2, 2)), max_size=4),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_window_that_moves_forgets_what_leaves_it_and_nothing_else(
+    begin: tuple[int, int], moves: list[tuple[int, int]], small: list[tuple[int, int]]
+) -> None:
+    grid, middle, rng = empty(), begin, np.random.default_rng(0)
+    kept: dict[tuple[int, int], int] = {}
+    for move in [(0, 0), *moves, *small]:
+        to = middle[0] + move[0], middle[1] + move[1]
+        move_window(grid, *middle, *to)
+        middle, kept = to, {cell: value for cell, value in kept.items() if in_window(cell, to)}
+        wanted = np.zeros((CELLS, CELLS), np.uint8)
+        for cell, value in kept.items():
+            wanted[place(cell)] = value
+        for cells in grid:
+            np.testing.assert_array_equal(cells, wanted)
+        for offset in rng.integers(-HALF, HALF, (30, 2)).tolist():
+            cell = middle[0] + offset[0], middle[1] + offset[1]
+            kept[cell] = int(rng.integers(1, 200))
+            for cells in grid:
+                cells[place(cell)] = kept[cell]
+
+
+def ahead(distance: float, turn: int, grid: Grid, *, x: float = 0.0) -> tuple[int, int]:
+    """Add a scan of one ray ahead, and return the cell in which it ends."""
+    rays = Rays(0.0, 0.1, 0.05, FARTHEST, 0.0, 0.0, 0.01)
+    middle = cell_at(x, SIDE), cell_at(0.0, SIDE)
+    add_scan(grid, STAMP, SIDE, (x, 0.0, 0.0), middle, np.array([distance]), rays, turn)
+    return cell_at(x + distance, SIDE), cell_at(0.0, SIDE)
+
+
+@pytest.mark.parametrize("x", [0.0, -7.3, 12.01])
+@pytest.mark.parametrize(
+    ("scans", "count", "occupied"), [(1, 4, False), (2, 7, True), (3, 10, True), (9, 10, True)]
+)
+def test_a_cell_is_occupied_where_measurements_end(
+    x: float, scans: int, count: int, occupied: bool
+) -> None:
+    grid = empty()
+    for _ in range(scans):
+        cell = ahead(1.0, 1, grid, x=x)
+    assert grid.counts[place(cell)] == count + OCCUPIED * occupied
+    assert np.count_nonzero(grid.counts) == 1
+    assert grid.costs[place(cell)] == (COST_LETHAL / COST_UNIT if occupied else 0)
+    assert (count >= COUNT_OCCUPIED) == occupied
+    assert count <= COUNT_MOST
+
+
+@pytest.mark.parametrize("hits", [2, 9])
+def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits: int) -> None:
+    grid = empty()
+    for _ in range(hits):
+        cell = ahead(1.0, 1, grid)
+    count = int(grid.counts[place(cell)]) - OCCUPIED
+    for left in (*range(count - MISS, COUNT_FREE, -MISS), COUNT_FREE):
+        for other in range(1, SHARED_RAYS):  # another ray's turn
+            ahead(FARTHEST, other, grid)
+        ahead(FARTHEST, 0, grid)
+        assert grid.counts[place(cell)] == left + OCCUPIED * (left > COUNT_FREE)
+    assert not grid.costs.any()
+    ahead(FARTHEST, 0, grid)
+    assert grid.counts.max() == COUNT_FREE
+
+
+@pytest.mark.parametrize("distance", [HALF * SIDE + 0.1, FARTHEST])
+def test_what_ends_beyond_the_window_or_nowhere_is_no_obstacle(distance: float) -> None:
+    grid = empty()
+    for turn in range(SHARED_RAYS):
+        ahead(distance, turn, grid)
+    assert not grid.costs.any()
+    assert grid.counts.max() < OCCUPIED
+    passed = [place((i, 0)) for i in range(2, HALF - 3)]  # seen, and free
+    assert [int(grid.counts[cell]) for cell in passed] == [COUNT_FREE] * len(passed)
+    assert not grid.counts[:, 1:].any()
+
+
+def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:
+    grid, pose, mount = empty(), (1.3, -2.1, 2.0), (0.3, -0.2)
+    rays = Rays(-0.5, 0.4, 0.05, FARTHEST, *mount, 0.01)
+    ranges = np.array([0.9, 1.4, 1.1])
+    middle = cell_at(pose[0], SIDE), cell_at(pose[1], SIDE)
+    add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, 1)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    wanted = set()
+    for ray, distance in enumerate(ranges):
+        angle = -0.5 + 0.4 * ray
+        x, y = mount[0] + distance * math.cos(angle), mount[1] + distance * math.sin(angle)
+        x, y = pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y
+        wanted.add(place((cell_at(x, SIDE), cell_at(y, SIDE))))
+    assert {tuple(cell) for cell in np.argwhere(grid.counts).tolist()} == wanted
+
+
+@given(
+    middle=st.tuples(CELL, CELL),
+    seeds=st.lists(st.integers(0, 5), min_size=1, max_size=12),
+    shift=st.floats(0.0, 0.049),
+)
+@settings(max_examples=15, deadline=None)
+def test_costs_raised_and_lowered_are_those_made_from_scratch(
+    middle: tuple[int, int], seeds: list[int], shift: float
+) -> None:
+    """Random scans, a few of them again and again, by a robot that turns on the spot."""
+    grid = empty()
+    x, y = (cell_centre(cell, SIDE) + 0.4 * shift for cell in middle)
+    rays = Rays(-math.pi, math.tau / 24, 0.05, FARTHEST, 0.02, 0.01, 0.01)
+    for turn, seed in enumerate(seed for seed in seeds for _ in range(4)):
+        rng = np.random.default_rng(seed)
+        ranges = np.where(rng.random(24) < 0.3, FARTHEST, rng.uniform(0.1, 3.6, 24))
+        pose = (x, y, 0.1 * seed)
+        add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, turn)
+    fresh = empty()
+    for i in range(middle[0] - HALF, middle[0] + HALF):
+        for j in range(middle[1] - HALF, middle[1] + HALF):
+            if grid.counts[place((i, j))] >= OCCUPIED:
+                raise_costs(fresh, STAMP, i, j, middle)
+    np.testing.assert_array_equal(grid.costs, fresh.costs)
+    occupied = grid.counts >= OCCUPIED
+    assert (grid.counts[occupied] > OCCUPIED + COUNT_FREE).all()
+    assert (grid.counts[~occupied] < COUNT_OCCUPIED).all()
+
+
+@given(middle=st.tuples(CELL, CELL), offset=st.tuples(*[st.integers(-HALF, HALF - 1)] * 2))
+@settings(max_examples=100, deadline=None)
+def test_a_stamp_is_cut_off_at_the_windows_edge_and_goes_on_beyond_the_arrays(
+    middle: tuple[int, int], offset: tuple[int, int]
+) -> None:
+    grid, cell = empty(), (middle[0] + offset[0], middle[1] + offset[1])
+    grid.costs[:] = 3
+    raise_costs(grid, STAMP, *cell, middle)
+    wanted = np.full((CELLS, CELLS), 3, np.uint8)
+    for (k, n), cost in np.ndenumerate(STAMP):
+        around = cell[0] + k - STAMP_REACH, cell[1] + n - STAMP_REACH
+        if in_window(around, middle):
+            wanted[place(around)] = max(int(cost), 3)
+    np.testing.assert_array_equal(grid.costs, wanted)
+
+
+@pytest.mark.parametrize(("inner", "outer"), [(0.2, 0.2), (0.12, 0.2), (0.05, 0.5)])
+def test_costs_fall_from_an_occupied_cell_outwards(inner: float, outer: float) -> None:
+    stamp: Any = make_stamp(inner, outer).astype(int)
+    assert stamp.shape == (2 * STAMP_REACH + 1, STAMP_WIDTH)
+    assert not stamp[:, 2 * STAMP_REACH + 1 :].any()
+    stamp = stamp[:, : 2 * STAMP_REACH + 1]
+    assert (stamp == stamp.T).all()
+    assert (stamp == stamp[::-1]).all()
+    row = stamp[STAMP_REACH, STAMP_REACH:]
+    assert (np.diff(row) <= 0).all()
+    distances = np.arange(STAMP_REACH + 1) * CELL_SIDE * outer
+    assert (row[distances < inner] == COST_LETHAL / COST_UNIT).all()
+    assert (row[distances >= inner] < COST_LETHAL / COST_UNIT).all()
+    assert row[-1] > 0
+    assert stamp[0, 0] == 0  # the corner is further away
