@@ -1,4 +1,4 @@
-"""Shortest paths for a footprint, costs near obstacles, and paths to follow.
+"""Shortest paths for a footprint, and paths to follow.
 
 In shortest paths the footprint counts as the disc around it: a skid-steer robot turns on the spot,
 so it can follow any path that the disc can.
@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
-from acsar_gym.jit import loop
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.grid import (
     CELL_SIDE,
@@ -47,13 +45,6 @@ MANY_OBSTACLES = 500
 """With more obstacles than this, only those near a part of the path are considered."""
 POINTS_AT_ONCE = 64
 """Points of a path that are checked at once for a straight line to them."""
-COST_FADE = 0.12
-"""Distance over which the cost beyond the outer radius falls to 1/e [m]."""
-MAX_SWEEPS = 60
-"""Most sweeps over a grid."""
-SWEEP_TOLERANCE = 1e-3
-"""Sweeping ends once no cell changes by more than this [m]."""
-UNREACHED = 1e9
 PATH_SPACING = 0.05
 """Distance between the points of a sampled path [m]."""
 
@@ -253,70 +244,6 @@ def _find_blocked(starts: Floats, ends: Floats, world: World, radius: float) -> 
         world = crop_world(world, box)
     blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
     return blocked
-
-
-class Costs(NamedTuple):
-    """Costs of a metre near obstacles; far from them it costs 1."""
-
-    lethal: float
-    """Nearer than the footprint's inner radius, where it touches the obstacle."""
-    tight: float
-    """Additional cost just outside of it; it falls to 0 at the outer radius, from where the robot
-    can turn."""
-    heavy: float
-    """Additional cost up to the outer radius, which fades beyond it."""
-
-
-def clearance_costs(distances: Floats, radii: tuple[float, float], costs: Costs) -> Floats:
-    """Cost of a metre at some distances from the nearest obstacle.
-
-    Args:
-        distances: of any shape [m].
-        radii: of the circle within the footprint, and of the one around it [m].
-        costs: of nearness.
-    """
-    inner, outer = radii
-    found = 1.0 + costs.heavy * np.exp(-(np.maximum(distances, outer) - outer) / COST_FADE)
-    found += costs.tight * np.clip((outer - distances) / (outer - inner + 1e-3), 0.0, 1.0)
-    return np.where(distances < inner, costs.lethal, found)
-
-
-@loop
-def sweep_distances(values: Floats, costs: Floats, goal_i: int, goal_j: int) -> None:
-    """Solve |grad T| = cost on a grid by Gauss-Seidel sweeps in four directions, in place.
-
-    Args:
-        values: (nx, ny), at first larger than any result.
-        costs: (nx, ny): cost of crossing each cell.
-        goal_i: the goal's cell along x; the nearest one where it lies outside.
-        goal_j: the same along y.
-    """
-    nx, ny = values.shape
-    values[min(max(goal_i, 0), nx - 1), min(max(goal_j, 0), ny - 1)] = 0.0
-    for number in range(MAX_SWEEPS):
-        change, forth, up = 0.0, number % 2 == 0, number % 4 < 2
-        for m in range(nx):
-            i = m if forth else nx - 1 - m
-            for n in range(ny):
-                j = n if up else ny - 1 - n
-                a = min(
-                    values[i - 1, j] if i > 0 else UNREACHED,
-                    values[i + 1, j] if i < nx - 1 else UNREACHED,
-                )
-                b = min(
-                    values[i, j - 1] if j > 0 else UNREACHED,
-                    values[i, j + 1] if j < ny - 1 else UNREACHED,
-                )
-                cost = costs[i, j]  # of crossing the cell, whose neighbours have a and b
-                if abs(a - b) >= cost:
-                    new = min(a, b) + cost
-                else:
-                    new = 0.5 * (a + b + math.sqrt(2.0 * cost * cost - (a - b) * (a - b)))
-                if new < values[i, j]:
-                    change = max(change, values[i, j] - new)
-                    values[i, j] = new
-        if number >= 3 and change < SWEEP_TOLERANCE:
-            break
 
 
 def world_along(path: Floats) -> World:

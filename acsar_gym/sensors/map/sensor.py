@@ -24,8 +24,10 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.map.arcs import ARCS, BANDS, LONGEST_ARC, measure_arcs, tabulate_arcs
 from acsar_gym.sensors.map.seen import (
+    CELL_SHIFT,
     CELL_SIDE,
     CELLS,
+    COUNT_FREE,
     LAST_CELL,
     OCCUPIED,
     STAMP_REACH,
@@ -524,6 +526,52 @@ class MapSensor(Sensor):
         return out
 
     @property
+    def pose(self) -> tuple[float, float, float]:
+        """The robot's pose by odometry: x [m], y [m], theta [rad]."""
+        return self._odometry.pose
+
+    @property
+    def cell_side(self) -> float:
+        """Side of a cell [m]."""
+        return float(self._record.side)
+
+    @property
     def way(self) -> Floats:
         """(corners, 2): the way to the goal, from the robot's place when it was planned [m]."""
         return np.array(self._record.points[: int(self._record.corners), :2])
+
+    @property
+    def way_ahead(self) -> Floats:
+        """(corners, 4): the corners that are ahead, the goal last, in the odometry frame.
+
+        x [m], y [m], length of the way that is left from there [m], and cost of the piece that ends
+        there [cells].
+        """
+        record = self._record
+        return np.array(record.points[int(record.corner) : int(record.corners)])
+
+    def point_ahead(self, length: float) -> tuple[float, float]:
+        """The point so far along the way from the robot [m], the goal at most [m]."""
+        way, (x, y, _) = self.way_ahead, self.pose
+        return point_ahead(way, len(way), 0, x, y, length)
+
+    def cells_met(self, reach: float) -> NDArray[np.int64]:
+        """(cells, 2): the cells in a square around the robot in which scans have met something.
+
+        Args:
+            reach: half side of the square [m]; the map ends 16 radii away.
+        """
+        record, count = self._record, min(math.ceil(reach / self.cell_side), CELLS // 2 - 1)
+        window = np.arange(-count, count + 1)
+        i, j = window + int(record.middle_i), window + int(record.middle_j)
+        met = record.counts[np.ix_(i & LAST_CELL, j & LAST_CELL)] > COUNT_FREE
+        rows, columns = np.nonzero(met)
+        return np.column_stack([i[rows], j[columns]])
+
+    def cells_of(self, places: Floats) -> NDArray[np.int64]:
+        """(n, 2): the cells that places (n, 2) [m] lie in, in the odometry frame."""
+        return np.floor(places / self.cell_side + CELL_SHIFT).astype(np.int64)
+
+    def centres_of(self, cells: NDArray[np.int64]) -> Floats:
+        """(n, 2): the centres of cells (n, 2), in the odometry frame [m]."""
+        return (cells + 0.5 - CELL_SHIFT) * self.cell_side

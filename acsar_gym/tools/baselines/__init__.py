@@ -14,15 +14,10 @@ from acsar_gym.tools.baselines.base import BaselinePolicy
 
 __all__ = ["BASELINES", "BaselinePolicy", "is_baseline", "load_baseline"]
 BASELINES = {
-    "random": "goal_laws:RandomActions",
-    "turn_drive": "goal_laws:TurnDrive",
-    "smooth": "goal_laws:Smooth",
-    "pure_pursuit": "path_laws:PurePursuit",
-    "stanley": "path_laws:Stanley",
-    "follow_gap": "follow_gap:FollowGap",
-    "dwa": "dwa:Dwa",
-    "mppi": "mppi:Mppi",
+    "turn_drive": "laws:TurnDrive",
+    "pure_pursuit": "laws:PurePursuit",
     "navfn": "navfn:Navfn",
+    "dwa": "dwa:Dwa",
 }
 """What `--policy` calls each, and its module in this package and class."""
 
@@ -49,5 +44,5 @@ def load_baseline(name: str, env_id: str) -> BaselinePolicy:
             f"--policy {name} --env obstacle_goal"
         )
     module, _, kind = BASELINES[name].partition(":")
-    made: BaselinePolicy = getattr(importlib.import_module(f"{__name__}.{module}"), kind)(env_id)
-    return made
+    policy: BaselinePolicy = getattr(importlib.import_module(f"{__name__}.{module}"), kind)(env_id)
+    return policy

@@ -1,30 +1,110 @@
-"""The base class of policies that nobody trained."""
+"""The base class of policies that nobody trained, and their constants in units of the robot.
+
+Lengths are in radii of the disc around the footprint, speeds in top speeds, and costs that compare
+ways are in seconds at top speed, so that a robot twice as large and four times as fast needs no
+other numbers. `constants.yaml` has those that a search found for the presets.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import inspect
+import math
 from abc import abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import MissingExtraError
-from acsar_gym.jit import COMPILED
+from acsar_gym import reading
+from acsar_gym.config import RobotConfig, footprint
+from acsar_gym.envs.ids import strip_module
+from acsar_gym.safety.rules import read_limits
 from acsar_gym.tasks import Observation
-from acsar_gym.tools.baselines.tuning import TUNED, Constants, RobotUnits, find_constants
 from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, PolicyContext
+
+CONSTANTS_FILE = Path(__file__).with_name("constants.yaml")
+UNLIMITED = 1e3
+"""Stands for an acceleration without a limit [m/s^2, rad/s^2]."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotUnits:
+    """What the constants of the baselines are multiples of."""
+
+    radius: float
+    """Of the disc around the footprint [m]."""
+    speed: float
+    """Top speed [m/s]."""
+    turning: float
+    """Greatest yaw rate [rad/s]."""
+    acceleration: float
+    """Greatest acceleration, by command limits and wheels [m/s^2]."""
+    spin: float
+    """Greatest angular acceleration, likewise [rad/s^2]."""
+    braking: float
+    """Deceleration of a full stop, which the command limits don't slow down [m/s^2]."""
+    lag: float
+    """Mean time constant of the motors [s]."""
+    period: float
+    """Time between two decisions [s]."""
+
+    @classmethod
+    def of(cls, config: RobotConfig, period: float) -> RobotUnits:
+        """Return the units of a robot that decides every `period` [s]."""
+        motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
+        ramp = min(motor.acceleration for motor in motors) * config.wheel_radius
+        forward = read_limits(config.linear_limits, config.max_linear).max_acceleration
+        turning = read_limits(config.angular_limits, config.max_angular).max_acceleration
+        return cls(
+            radius=footprint.outline_radius(config.outline),
+            speed=config.max_linear,
+            turning=config.max_angular,
+            acceleration=min(forward, ramp, UNLIMITED),
+            spin=min(turning, 2.0 * ramp / config.effective_separation, UNLIMITED),
+            braking=min(ramp, UNLIMITED),
+            lag=sum(motor.time_constant for motor in motors) / 4.0,
+            period=period,
+        )
+
+    def steps(self, seconds: float, step: float) -> int:
+        """Number of steps of a duration [s] that are nearest to `seconds`, at least 1."""
+        return max(1, math.floor(seconds / step + 0.5))
+
+
+@functools.cache
+def read_constants() -> dict[str, Any]:
+    """Read `constants.yaml`: by planner, name of the id, robot and constant."""
+    constants: dict[str, Any] = reading.parse_yaml(CONSTANTS_FILE.read_text(encoding="utf-8"))
+    return constants
+
+
+def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, float]:
+    """Find the constants of a planner for a preset of the same outline and top speeds.
+
+    Returns:
+        Those that aren't the defaults, by name.
+    """
+    short = strip_module(env_id).rpartition("/")[2].partition("-")[0]
+    shape = (config.outline, config.max_linear, config.max_angular)
+    for name, constants in read_constants().get(planner, {}).get(short, {}).items():
+        preset = RobotConfig.preset(name)
+        if (preset.outline, preset.max_linear, preset.max_angular) == shape:
+            return dict(constants)
+    return {}
 
 
 class BaselinePolicy(FilePolicy):
     """Base class of the baselines: they decide from the same observations as a trained policy.
 
-    Beside them they know what any deployed policy may: the robot's config, the layout and scales
-    of the task, and its period (`setting`). A subclass of another package is named with its module,
-    as in `--policy mine.module:Planner`; it has `act`, and `reset` where it remembers something.
+    Beside them they know what any deployed policy may: the robot's config and map, the layout and
+    scales of the task, and its period (`setting`). A subclass of another package is named with its
+    module, as in `--policy mine.module:Planner`; it has `act`, and `reset` where it remembers
+    something.
 
     Args:
         env_id: id of the env that it drives.
@@ -38,10 +118,8 @@ class BaselinePolicy(FilePolicy):
     """What these are in words, and an env that has them."""
     lidar: ClassVar[bool] = False
     """Whether it needs a LiDAR."""
-    compiled: ClassVar[bool] = False
-    """Whether it is too slow without numba."""
-    constants_type: ClassVar[type[Constants]] = Constants
-    """Class of its constants."""
+    constants_type: ClassVar[type | None] = None
+    """Dataclass of its constants; None where it has none."""
     env_named = True
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -53,31 +131,19 @@ class BaselinePolicy(FilePolicy):
         self.path, self.env_id = Path(self.name), env_id
         with contextlib.suppress(TypeError, OSError):  # there is no file in a notebook
             source = Path(inspect.getsourcefile(type(self)) or "")
-            self.sha256 = hashlib.sha256(source.read_bytes() + TUNED.read_bytes()).hexdigest()
-        self._given: Constants | None = None
-        self._rng: np.random.Generator | None = None
+            content = source.read_bytes() + CONSTANTS_FILE.read_bytes()
+            self.sha256 = hashlib.sha256(content).hexdigest()
 
     def bind(self, setting: PolicyContext) -> None:
         """Check the setting of the env, and prepare for it; see `equip`.
 
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
-            MissingExtraError: it needs numba, which isn't installed.
         """
-        if self.compiled and not COMPILED:
-            raise MissingExtraError(f"the baseline {self.name}", "fast")
         setting.need(self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.what)
         if self.lidar:
             setting.need(self.name, (), "a LiDAR", "obstacle_goal")
         self.equip(setting)
-
-    def use_constants(self, given: Constants | None) -> None:
-        """Decide with these constants from the next `equip` on, as a search does.
-
-        Args:
-            given: of its `constants_type`; None for those that are known for the robot.
-        """
-        self._given = given
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task; subclasses derive their own numbers here.
@@ -87,20 +153,9 @@ class BaselinePolicy(FilePolicy):
         """
         self.setting = setting
         self.units = RobotUnits.of(setting.config, setting.period)
-        self.constants: Any = self._given or find_constants(
-            self.constants_type, self.name, self.env_id, setting.config
-        )
-
-    def reset(self) -> None:
-        """Begin an episode; subclasses forget the last one here."""
-        self._rng = None
-
-    @property
-    def rng(self) -> np.random.Generator:
-        """The generator of this episode, seeded like the env's, so that results repeat."""
-        if self._rng is None:
-            self._rng = self.setting.rng(self.name)
-        return self._rng
+        if self.constants_type is not None:
+            found = find_constants(self.name, self.env_id, setting.config)
+            self.constants: Any = self.constants_type(**found)
 
     @abstractmethod
     def act(self, seen: DecodedObservation) -> tuple[float, float]:

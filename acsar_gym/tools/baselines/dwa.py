@@ -5,9 +5,9 @@ Automation Magazine 4 (1997).
 
 Of the velocities that the robot can reach within a step, those are admissible after which it can
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
-clearance. Progress is that of a navigation function on the map kept from the scans, as in the
-global dynamic window approach (Brock & Khatib, ICRA 1999), because the heading towards the goal
-alone ends in the first dead end. Arcs have the robot's acceleration limits and motor lag.
+clearance. Progress is that along the way of the robot's map, as in the global dynamic window
+approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
+dead end. Arcs have the robot's acceleration limits and motor lag.
 """
 
 from __future__ import annotations
@@ -19,18 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.jit import jit, loop
+from acsar_gym.sensors.map.way import length_left, next_corner
 from acsar_gym.tasks.task import Floats
-from acsar_gym.tools.baselines.mapping import (
-    MapConstants,
-    MappedPolicy,
-    MotionState,
-    Pose,
-    Surroundings,
-    in_goal,
-    pose_clearance,
-    way_left,
-)
-from acsar_gym.tools.baselines.tuning import constant
+from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, points_clearance
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
 LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
@@ -38,34 +29,39 @@ LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
 ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
 STILL_STEPS, ALIGNED_BEARING = 5, 0.3
-"""After so many decisions to stand still it turns to the plan, up to this bearing [rad]."""
+"""After so many decisions to stand still it turns to the way, up to this bearing [rad]."""
+MotionState = tuple[float, float, float, float, float, float, float]
+"""Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
 
 
 @dataclass(frozen=True)
-class DwaConstants(MapConstants):
-    """Constants of the dynamic window approach."""
+class DwaConstants:
+    """Constants of the dynamic window approach; `constants.yaml` has those of the presets."""
 
-    reverse_share: float = constant(0.4, 0.1, 1.0)
-    """Greatest speed backwards, out of dead ends [top speed]."""
-    arc_time: float = constant(1.5, 0.6, 3.0)
-    """How far ahead an arc is scored [s]."""
-    turn_time: float = constant(0.6, 0.2, 1.2)
-    """How long the robot turns on an arc before it goes straight [s]."""
-    hold_periods: float = constant(2.0, 1.0, 4.0)
-    """How long a velocity is kept before the robot brakes, when it is checked for collisions
-    [period]."""
-    nose: float = constant(1.0, 0.3, 4.0)
-    """The navigation function counts this far ahead of the robot, so that its heading matters
-    [radius]."""
-    stop_clearance: float = constant(0.125, 0.03, 0.4)
-    """Least clearance of the footprint on the way to a stop [radius]."""
-    near_cost: float = constant(0.3, 0.05, 2.0)
-    """Cost of a second without clearance [s at top speed]."""
-    near_fade: float = constant(0.25, 0.1, 1.0)
-    """Clearance where that cost has fallen to 1/e [radius]."""
-    blocked_cost: float = constant(0.6, 0.1, 3.0)
-    """Cost of an arc that comes too near to something, times the share of it that is left [s at top
-    speed]."""
+    reverse_share: float = 0.4  # greatest speed backwards, out of dead ends [top speed]
+    arc_time: float = 1.5  # how far ahead an arc is scored [s]
+    turn_time: float = 0.6  # how long the robot turns on an arc before it goes straight [s]
+    hold_periods: float = 2.0  # a velocity is kept so long before the robot brakes [period]
+    nose: float = 1.0  # progress counts this far ahead, so that the heading matters [radius]
+    stop_clearance: float = 0.125  # least clearance on the way to a stop [radius]
+    near_cost: float = 0.3  # cost of a second without clearance [s at top speed]
+    near_fade: float = 0.25  # clearance where that cost has fallen to 1/e [radius]
+    blocked_cost: float = 0.6  # of an arc that comes too near, times what is left of it [s]
+
+
+class Surroundings(NamedTuple):
+    """What predicted motions are scored by, in the odometry frame."""
+
+    points: Floats
+    """(n, 2): obstacles [m]."""
+    sides: Floats
+    """(sides, 4): of the footprint, in the base frame [m]."""
+    outer: float
+    """Radius of the disc around the footprint [m]."""
+    way: Floats
+    """(corners, 4): see `MapSensor.way_ahead`; the last one is the goal."""
+    radius: float
+    """Of the goal [m]."""
 
 
 class ArcModel(NamedTuple):
@@ -129,15 +125,19 @@ class Dwa(MappedPolicy):
             blocked_cost=k.blocked_cost * units.speed,
         )
 
-    def decide(
-        self, pose: Pose, goal: tuple[float, float], seen: DecodedObservation
-    ) -> tuple[float, float]:
+    def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the best admissible velocity [m/s, rad/s]; stops where there is none."""
         config = self.setting.config
         window = self._window(config.max_linear, config.max_angular)
         ahead = config.max_linear * self.constants.arc_time + self._model.nose
         reach = ahead + self.outer + self._model.reach
-        around = self.around(pose, reach, goal, 0.9 * self.setting.tolerance)
+        around = Surroundings(
+            self.obstacles(pose, seen, reach),
+            self.sides,
+            self.outer,
+            self.map.way_ahead,
+            0.9 * self.setting.tolerance,
+        )
         state = (*pose, seen.linear, seen.angular, *self.sent)
         scores = score_window(window, state, self._model, around)
         best = int(scores.argmin())
@@ -147,25 +147,27 @@ class Dwa(MappedPolicy):
         idle = abs(linear) < 0.06 * config.max_linear and abs(angular) < 0.1 * config.max_angular
         self._still = self._still + 1 if idle or self._still > STILL_STEPS else 0
         if self._still > STILL_STEPS:
-            return self._align(pose, goal, state, around) or (linear, angular)
+            return self._align(pose, state, around) or (linear, angular)
         return linear, angular
 
     def reset(self) -> None:
-        """Forget map, motion and decisions."""
+        """Forget earlier decisions."""
         super().reset()
         self._still = 0
 
     def _align(
-        self, pose: Pose, goal: tuple[float, float], state: MotionState, around: Surroundings
+        self, pose: Pose, state: MotionState, around: Surroundings
     ) -> tuple[float, float] | None:
-        """Turn towards the plan; None once it lies ahead, or where there is no room to turn."""
-        x, y = self.carrot(pose, goal, 1.7 * self.outer)
+        """Turn towards the way, or back off where there is no room; None once it lies ahead."""
+        x, y = self.carrot(pose, 1.7 * self.outer)
         bearing = math.atan2(y, x)
-        turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
-        if abs(bearing) < ALIGNED_BEARING or not can_stop(0.0, turn, state, self._model, around):
+        if abs(bearing) < ALIGNED_BEARING:
             self._still = 0
             return None
-        return 0.0, turn
+        turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
+        if can_stop(0.0, turn, state, self._model, around):
+            return 0.0, turn
+        return self._escape(around, state)
 
     def _window(self, fastest: float, turning: float) -> Floats:
         """(n, 2): velocities that can be reached in a step, and standing still."""
@@ -266,7 +268,7 @@ def score_velocity(
             break
         if in_goal(state[0], state[1], around):
             return cost - left
-    return cost + way_left(state[0], state[1], state[2], model.nose, around)
+    return cost + way_left(state, model.nose, around)
 
 
 @loop
@@ -290,3 +292,24 @@ def can_stop(
         if not holding and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break
     return True
+
+
+@loop
+def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
+    """Clearance of the footprint at a pose, at most `most` [m]."""
+    return points_clearance(x, y, theta, around.points, around.sides, around.outer, most)
+
+
+@jit
+def in_goal(x: float, y: float, around: Surroundings) -> bool:
+    """Whether a place is within the goal."""
+    dx, dy = around.way[-1, 0] - x, around.way[-1, 1] - y
+    return dx * dx + dy * dy < around.radius * around.radius
+
+
+@loop
+def way_left(state: MotionState, nose: float, around: Surroundings) -> float:
+    """Length of the way that is left from `nose` ahead of a pose; so the heading matters [m]."""
+    x, y = state[0] + nose * math.cos(state[2]), state[1] + nose * math.sin(state[2])
+    corner = next_corner(around.way, len(around.way), 0, x, y)
+    return length_left(around.way, corner, x, y)

@@ -1,9 +1,9 @@
 """What a ROS 2 user has: a costmap, a global plan on it, and regulated pure pursuit.
 
-The plan is that of Nav2's NavFn planner, the way down a potential; the tracker is Macenski, Singh,
-Martin & Gines, "Regulated pure pursuit for robot path tracking", Autonomous Robots 47 (2023): pure
-pursuit whose speed is regulated by curvature and by the nearness of obstacles, which turns on the
-spot where the path begins elsewhere, and stops before a predicted collision.
+The plan is the way of the robot's map; the tracker is Macenski, Singh, Martin & Gines, "Regulated
+pure pursuit for robot path tracking", Autonomous Robots 47 (2023): pure pursuit whose speed is
+regulated by curvature and by the nearness of obstacles, which turns on the spot where the path
+begins elsewhere, and stops before a predicted collision.
 """
 
 from __future__ import annotations
@@ -12,40 +12,24 @@ import math
 from dataclasses import dataclass
 
 from acsar_gym.tasks.task import Floats
-from acsar_gym.tools.baselines.mapping import (
-    MapConstants,
-    MappedPolicy,
-    Pose,
-    points_clearance,
-)
-from acsar_gym.tools.baselines.tuning import constant
+from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, points_clearance
 from acsar_gym.tools.policies.policy import DecodedObservation
 
 
 @dataclass(frozen=True)
-class NavfnConstants(MapConstants):
-    """Constants of regulated pure pursuit."""
+class NavfnConstants:
+    """Constants of regulated pure pursuit; `constants.yaml` has those of the presets."""
 
-    carrot_time: float = constant(0.9, 0.2, 1.5)
-    """The carrot is this much time ahead at the present speed [s]."""
-    min_carrot: float = constant(0.83, 0.4, 3.0)
-    """Least distance of the carrot [radius]."""
-    turn_share: float = constant(0.67, 0.2, 1.0)
-    """Curves are driven so slowly that the yaw rate isn't larger [greatest yaw rate]."""
-    slow_clearance: float = constant(0.62, 0.1, 2.0)
-    """Nearer than this to an obstacle, the footprint is driven slower, in proportion [radius]."""
-    slow_share: float = constant(0.3, 0.1, 0.9)
-    """What is left of the speed without any clearance."""
-    min_speed: float = constant(0.16, 0.05, 0.4)
-    """Least regulated speed [top speed]."""
-    turn_bearing: float = constant(0.7, 0.4, 1.5)
-    """Turns on the spot while the carrot's bearing is larger than this [rad]."""
-    turn_gain: float = constant(2.5, 1.0, 6.0)
-    """Yaw rate of that turn for a bearing of 1 rad [1/s]."""
-    arc_time: float = constant(1.0, 0.3, 1.5)
-    """Predicted arcs are checked for collisions so far ahead [s]."""
-    arc_clearance: float = constant(0.083, 0.02, 0.3)
-    """Least clearance on a predicted arc [radius]."""
+    carrot_time: float = 0.9  # the carrot is this much time ahead at the present speed [s]
+    min_carrot: float = 0.83  # its least distance [radius]
+    turn_share: float = 0.67  # largest yaw rate in curves [greatest yaw rate]
+    slow_clearance: float = 0.62  # nearer to an obstacle it drives slower, in proportion [radius]
+    slow_share: float = 0.3  # what is left of the speed without any clearance
+    min_speed: float = 0.16  # least regulated speed [top speed]
+    turn_bearing: float = 0.7  # it turns on the spot while the carrot's bearing is larger [rad]
+    turn_gain: float = 2.5  # yaw rate of that turn for a bearing of 1 rad [1/s]
+    arc_time: float = 1.0  # predicted arcs are checked for collisions so far ahead [s]
+    arc_clearance: float = 0.083  # least clearance on a predicted arc [radius]
 
 
 SPEED_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
@@ -55,22 +39,19 @@ CHECK_SPACING = 0.4
 
 
 class Navfn(MappedPolicy):
-    """Plans on its map like NavFn, and follows the plan by regulated pure pursuit."""
+    """Follows the way of the map by regulated pure pursuit."""
 
     name = "navfn"
     constants_type = NavfnConstants
     constants: NavfnConstants
 
-    def decide(
-        self, pose: Pose, goal: tuple[float, float], seen: DecodedObservation
-    ) -> tuple[float, float]:
+    def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
         units, k = self.units, self.constants
-        lookahead = max(k.carrot_time * seen.linear, k.min_carrot * units.radius)
-        x, y = self.carrot(pose, goal, lookahead)
+        x, y = self.carrot(pose, max(k.carrot_time * seen.linear, k.min_carrot * units.radius))
         bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.2 * units.radius)
         slow = k.slow_clearance * units.radius
-        near = self.obstacles(pose, units.speed * k.arc_time + 2.0 * units.radius + slow)
+        near = self.obstacles(pose, seen, units.speed * k.arc_time + 2.0 * units.radius + slow)
         turn = math.copysign(min(k.turn_gain * abs(bearing), units.turning), bearing)
         if abs(bearing) > k.turn_bearing:
             return 0.0, turn

@@ -412,9 +412,6 @@ def _find_statistics(policy: ZipPolicy, named: str | None) -> Path | None:
             f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
             f"{convert} {found}', otherwise --vecnormalize none"
         )
-    if policy.normalized is None:
-        said = "doesn't say whether it was trained with a VecNormalize: if it was, use"
-        warnings.warn(f"{model}: {said} {convert} FILE'", PolicyWarning, stacklevel=3)
     if policy.normalized:
         raise PolicyError(
             f"{model}: was trained with a VecNormalize, whose file isn't beside it: use {convert} "

@@ -46,69 +46,36 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 AnyEnv = RobotEnv | RobotVectorEnv
 Range = tuple[float, float]
-_LIMITS = ("max_acceleration", "min_acceleration", "max_deceleration", "max_velocity", "max_jerk")
-
-
-def _read_fields(*names: str) -> dict[str, Callable[[RobotConfig], Any]]:
-    """Return functions that read dotted fields of a robot, by name."""
-    return {name: attrgetter(name) for name in names}
-
-
-ROBOT_FIELDS: Mapping[str, Callable[[RobotConfig], Any]] = {
-    **_read_fields("max_linear", "max_angular", "max_wheel_speed"),
-    **_read_fields(
-        *(f"{axis}_limits.{name}" for axis in ("linear", "angular") for name in _LIMITS)
-    ),
-    **_read_fields("wheel_radius", "wheel_separation", "wheelbase", "wheel_separation_multiplier"),
-    "turn_factor": turn_factor,
-    **_read_fields("body.mass", "body.friction"),
-    **_read_fields("motor.gain", "motor.time_constant", "motor.deadband", "motor.max_speed"),
-    **_read_fields("firmware.command_delay", "feedback_rate"),
-    "footprint.radius": lambda config: outline_radius(config.outline),
-}
-"""What a bundle says of every robot: names, and how they are read from its config."""
-LIDAR_FIELDS: Mapping[str, Callable[[RobotConfig], Any]] = {
-    **_read_fields("lidar.rays", "lidar.field_of_view", "lidar.min_range", "lidar.max_range"),
-    **_read_fields("lidar.rate", "lidar_x_offset", "lidar_y_offset"),
-}
-"""What it also says where the policy observes a LiDAR."""
-LAYOUT_FIELDS = ("lidar.rays", "lidar.field_of_view", "lidar.max_range")
-"""Values of a robot that an observation is made with."""
-REPORTED_FIELDS = {
-    "max_linear": 0.0,
-    "max_angular": 0.0,
-    "linear_limits.max_acceleration": 0.0,
-    "angular_limits.max_acceleration": 0.0,
-    "lidar.min_range": 0.01,
-    "lidar.rate": 0.0,
-    "lidar_x_offset": 0.01,
-    "lidar_y_offset": 0.01,
-    "footprint.radius": 0.01,
-    "rates.control": 0.0,
-}
-"""Values of a robot that are told where they differ, and by how much they may [m]."""
 RANGE_MARGIN = 0.01
 """Relative width by which a range of the training is widened."""
-OUTLINE_NUMBERS: Mapping[str, Callable[[RobotConfig], float]] = {
-    "footprint_length": lambda config: _extent(config, 0),
-    "footprint_width": lambda config: _extent(config, 1),
-    "footprint_radius": lambda config: outline_radius(config.outline),
-}
-"""Numbers of a robot's footprint [m], for ranges of robots."""
 FLEET_NUMBERS = ("footprint_length", "footprint_width", "max_linear", "max_angular")
 """Of a policy that was trained on several robots, the file has the ranges of these numbers."""
 RETRAIN_HINT = "train it again, or choose the robot of its training with --robot"
 ARGUMENTS_HINT = "give the env the arguments that the policy was trained with"
+TURN_FACTOR_SOURCE = (
+    "body.turn_factor of the robot's file, measured by 'acsar-gym calibrate DEVICE turn'; without "
+    "it 1 + (wheelbase / wheel_separation)^2"
+)
 MAX_QUOTED_CHARS = 100
 """Longest text from a file in a message [characters]."""
 
 
 @dataclass(frozen=True, slots=True)
-class RandomizedValue:
-    """How a randomization changes one value of a robot."""
+class RobotField:
+    """A number of a robot: what a policy's file says of it, and what is checked before a drive."""
 
+    name: str
+    """Dotted name in the config, unless `read` is given."""
+    read: Callable[[RobotConfig], Any] | None = None
+    lidar: bool = False
+    """Whether only policies that observe a LiDAR have it."""
+    equal: bool = False
+    """Whether it must be the same, as the observation is made with it."""
+    apart: float | None = None
+    """It is told where it differs by more [m]; None: it isn't told for that."""
     factor: str = ""
-    """Parameter of the randomization that it is multiplied by."""
+    """Parameter of the randomization that it is multiplied by; where the robot lies outside of the
+    training's range, it is told."""
     inverse: bool = False
     """Whether it is divided by it instead."""
     replaced: str = ""
@@ -122,26 +89,70 @@ class RandomizedValue:
     source: str = ""
     """Where a robot's number comes from, if its name doesn't say that."""
 
+    def value(self, config: RobotConfig) -> Value:
+        """Read it from a robot."""
+        read = self.read or attrgetter(self.name)
+        value: Value = read(config)
+        return value
 
-RANDOMIZED_VALUES: Mapping[str, RandomizedValue] = {
-    "body.mass": RandomizedValue("mass"),
-    "body.friction": RandomizedValue("friction"),
-    "turn_factor": RandomizedValue(
-        "turn_factor",
-        source="body.turn_factor of the robot's file, measured by 'acsar-gym calibrate DEVICE "
-        "turn'; without it 1 + (wheelbase / wheel_separation)^2",
-    ),
-    "wheel_separation_multiplier": RandomizedValue("turn_factor", inverse=True),
-    "motor.gain": RandomizedValue("motor_gain"),
-    "motor.time_constant": RandomizedValue("motor_lag"),
-    "motor.deadband": RandomizedValue(replaced="deadband", added=("deadband_offset",), least=False),
-    "firmware.command_delay": RandomizedValue(
-        replaced="command_delay", added=("latency", "delay_samples"), least=False
-    ),
-    "feedback_rate": RandomizedValue(replaced="feedback_rate", most=False),
+    @property
+    def varied(self) -> bool:
+        """Whether a randomization changes it."""
+        return bool(self.factor or self.replaced)
+
+
+def _limits(axis: str) -> list[RobotField]:
+    """The command limits of an axis."""
+    names = ("min_acceleration", "max_deceleration", "max_velocity", "max_jerk")
+    limits = [RobotField(f"{axis}_limits.{name}") for name in names]
+    return [RobotField(f"{axis}_limits.max_acceleration", apart=0.0), *limits]
+
+
+ROBOT_FIELDS = {
+    one.name: one
+    for one in (
+        RobotField("max_linear", apart=0.0),
+        RobotField("max_angular", apart=0.0),
+        RobotField("max_wheel_speed"),
+        *_limits("linear"),
+        *_limits("angular"),
+        RobotField("wheel_radius"),
+        RobotField("wheel_separation"),
+        RobotField("wheelbase"),
+        # this and the turn factor decide together how far the robot turns
+        RobotField("wheel_separation_multiplier", factor="turn_factor", inverse=True),
+        RobotField("turn_factor", turn_factor, factor="turn_factor", source=TURN_FACTOR_SOURCE),
+        RobotField("body.mass", factor="mass"),
+        RobotField("body.friction", factor="friction"),
+        RobotField("motor.gain", factor="motor_gain"),
+        RobotField("motor.time_constant", factor="motor_lag"),
+        RobotField("motor.deadband", replaced="deadband", added=("deadband_offset",), least=False),
+        RobotField("motor.max_speed"),
+        RobotField(
+            "firmware.command_delay",
+            replaced="command_delay",
+            added=("latency", "delay_samples"),
+            least=False,
+        ),
+        RobotField("feedback_rate", replaced="feedback_rate", most=False),
+        RobotField("footprint.radius", lambda config: outline_radius(config.outline), apart=0.01),
+        RobotField("lidar.rays", lidar=True, equal=True),
+        RobotField("lidar.field_of_view", lidar=True, equal=True),
+        RobotField("lidar.min_range", lidar=True, apart=0.01),
+        RobotField("lidar.max_range", lidar=True, equal=True),
+        RobotField("lidar.rate", lidar=True, apart=0.0),
+        RobotField("lidar_x_offset", lidar=True, apart=0.01),
+        RobotField("lidar_y_offset", lidar=True, apart=0.01),
+    )
 }
-"""Values of a robot that are compared with the training's ranges. The multiplier and the turn
-factor decide together how far the robot turns, so the multiplier has the range of that one."""
+"""What a policy's file says of the robot of its training, and what `check_bundle` and
+`robot_differences` check of another one."""
+OUTLINE_NUMBERS: Mapping[str, Callable[[RobotConfig], float]] = {
+    "footprint_length": lambda config: _extent(config, 0),
+    "footprint_width": lambda config: _extent(config, 1),
+    "footprint_radius": lambda config: outline_radius(config.outline),
+}
+"""Numbers of a robot's footprint [m], for ranges of robots."""
 
 
 def describe_policy(
@@ -270,12 +281,10 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 def robot_values(config: RobotConfig, sensors: Iterable[Sensor]) -> dict[str, Value]:
-    """Return a robot's values by name: ROBOT_FIELDS, and where there is a LiDAR LIDAR_FIELDS."""
+    """Return a robot's values by name: `ROBOT_FIELDS`, those of a LiDAR where there is one."""
     sees = any(sensor.name == LIDAR for sensor in sensors)
-    return {
-        name: read(config)
-        for name, read in {**ROBOT_FIELDS, **(LIDAR_FIELDS if sees else {})}.items()
-    }
+    fields = (one for one in ROBOT_FIELDS.values() if sees or not one.lidar)
+    return {one.name: one.value(config) for one in fields}
 
 
 def check_bundle(
@@ -307,7 +316,7 @@ def check_bundle(
     own = describe_observation(task, sensors)
     here, in_this = f"in {task_text}: {RETRAIN_HINT}", f"in this {task_text}: {ARGUMENTS_HINT}"
     robot = {} if config is None else robot_values(config, sensors)
-    for name in LAYOUT_FIELDS:
+    for name in (one.name for one in ROBOT_FIELDS.values() if one.equal):
         if name in bundle.robot.values and name in robot and name not in bundle.robots:
             was, now = bundle.robot.values[name], robot[name]
             on_robot = f"on this robot: {RETRAIN_HINT}"
@@ -346,8 +355,8 @@ def robot_number(config: RobotConfig, name: str) -> Value:
 
     Args:
         config: of the robot.
-        name: of OUTLINE_NUMBERS, ROBOT_FIELDS or LIDAR_FIELDS, or a field of the config, dotted
-            where it is in a section, such as "body.length".
+        name: of OUTLINE_NUMBERS or ROBOT_FIELDS, or a field of the config, dotted where it is in a
+            section, such as "body.length".
 
     Returns:
         The number, one for each wheel, or None where the robot has none.
@@ -355,10 +364,10 @@ def robot_number(config: RobotConfig, name: str) -> Value:
     Raises:
         PolicyError: a robot has no number of this name.
     """
-    known = {**OUTLINE_NUMBERS, **ROBOT_FIELDS, **LIDAR_FIELDS}
-    if name in known:
-        found: Value = known[name](config)
-        return found
+    if name in OUTLINE_NUMBERS:
+        return OUTLINE_NUMBERS[name](config)
+    if name in ROBOT_FIELDS:
+        return ROBOT_FIELDS[name].value(config)
     value: Any = config
     for part in name.split("."):
         if not isinstance(value, Section) or part not in type(value).model_fields:
@@ -420,44 +429,48 @@ def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotCo
     own = robot_values(config, sensors) | {"rates.control": config.control_rate}
     file = bundle.robot.values | {"rates.control": bundle.rates.control}
     lines = []
-    several = bool(bundle.robots)  # `robots_outside` tells about them
-    for name, most in REPORTED_FIELDS.items():
-        if several and name != "rates.control":
+    for field in (*ROBOT_FIELDS.values(), RobotField("rates.control", apart=0.0)):
+        name = field.name
+        if field.apart is None or name not in file or name not in own:
             continue
-        if name in file and name in own and not equal_values(file[name], own[name], most):
+        if bundle.robots and name != "rates.control":  # `robots_outside` tells about them
+            continue
+        if not equal_values(file[name], own[name], field.apart):
             was, now = format_value(file[name]), format_value(own[name])
             lines.append(f"{name} was {was} in the training and is {now} on this robot")
-    for name, varied in RANDOMIZED_VALUES.items():
-        values, trained = as_numbers(own.get(name)), as_numbers(bundle.robot.values.get(name))
-        if bundle.randomization is None or not (values and trained) or several:
+    ranges = None if bundle.robots else bundle.randomization
+    for field in (one for one in ROBOT_FIELDS.values() if one.varied):
+        values = as_numbers(own.get(field.name))
+        trained = as_numbers(bundle.robot.values.get(field.name))
+        if ranges is None or not (values and trained):
             continue
-        low, high = trained_range(varied, trained, bundle.randomization)
+        low, high = trained_range(field, trained, ranges)
         margin = RANGE_MARGIN * max(abs(low), abs(high))
-        under = varied.least and min(values) < low - margin
-        if under or (varied.most and max(values) > high + margin):
+        under = field.least and min(values) < low - margin
+        if under or (field.most and max(values) > high + margin):
             was = f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}"
-            now = f"{format_value(own[name])} on this robot"
-            now += f" ({varied.source})" if varied.source else ""
-            lines.append(f"{name} was {was} in the training and is {now}")
+            now = f"{format_value(own[field.name])} on this robot"
+            now += f" ({field.source})" if field.source else ""
+            lines.append(f"{field.name} was {was} in the training and is {now}")
     return [f"{line}: it may drive worse than it was measured to" for line in lines]
 
 
 def trained_range(
-    varied: RandomizedValue, values: Sequence[float], ranges: Mapping[str, Sequence[float]]
+    field: RobotField, values: Sequence[float], ranges: Mapping[str, Sequence[float]]
 ) -> Range:
     """Return the least and the largest number that a value had in the training.
 
     Args:
-        varied: how the randomization changes it.
+        field: says how the randomization changes it.
         values: of the robot of the training: one, or one for each wheel.
         ranges: of the randomization, by name.
     """
-    base = ranges.get(varied.replaced, values)
-    factors = ranges.get(varied.factor, (1.0,))
+    base = ranges.get(field.replaced, values)
+    factors = ranges.get(field.factor, (1.0,))
     least, most = min(factors), max(factors)
-    if varied.inverse:
+    if field.inverse:
         least, most = 1.0 / most, 1.0 / least
-    added = [ranges.get(name, (0.0,)) for name in varied.added]
+    added = [ranges.get(name, (0.0,)) for name in field.added]
     return min(base) * least + sum(map(min, added)), max(base) * most + sum(map(max, added))
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -17,9 +18,7 @@ from acsar_gym.envs.ids import find_id
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
 from acsar_gym.physics import Randomization
-from acsar_gym.resources import AGENTS
 from acsar_gym.tasks import Observation
-from acsar_gym.tools.policies import trial
 from acsar_gym.tools.policies.bundle import (
     BUNDLE_KEY,
     Bundle,
@@ -34,69 +33,132 @@ from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES, FilePolicy, format
 if TYPE_CHECKING:
     import torch
 
-
-def read_network(data: bytes) -> tuple[trial.Network, Bundle]:
-    """Load a network that is trusted, or was tried, and its bundle.
-
-    Raises:
-        PolicyError: it isn't a policy that this package runs; the message doesn't name the file.
-        MissingExtraError: onnxruntime isn't installed.
-    """
-    try:
-        network = trial.load_network(data)
-    except ImportError as error:
-        raise MissingExtraError("running a policy", "deploy") from error
-    except Exception as error:
-        raise PolicyError(f"not an ONNX policy: {format_error(error)}") from error
-    if BUNDLE_KEY not in network.metadata:
-        raise PolicyError(
-            "an ONNX network without a bundle, which says what it was trained for: write it with "
-            "'acsar-gym export' or acsar_gym.tools.policies.save"
-        )
-    bundle = parse_bundle(network.metadata[BUNDLE_KEY])
-    if network.width != bundle.observation.width:
-        raise PolicyError(
-            f"takes {network.width} numbers, but its bundle describes {bundle.observation.width}: "
-            "export the policy again"
-        )
-    if list(network.states) != [(one.input, one.output, one.shape) for one in bundle.state]:
-        raise PolicyError(
-            f"has {len(network.states)} states, which aren't the {len(bundle.state)} of its "
-            "bundle: export the policy again"
-        )
-    return network, bundle
+# onnxruntime 1.29 and later look at this when they are imported. Without it they tell their maker
+# what they run, and keep an id of this computer in the user's cache folder.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
-def open_policy_file(path: Path) -> tuple[str, trial.Network, Bundle]:
-    """Read a policy file; one that doesn't come with the package is tried first, see `trial`.
+class NetworkState(NamedTuple):
+    """A state of a recurrent network: names of input and output, and the shape of both."""
+
+    input: str
+    output: str
+    shape: tuple[int, ...]
+
+
+class Network(NamedTuple):
+    """An ONNX network that maps `observation` (batch, n) and states to `action` and next states."""
+
+    session: Any
+    """Of onnxruntime."""
+    width: int
+    """Size n of the observation."""
+    states: tuple[NetworkState, ...]
+    bundle: Bundle
+
+
+def open_policy_file(path: Path) -> tuple[str, Network]:
+    """Read a policy file.
 
     Returns:
-        SHA-256 of the file, its network, and its bundle.
+        SHA-256 of the file, and its network.
 
     Raises:
         PolicyError: the file can't be read, or isn't a policy that this package runs.
         MissingExtraError: onnxruntime isn't installed.
     """
     data = reading.read_file(path, MAX_POLICY_BYTES, PolicyError)
-    packaged = path.resolve().is_relative_to(AGENTS.resolve())
     if (other := describe_other_file(data)) is not None:
         raise PolicyError(f"{path}: {other}")
-    refusal = "" if packaged else trial.find_refusal(data)
-    if "INVALID_PROTOBUF" in refusal:
-        raise PolicyError(f"{path}: isn't a whole ONNX file: copy or export it again")
-    if refusal:
-        raise PolicyError(f"{path}: not a policy to run: {refusal}")
     try:
-        return hashlib.sha256(data).hexdigest(), *read_network(data)
+        return hashlib.sha256(data).hexdigest(), load_network(data)
+    except ImportError as error:
+        raise MissingExtraError("running a policy", "deploy") from error
     except PolicyError as error:
         raise PolicyError(f"{path}: {error}") from error
+    except Exception as error:  # onnxruntime's errors have no common base of their own
+        if "INVALID_PROTOBUF" in str(error):
+            raise PolicyError(
+                f"{path}: isn't a whole ONNX file: copy or export it again"
+            ) from error
+        raise PolicyError(f"{path}: not a policy to run: {format_error(error)}") from error
+
+
+def load_network(data: bytes) -> Network:
+    """Load an ONNX file, and no other format, with one thread, and decide once.
+
+    Raises:
+        PolicyError: it isn't a policy that this package runs; the message doesn't name the file.
+    """
+    import onnxruntime  # noqa: PLC0415 - optional
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    names = [[put.name[:40] for put in puts[:5]] for puts in (inputs, outputs)]
+    if [found[:1] for found in names] != [["observation"], ["action"]]:
+        raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
+    for put in (*inputs, *outputs):
+        if put.type != "tensor(float)":
+            raise PolicyError(f"{put.name[:40]} must be float32")
+    if len(inputs[0].shape) != 2 or not isinstance(inputs[0].shape[1], int):
+        raise PolicyError("observation must be of shape (batch, n)")
+    if len(inputs) != len(outputs):
+        raise PolicyError(f"must have an output for every state, maps {names[0]} to {names[1]}")
+    metadata = session.get_modelmeta().custom_metadata_map
+    if BUNDLE_KEY not in metadata:
+        raise PolicyError(
+            "an ONNX network without a bundle, which says what it was trained for: write it with "
+            "'acsar-gym export' or acsar_gym.tools.policies.save"
+        )
+    bundle, width = parse_bundle(metadata[BUNDLE_KEY]), inputs[0].shape[1]
+    if width != bundle.observation.width:
+        raise PolicyError(
+            f"takes {width} numbers, but its bundle describes {bundle.observation.width}: export "
+            "the policy again"
+        )
+    states = tuple(
+        NetworkState(before.name, after.name, tuple(before.shape))
+        for before, after in zip(inputs[1:], outputs[1:], strict=True)
+    )
+    if list(states) != [(one.input, one.output, one.shape) for one in bundle.state]:
+        raise PolicyError(
+            f"has {len(states)} states, which aren't the {len(bundle.state)} of its bundle: export "
+            "the policy again"
+        )
+    network = Network(session, width, states, bundle)
+    check_decisions(network)
+    return network
+
+
+def check_decisions(network: Network) -> None:
+    """Check what a network decides for zeros.
+
+    Raises:
+        PolicyError: the action isn't two finite numbers of shape (1, 2), a state comes out in
+            another shape than it goes in, or the same observation gets different actions.
+    """
+    shapes = {"observation": (1, network.width)} | {s.input: s.shape for s in network.states}
+    zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    action, *states = network.session.run(None, zeros)
+    if action.shape != (1, 2):
+        raise PolicyError(f"gives shape {action.shape}: must be (1, 2)")
+    if not np.isfinite(action).all():
+        raise PolicyError(f"gives {action[0].tolist()} for an observation of zeros")
+    for state, after in zip(network.states, states, strict=True):
+        if state.shape != after.shape:
+            raise PolicyError(f"gives a state of shape {after.shape}: must be {state.shape}")
+    if not np.array_equal(action, network.session.run(None, zeros)[0]):
+        raise PolicyError("decides at random: must give the same action for the same observation")
 
 
 class OnnxPolicy(FilePolicy):
     """A policy read from an ONNX file; loading runs no code from the file.
-
-    A file that doesn't come with the package is tried in a subprocess first, with limits of memory
-    and CPU time, which takes about 0.3 s.
 
     Args:
         path: an ONNX file, or the name of a policy that comes with the package.
@@ -110,8 +172,9 @@ class OnnxPolicy(FilePolicy):
 
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
-        self.sha256, network, self.bundle = open_policy_file(self.path)
-        self.env_id, self.width = self.bundle.env.id, network.width
+        self.sha256, network = open_policy_file(self.path)
+        self.bundle, self.width = network.bundle, network.width
+        self.env_id = self.bundle.env.id
         # Arrays that are made once: faster than new ones for every decision.
         self._run, self._binding = network.session.run_with_iobinding, network.session.io_binding()
         self._observation = self._bind("input", "observation", (1, network.width))
@@ -168,7 +231,7 @@ def read_bundle(path: str | Path) -> tuple[Path, Bundle]:
         MissingExtraError: onnxruntime isn't installed.
     """
     found = resolve(path)
-    return found, open_policy_file(found)[2]
+    return found, open_policy_file(found)[1].bundle
 
 
 def actor(network: torch.nn.Module, call: Callable[[Any, torch.Tensor], Any]) -> torch.nn.Module:

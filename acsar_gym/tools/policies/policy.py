@@ -25,6 +25,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, PolicyError, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import LIDAR, Sensor
+from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD, POINT_TIME
@@ -235,6 +236,9 @@ class PolicyContext:
     """What distances are divided by [m]."""
     rays: slice | None
     """Where the LiDAR's ranges are in the observation; None without a LiDAR."""
+    map: MapSensor | None = field(default=None, repr=False, compare=False)
+    """The robot's map: where it is by odometry, what is occupied, the way to the goal; None without
+    one. It changes with every step."""
     episode_seed: Callable[[], int | None] = field(default=lambda: None, repr=False, compare=False)
     """Returns the seed of the episode that has begun; None where it has none."""
 
@@ -262,6 +266,7 @@ class PolicyContext:
             places={name: n for n, name in enumerate(task.observation)},
             scale=observation_scale(task),
             rays=rays,
+            map=next((one for one in env.sensors if isinstance(one, MapSensor)), None),
             episode_seed=lambda: env.np_random_seed,
         )
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import importlib
 import io
-import re
-import sys
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,19 +26,22 @@ from acsar_gym.tools.policies.kinds import describe_other_zip
 from acsar_gym.tools.policies.policy import FilePolicy, format_error, resolve
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.policies import BasePolicy
+    from stable_baselines3.common.base_class import BaseAlgorithm
 
 MAX_ZIP_BYTES = 500_000_000
 MAX_UNPACKED_BYTES = 50_000_000
 """Most bytes of a zip that was packed, once it is unpacked."""
 ZIP_ALGORITHMS = "PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO"
-POLICY_FAMILIES = {"ActorCriticPolicy", "SACPolicy", "TD3Policy", "TQCPolicy"}
-"""Base classes of their policies."""
-_GYM = re.compile(r"gym(\.|$)")
-"""Modules of gym, which Gymnasium replaces."""
-_UNUSED = {"lr_schedule": None, "clip_range": None}
-"""Replacements of pickled functions that only training needs; other Python versions may not be
-able to unpickle them."""
+ALGORITHM_MODULES = {
+    "RecurrentActorCriticPolicy": ("sb3_contrib", "RecurrentPPO"),
+    "ActorCriticPolicy": ("stable_baselines3", "PPO"),  # A2C's policies, too
+    "SACPolicy": ("stable_baselines3", "SAC"),
+    "TD3Policy": ("stable_baselines3", "TD3"),  # DDPG's, too
+    "TQCPolicy": ("sb3_contrib", "TQC"),
+}
+"""Module and class that load a policy, by the base class of the policy, the most special first."""
+INFERENCE_OBJECTS = {"learning_rate": 0.0, "lr_schedule": None, "clip_range": 0.0, "buffer_size": 1}
+"""Stand in for what only training needs; other Python versions may not unpickle schedules."""
 
 
 class ZipPolicy(FilePolicy):
@@ -83,9 +84,9 @@ class ZipPolicy(FilePolicy):
             raise PolicyError(f"{self.path}: not a stable-baselines3 model: {said}") from error
         self.sha256 = hashlib.sha256(content).hexdigest()
         by_train = self.bundle is not None and self.bundle.training is not None
-        self.normalized = False if by_train else uses_normalization(data)
+        self.normalized = not by_train and uses_normalization(data)
         """Whether it was trained with a VecNormalize of observations, as none of 'acsar-gym train'
-        is; None where the zip doesn't tell."""
+        is."""
         own = "" if self.bundle is None else self.bundle.env.id
         self.env_id, self.env_named = env_id or own, bool(env_id)
         self._width = (self.network.observation_space.shape or (0,))[0]
@@ -168,80 +169,48 @@ def describe_space(space: Space[Any]) -> str:
     return f"a {type(space).__name__}"
 
 
-def uses_normalization(data: Mapping[str, Any]) -> bool | None:
+def uses_normalization(data: Mapping[str, Any]) -> bool:
     """Find out whether a model was trained with a VecNormalize that changes observations.
 
-    A zip has the last observation as the network got it, and an original one: with a VecNormalize
-    that of the same step. Without one PPO, A2C and RecurrentPPO have none, and the others (SAC,
-    TD3, DDPG, TQC) that of the step before. Normalized numbers leave the observation space, and a
-    cosine and a sine side by side are none any more.
-
-    Args:
-        data: of the zip.
-
-    Returns:
-        Whether it was; None where the observations don't tell.
+    A zip has the last observation as the network got it, and an original one where there was a
+    VecNormalize. SAC, TD3, DDPG and TQC have an original one always, so that there what the network
+    got must have left the observation space.
     """
     seen, original = data.get("_last_obs"), data.get("_last_original_obs")
     if seen is None or original is None or np.array_equal(seen, original):
         return False
-    if "replay_buffer_class" not in data or np.shape(seen) != np.shape(original):
-        return True
     space = data["observation_space"]
-    left = [((one < space.low) | (one > space.high)).any() for one in (original, seen)]
-    if left == [False, True]:
-        return True
-    before, after = (np.hypot(one[:, :-1], one[:, 1:]) for one in (original, seen))
-    pairs = (np.abs(before - 1.0) < 1e-6).all(axis=0)
-    if not pairs.any():
-        return None
-    return bool((np.abs(after[:, pairs] - 1.0) > 1e-4).any())
+    within = [((one >= space.low) & (one <= space.high)).all() for one in (original, seen)]
+    return "replay_buffer_class" not in data or within == [True, False]
 
 
-@contextlib.contextmanager
-def _alias_gym() -> Iterator[None]:
-    """Let zips of stable-baselines3 1.x, whose spaces are gym's, find those of Gymnasium."""
-    before = {name: module for name, module in sys.modules.items() if _GYM.match(name)}
-    aliases = {
-        f"gym{name.removeprefix('gymnasium')}": module
-        for name, module in sys.modules.items()
-        if name.partition(".")[0] == "gymnasium"
-    }
-    sys.modules |= aliases
-    try:
-        yield
-    finally:
-        for name in [name for name in sys.modules if _GYM.match(name)]:
-            del sys.modules[name]
-        sys.modules |= before
-
-
-def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
-    """Read a zip without constructing the algorithm; returns its data and the network."""
+def _load_zip(content: bytes) -> tuple[dict[str, Any], Any]:
+    """Load a model by stable-baselines3; returns its data and its policy."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > max(MAX_UNPACKED_BYTES, len(content)):  # stable-baselines3 doesn't pack anything
         raise PolicyError(f"unpacks to {size / 1e6:,.0f} MB, too much for what it is")
     with require_extra("loading a stable-baselines3 zip", "train"):
-        from stable_baselines3.common.policies import ActorCriticPolicy  # noqa: PLC0415 - optional
         from stable_baselines3.common.save_util import load_from_zip_file  # noqa: PLC0415
-    with warnings.catch_warnings(), _alias_gym():
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about objects that can't be unpickled and aren't needed
-        file = io.BytesIO(content)
-        found, weights, _ = load_from_zip_file(file, device="cpu", custom_objects=_UNUSED)
-    data: dict[str, Any] = found or {}
-    kind, options = data["policy_class"], dict(data["policy_kwargs"])
-    if not {base.__name__ for base in kind.__mro__} & POLICY_FAMILIES:
-        raise PolicyError(f"holds a {kind.__name__}, not one of {ZIP_ALGORITHMS}")
-    if issubclass(kind, ActorCriticPolicy):
-        options["use_sde"] = data["use_sde"]
-    spaces = data["observation_space"], data["action_space"]
-    if not isinstance(spaces[0], Box):
-        raise PolicyError(
-            f"made for observations that are {describe_space(spaces[0])}: a policy of this package "
-            "gets one row of numbers: train on the env without the wrapper that made them"
+        read, _, _ = load_from_zip_file(
+            io.BytesIO(content), device="cpu", custom_objects=INFERENCE_OBJECTS
         )
-    network: BasePolicy = kind(*spaces, lambda _: 0.0, **options)
-    state: Any = weights["policy"]  # a dict of tensors
-    network.load_state_dict(state)
-    return data, network
+        data: dict[str, Any] = read or {}
+        bases = {base.__name__ for base in data["policy_class"].__mro__}
+        found = next((ALGORITHM_MODULES[name] for name in ALGORITHM_MODULES if name in bases), None)
+        if found is None:
+            raise PolicyError(
+                f"holds a {data['policy_class'].__name__}, not one of {ZIP_ALGORITHMS}"
+            )
+        if not isinstance(data["observation_space"], Box):
+            raise PolicyError(
+                f"made for observations that are {describe_space(data['observation_space'])}: a "
+                "policy of this package gets one row of numbers: train on the env without the "
+                "wrapper that made them"
+            )
+        with require_extra("loading a stable-baselines3 zip", "train"):
+            algorithm: type[BaseAlgorithm] = getattr(importlib.import_module(found[0]), found[1])
+        model = algorithm.load(io.BytesIO(content), device="cpu", custom_objects=INFERENCE_OBJECTS)
+    return data, model.policy

@@ -106,31 +106,17 @@ class CheckpointWriter(RolloutCallback):
     Args:
         folder: where to.
         run: id of the training.
-        batch: the robots that are trained on.
         scores: has the learning curve.
         seconds: time between two checkpoints [s].
-        state: what to restore before the first rollout; None for nothing.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        run: str,
-        batch: RobotVectorEnv,
-        scores: HeldOutEvaluation,
-        seconds: float,
-        state: TrainingState | None = None,
-    ) -> None:
+    def __init__(self, folder: Path, run: str, scores: HeldOutEvaluation, seconds: float) -> None:
         super().__init__()
         self._folder, self._run = folder, run
-        self._batch, self._scores = batch, scores
-        self._seconds, self._state = seconds, state
+        self._scores, self._seconds = scores, seconds
         self._due = self._written = 0.0
 
     def _on_training_start(self) -> None:
-        if self._state is not None:
-            checkpoints.restore_state(self._state, self.model, self._batch)
-        self._state = None
         self._due = time.monotonic() + self._seconds
         self._written = self.model.num_timesteps
 
@@ -142,11 +128,10 @@ class CheckpointWriter(RolloutCallback):
     def write_checkpoint(self) -> None:
         """Write a checkpoint, unless there is one of so many steps; only between two rollouts."""
         if self.model.num_timesteps > self._written:
-            scores = self._scores
-            state = checkpoints.take_state(
-                self._run, self.model, self._batch, scores.clock(), scores.rows
+            state = TrainingState(
+                self._run, self.model.num_timesteps, self._scores.clock(), self._scores.rows
             )
-            checkpoints.write_checkpoint(self._folder, self.model.save, state)
+            checkpoints.write_checkpoint(self._folder, self.model, state)
             self._written = self.model.num_timesteps
 
 

@@ -12,8 +12,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.tools.policies import ZipPolicy, sb3
 from acsar_gym.tools.policies.policy import format_error
-from acsar_gym.tools.training import recipes
-from acsar_gym.tools.training.held_out import Decide
+from acsar_gym.tools.training import checkpoints, recipes
+from acsar_gym.tools.training.checkpoints import TrainingState
+from acsar_gym.tools.training.held_out import FIRST_HELD_OUT_SEED, Decide
 from acsar_gym.tools.training.plan import TrainingPlan
 from acsar_gym.vector.env import RobotVectorEnv
 
@@ -58,27 +59,36 @@ def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
 
 
 def load_model(
-    plan: TrainingPlan, env: RobotVectorEnv, saved: ZipPolicy, *, go_on: bool = False
+    plan: TrainingPlan, env: RobotVectorEnv, saved: ZipPolicy, state: TrainingState | None
 ) -> BaseAlgorithm:
     """Load a model, with the hyperparameters that it was saved with.
 
-    Robots are reset, unless their state will be restored (`go_on`), too.
+    Args:
+        plan: of the training.
+        env: the robots to train on.
+        saved: the model's zip.
+        state: of the checkpoint that the training goes on from, whose next episodes are others than
+            those that it began with; None for a new training.
 
     Raises:
         PolicyError: it was made for another observation, or by another algorithm.
     """
     saved.check(env.task, env.sensors)
-    found = recipes.policy_algorithm(saved.network)
-    if found != plan.algorithm.name:
-        wanted, is_of = plan.algorithm, found or "an algorithm that train doesn't know"
+    name = recipes.policy_algorithm(saved.network)
+    if name != plan.algorithm.name:
+        wanted, is_of = plan.algorithm, name or "an algorithm that train doesn't know"
         raise PolicyError(
             f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
             f"{wanted.kind}'s models can be trained on"
         )
     batch = plan.recipe.wrap_batch(sb3.BatchVecEnv(env))
-    return plan.algorithm.load().load(
-        saved.path, batch, force_reset=not go_on, **_common_arguments(plan)
-    )
+    arguments = _common_arguments(plan)
+    if state is not None:
+        arguments["seed"] = (plan.options.seed + state.steps) % FIRST_HELD_OUT_SEED
+    model = plan.algorithm.load().load(saved.path, batch, **arguments)
+    if state is not None:
+        checkpoints.load_beside(saved.path.parent, model)
+    return model
 
 
 def _common_arguments(plan: TrainingPlan) -> dict[str, Any]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
-import threading
-import time
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -49,8 +46,6 @@ FEW_UPDATES = 30
 """Fewer updates of the policy are hardly enough to learn anything."""
 PROBE_TIME = 0.25
 """Duration of the measurement of free cores [s]."""
-_BLOCK = bytes(1 << 18)
-"""Data that a measuring thread hashes in one call, which takes 0.2 ms without the GIL."""
 
 
 class TrainingOptions(Section):
@@ -285,32 +280,7 @@ def wait_passively() -> None:
 
 def measure_free_cores() -> int:
     """Measure how many cores other programs leave free, at least 1; takes PROBE_TIME seconds."""
-    count = usable_cores()
-    if count == 1:
-        return 1
-    spent = [0.0] * count
-    begin = time.perf_counter()
-
-    def hash_blocks(number: int) -> None:
-        while time.perf_counter() - begin < PROBE_TIME:
-            hashlib.sha256(_BLOCK)
-        spent[number] = time.thread_time()
-
-    workers = [threading.Thread(target=hash_blocks, args=(number,)) for number in range(count)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
-    return compute_free_cores(count, sum(spent) / (count * (time.perf_counter() - begin)))
-
-
-def compute_free_cores(count: int, share: float) -> int:
-    """Compute the number of free cores from a measurement.
-
-    With k busy threads of other programs, n threads on n cores get a share n / (n + k) each.
-
-    Returns:
-        Number of free cores, 1 to `count`.
-    """
-    others = count / max(share, 1e-3) - count
-    return max(1, min(count, round(count - others)))
+    with require_extra("training", "train"):
+        import psutil  # noqa: PLC0415 - optional
+    idle = psutil.cpu_times_percent(interval=PROBE_TIME).idle / 100.0
+    return max(1, min(usable_cores(), round(idle * (psutil.cpu_count() or 1))))

@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -183,17 +183,14 @@ def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path,
 
 
 def describe_training(
-    model: BaseAlgorithm,
-    commands: Sequence[Sequence[str]],
-    hyperparameters: Mapping[str, Any],
-    seconds: float,
+    model: BaseAlgorithm, plan: TrainingPlan, commands: Sequence[Sequence[str]], seconds: float
 ) -> TrainingSummary:
     """Describe a training that has just ended, for the bundle of its policy."""
     return TrainingSummary(
         algorithm=type(model).__name__,
-        hyperparameters=to_plain_json(dict(hyperparameters)),
+        hyperparameters=to_plain_json(plan.recipe.as_dict()),
         steps=model.num_timesteps,
-        seed=model.seed,
+        seed=plan.options.seed,
         command="; ".join(map(shlex.join, commands))[:2_000],
         versions=provenance.library_versions(*RECORDED_LIBRARIES),
         revision=git_revision() or "",
@@ -225,18 +222,19 @@ def find_start(options: TrainingOptions) -> TrainingStart:
     found = checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER)
     if not found:
         raise ConfigError(f"{folder}: has no checkpoint yet: train anew, in another folder")
-    *older, newest = found
-    try:
-        state = checkpoints.read_state(newest)
-    except ConfigError as error:
-        instead = f": delete it to go on from {older[-1]}" if older else ""
-        raise ConfigError(f"{error}{instead}") from error
-    for path in found:
-        if not (run := checkpoints.read_run(path)) or run != recorded.get("id"):
+    states = []
+    for number, path in enumerate(found):
+        try:
+            states.append(checkpoints.read_state(path))
+        except ConfigError as error:
+            instead = f": delete it to go on from {found[number - 1]}" if number else ""
+            raise ConfigError(f"{error}{instead}") from error
+        if states[-1].run != recorded.get("id"):
             raise ConfigError(
                 f"{path}: isn't of the training of {folder / CONFIG_FILE}: move it elsewhere, or "
                 f"begin a new training with it: --resume {path} --trust --out FOLDER"
             )
+    newest, state = found[-1], states[-1]
     saved = ZipPolicy(newest, trust=options.trust)
     whole = recorded.get("finished") and all((folder / name).exists() for name in RESULT_FILES)
     if whole and merged.steps is not None and state.steps >= merged.steps:

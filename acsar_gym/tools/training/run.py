@@ -62,7 +62,7 @@ def train(options: TrainingOptions) -> int:
         if saved is None:
             model = models.make_model(plan, env)
         else:
-            model = models.load_model(plan, env, saved, go_on=state is not None)
+            model = models.load_model(plan, env, saved, state)
 
         describe = partial(
             describe_policy,
@@ -88,31 +88,22 @@ def train(options: TrainingOptions) -> int:
             keeper = callbacks.CheckpointWriter(
                 plan.out / CHECKPOINTS_FOLDER,
                 content[record.RUN_KEY]["id"],
-                env,
                 scores,
                 plan.options.checkpoint_seconds,
-                state,
             )
             _learn(plan, state, keeper, model, scores, stop)
             if stop.number is None:
-                score = scores.finish()
+                scores.finish()
             else:
                 print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
-            training = record.describe_training(
-                model, content[record.RUN_KEY]["commands"], plan.recipe.as_dict(), scores.clock()
-            )
+            commands = content[record.RUN_KEY]["commands"]
+            training = record.describe_training(model, plan, commands, scores.clock())
             metrics = {} if scores.score is None else {"held_out": asdict(scores.score)}
             bundle = describe(training=training, metrics=metrics)
             policy, zipped = record.save_results(model, bundle, plan.out)
             print(escape_unprintable(f"written: {policy} (to drive with), {zipped} (to train on)"))
             if stop.number is None:
-                wins = round(score.success_rate * score.episodes)
-                said = f"{wins} of {score.episodes} episodes ({score.success_rate:.1%})"
-                if plan.options.target is not None:
-                    how = "reached" if scores.reached else "not reached"
-                    at = f"{int(scores.rows[-1]['steps']):,} steps"
-                    said += f"; target of {plan.options.target:.1%} {how} at {at}"
-                print(f"{scores.name}: {said}")
+                print(describe_score(plan, scores))
                 own = "" if plan.env_id.startswith("acsar_gym/") else f" --env {plan.env_id}"
                 alone = plan.options.robot and len(env.fleet) == 1
                 robot = f" --robot {plan.options.robot}" if alone else ""
@@ -131,6 +122,20 @@ def train(options: TrainingOptions) -> int:
                 episodes=apart.num_envs,
             )
         return stop.exit_code
+
+
+def describe_score(plan: TrainingPlan, scores: HeldOutEvaluation) -> str:
+    """Say how good the policy is, and whether a target was reached."""
+    score = scores.score
+    if score is None:
+        return ""
+    wins = round(score.success_rate * score.episodes)
+    said = f"{scores.name}: {wins} of {score.episodes} episodes ({score.success_rate:.1%})"
+    if plan.options.target is None:
+        return said
+    how = "reached" if scores.reached else "not reached"
+    at = f"{int(scores.rows[-1]['steps']):,} steps"
+    return f"{said}; target of {plan.options.target:.1%} {how} at {at}"
 
 
 def _begin(
@@ -168,8 +173,7 @@ def _learn(
     steps = plan.recipe.steps
     if state is not None:
         steps -= state.steps
-        how = "" if state.exact else ", with new episodes: the task is in Python"
-        print(f"going on at {state.steps:,} steps{how}", flush=True)
+        print(f"going on at {state.steps:,} steps, with new episodes", flush=True)
     try:
         with contextlib.suppress(callbacks.TargetReached):
             anew = plan.options.resume is None

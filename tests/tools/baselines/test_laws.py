@@ -1,117 +1,160 @@
-"""Baselines without a map: laws to a point, trackers of a path, random actions, and gaps."""
+"""Baselines by name, where they can't drive, and the laws without a map."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from baseline_tools import CONFIG, equipped, goal_seen, path_seen
 
+from acsar_gym import RobotConfig
+from acsar_gym.errors import PolicyError
 from acsar_gym.tasks.task import Floats
-from acsar_gym.tools.baselines.follow_gap import choose_course
-from acsar_gym.tools.baselines.goal_laws import curvature_to
+from acsar_gym.tools import baselines
+from acsar_gym.tools.baselines import BaselinePolicy
+from acsar_gym.tools.baselines.base import RobotUnits, find_constants, read_constants
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
-TO_A_GOAL = ("turn_drive", "smooth")
-TRACKERS = ("pure_pursuit", "stanley")
+CONFIG = RobotConfig.preset("acsar")
+JACKAL = RobotConfig.preset("jackal")
 AHEAD = np.column_stack([0.25 * np.arange(1, 5), np.zeros(4)])
 
 
-def arc(radius: float) -> Floats:
-    """(4, 2): points of a circle to the left that begins at the origin, 0.25 m apart [m]."""
-    turned = 0.25 * np.arange(1, 5) / radius
-    points: Floats = radius * np.column_stack([np.sin(turned), 1.0 - np.cos(turned)])
-    return points
+def equipped(name: str) -> BaselinePolicy:
+    """A baseline for the default robot, at 10 Hz."""
+    policy = baselines.load_baseline(name, "acsar_gym/ObstacleGoal-v1")
+    policy.equip(PolicyContext(CONFIG, "a task", 0.1, 0.3, {}, 10.0, None))
+    return policy
 
 
-@pytest.mark.parametrize("name", TO_A_GOAL)
-def test_a_goal_ahead_is_driven_to_at_full_speed(name: str) -> None:
-    assert equipped(name).act(goal_seen(2.0, 0.0)) == pytest.approx((CONFIG.max_linear, 0.0))
+def path_seen(
+    points: Floats, cross_track: float = 0.0, heading_error: float = 0.0
+) -> DecodedObservation:
+    """What a robot at 0.5 m/s sees of a path whose points ahead are (4, 2) [m]."""
+    return DecodedObservation(
+        linear=0.5,
+        angular=0.0,
+        cross_track=cross_track,
+        heading_error=heading_error,
+        remaining=3.0,
+        points=points,
+    )
 
 
-@pytest.mark.parametrize("name", TO_A_GOAL)
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_goal_behind_is_turned_to(name: str, side: float) -> None:
-    linear, angular = equipped(name).act(goal_seen(-0.3, side * 0.01))
-    assert linear < 0.05
-    assert angular * side > 0.1
+@pytest.mark.parametrize(
+    ("bearing", "wanted"),
+    [(0.0, (0.5, 0.0)), (0.2, (0.5, 0.5)), (3.0, (0.0, 7.5)), (-3.0, (0.0, -7.5))],
+)
+def test_a_goal_is_turned_to_then_driven_to(bearing: float, wanted: tuple[float, float]) -> None:
+    seen = DecodedObservation(linear=0.0, angular=0.0, distance=2.0, bearing=bearing)
+    assert equipped("turn_drive").act(seen) == pytest.approx(wanted)
 
 
-def test_the_smooth_law_has_the_papers_curvature() -> None:
-    """With theta = 0: -(k2 delta + (1 + k1) sin delta) / r for k1 = 1, k2 = 3."""
-    wanted = (3.0 * 0.4 + 2.0 * math.sin(0.4)) / 2.0
-    assert curvature_to(2.0, 0.4) == pytest.approx(wanted)
-
-
-@pytest.mark.parametrize("name", TRACKERS)
-def test_a_straight_path_is_followed_straight(name: str) -> None:
-    linear, angular = equipped(name).act(path_seen(AHEAD))
-    assert (linear, angular) == pytest.approx((CONFIG.max_linear, 0.0))
-
-
-@pytest.mark.parametrize("name", TRACKERS)
-def test_beside_a_path_it_steers_back(name: str) -> None:
-    linear, angular = equipped(name).act(path_seen(AHEAD - (0.0, 0.1), cross_track=0.1))
+def test_a_straight_path_is_followed_straight_and_steered_back_to() -> None:
+    policy = equipped("pure_pursuit")
+    assert policy.act(path_seen(AHEAD)) == pytest.approx((CONFIG.max_linear, 0.0))
+    linear, angular = policy.act(path_seen(AHEAD - (0.0, 0.1), cross_track=0.1))
     assert linear > 0.0
     assert angular < -0.1
 
 
 def test_pure_pursuit_drives_the_arc_that_the_path_is() -> None:
     """But for the straight pieces between the observed points, which lie within the circle."""
-    linear, angular = equipped("pure_pursuit").act(path_seen(arc(1.0)))
+    turned = 0.25 * np.arange(1, 5)
+    points = np.column_stack([np.sin(turned), 1.0 - np.cos(turned)])
+    linear, angular = equipped("pure_pursuit").act(path_seen(points))
     assert angular / linear == pytest.approx(1.0, rel=0.15)
 
 
-def test_stanleys_front_axle_is_on_the_arc() -> None:
-    linear, angular = equipped("stanley").act(path_seen(arc(1.0)))
-    assert angular / linear == pytest.approx(1.0, rel=0.35)
-
-
-@pytest.mark.parametrize("name", TRACKERS)
-def test_a_path_that_leads_back_is_turned_to(name: str) -> None:
-    linear, angular = equipped(name).act(path_seen(-AHEAD + (0.0, 0.05), 0.05, -math.pi + 0.2))
+def test_a_path_that_leads_back_is_turned_to() -> None:
+    seen = path_seen(-AHEAD + (0.0, 0.05), 0.05, -math.pi + 0.2)
+    linear, angular = equipped("pure_pursuit").act(seen)
     assert linear == 0.0
     assert abs(angular) == CONFIG.max_angular
 
 
-def test_random_actions_fill_the_action_space() -> None:
-    policy = equipped("random")
-    drawn = np.array([policy.act(goal_seen(1.0, 0.0)) for _ in range(1000)])
-    top = np.array([CONFIG.max_linear, CONFIG.max_angular])
-    assert (np.abs(drawn) <= top).all()
-    assert drawn.min(axis=0) == pytest.approx(-top, rel=0.05)
-    assert drawn.max(axis=0) == pytest.approx(top, rel=0.05)
+def test_a_baseline_is_evaluated_by_its_name() -> None:
+    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
+    run = runs.evaluate_policy(policy, "planar", None, range(3))
+    assert run.summary.success_rate == 1.0
+    assert run.header["policy"]["file"] == "turn_drive"
+    assert len(run.header["policy"]["sha256"]) == 64
 
 
-RADIUS, REACH, WEIGHT = 0.28, 1.5, 0.35
+@pytest.mark.parametrize(
+    ("name", "env", "said"),
+    [
+        ("nosuch", "", "come along: barn.*baselines: turn_drive, pure_pursuit, navfn, dwa"),
+        ("dwa", "", "--policy dwa --env obstacle_goal"),
+        ("navfn", "point_goal", "needs a LiDAR"),
+        ("pure_pursuit", "point_goal", "needs a path"),
+        ("turn_drive", "path_follow", "needs a goal"),
+    ],
+)
+def test_what_it_cant_drive_is_told(name: str, env: str, said: str) -> None:
+    with pytest.raises(PolicyError, match=said):
+        policy = runs.load_policy(name, trust=False, env=env)
+        runs.evaluate_policy(policy, "planar", None, range(1))
 
 
-def ring(*openings: tuple[float, float]) -> Floats:
-    """Points around the robot, 1 m away, except within (centre, half width) [rad]."""
-    angles = np.linspace(-math.pi, math.pi, 120, endpoint=False)
-    for centre, half in openings:
-        angles = angles[np.abs(angles - centre) > half]
-    points: Floats = np.column_stack([np.cos(angles), np.sin(angles)])
-    return points
+def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert baselines.is_baseline("dwa")
+    Path("dwa").write_text("not a policy")
+    with pytest.raises(PolicyError, match="dwa"):
+        runs.load_policy("dwa", trust=False, env="point_goal")
 
 
-@pytest.mark.parametrize(("bearing", "wanted"), [(0.2, 1.0), (-0.2, -1.5)])
-def test_the_gap_nearest_to_the_goal_is_taken(bearing: float, wanted: float) -> None:
-    """Its centre is 1.0 or -1.5 rad; the course lies between it and the goal."""
-    points = ring((1.0, 0.5), (-1.5, 1.2))
-    course, nearest = choose_course(points, RADIUS, bearing, REACH, WEIGHT)
-    assert nearest == pytest.approx(1.0)
-    assert min(bearing, wanted) < course < max(bearing, wanted)
+@pytest.mark.parametrize("name", list(baselines.BASELINES))
+def test_every_name_has_a_class_of_that_name(name: str) -> None:
+    assert baselines.load_baseline(name, "acsar_gym/Barn-v1").name == name
 
 
-def test_a_gap_that_is_too_narrow_is_none_and_an_open_floor_is_one() -> None:
-    points = ring((0.0, 0.2), (2.0, 0.8))
-    course, _ = choose_course(points, RADIUS, 0.0, REACH, WEIGHT)
-    assert course > 0.3
-    assert choose_course(np.zeros((0, 2)), RADIUS, 0.7, REACH, WEIGHT) == (0.7, math.inf)
+def test_actions_are_within_the_action_space() -> None:
+    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
+    env = runs.make_env(policy, "planar", None, {})
+    observation, _ = env.reset(seed=0, options={"goal": (-1.0, 0.1)})
+    action = policy(observation)
+    assert env.action_space.contains(action)
+    assert action.tolist() == [0.0, 1.0]
+    assert action.dtype == np.float32
+    env.close()
 
 
-def test_it_turns_away_from_a_wall_ahead() -> None:
-    linear, angular = equipped("follow_gap").act(goal_seen(3.0, 0.1, walls=((0.0, 0.5),)))
-    assert linear < CONFIG.max_linear
-    assert abs(angular) > 0.5
+@pytest.mark.parametrize(
+    ("env_id", "robot", "share"),
+    [
+        ("acsar_gym/Barn-v1", JACKAL, 0.924),
+        ("acsar_gym:acsar_gym/Barn-v7", JACKAL.with_(body={"mass": 30.0}), 0.924),
+        ("acsar_gym/Barn-v1", JACKAL.with_(max_linear=1.0), None),
+        ("acsar_gym/Barn-v1", CONFIG, None),
+        ("mine/Task-v0", JACKAL, None),
+    ],
+)
+def test_what_was_found_is_for_one_id_and_robots_of_one_shape_and_speed(
+    env_id: str, robot: RobotConfig, share: float | None
+) -> None:
+    assert find_constants("navfn", env_id, robot).get("turn_share") == share
+
+
+@pytest.mark.parametrize("name", list(read_constants()))
+def test_every_entry_is_of_known_constants_and_presets(name: str) -> None:
+    kind = baselines.load_baseline(name, "x/Y-v0").constants_type
+    assert kind is not None
+    for robots in read_constants()[name].values():
+        for robot, constants in robots.items():
+            assert RobotConfig.preset(robot)
+            assert kind(**constants) != kind()
+
+
+def test_units_are_those_of_the_robot() -> None:
+    """The Jackal's command limits allow 20 m/s^2, its wheels 60 rad/s^2 of 9.8 cm."""
+    jackal = RobotUnits.of(JACKAL, 0.1)
+    assert jackal.radius == pytest.approx(math.hypot(0.254, 0.215))
+    assert (jackal.speed, jackal.turning) == (2.0, 4.0)
+    assert jackal.acceleration == jackal.braking == pytest.approx(5.88)
+    assert jackal.spin == pytest.approx(2.0 * 5.88 / (0.37559 * 1.5))
+    slow = RobotUnits.of(CONFIG, 0.1)
+    assert (slow.acceleration, slow.braking) == (2.0, 3.0)

@@ -12,22 +12,6 @@ from acsar_gym.vector.env import usable_cores
 
 
 @pytest.mark.parametrize(
-    ("cores", "share", "free"),
-    [
-        (2, 1.0, 2),
-        (2, 0.95, 2),
-        (2, 2 / 3, 1),  # one busy program beside two threads
-        (2, 0.5, 1),
-        (2, 0.0, 1),
-        (8, 8 / 11, 5),
-        (8, 1.01, 8),
-    ],
-)
-def test_threads_that_would_share_a_core_are_left_out(cores: int, share: float, free: int) -> None:
-    assert plan.compute_free_cores(cores, share) == free
-
-
-@pytest.mark.parametrize(
     ("options", "said"),
     [
         (

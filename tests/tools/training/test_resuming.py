@@ -1,16 +1,16 @@
-"""Trainings that go on: after SIGKILL with the same curve, or refused in one line."""
+"""Trainings that go on: after SIGKILL at the last checkpoint, or refused in one line."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
 import gc
+import pickle
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from disk_tools import full_disk
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.training import checkpoints, record, seeds
 from acsar_gym.tools.training.checkpoints import TrainingState
 from acsar_gym.tools.training.plan import TrainingPlan
@@ -39,13 +40,6 @@ def curve(folder: Path) -> list[dict[str, str]]:
         return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
 
 
-def weights(folder: Path) -> list[bytes]:
-    from stable_baselines3.common.save_util import load_from_zip_file
-
-    _, params, _ = load_from_zip_file(folder / "model.zip", device="cpu")
-    return [tensor.numpy().tobytes() for tensor in params["policy"].values()]
-
-
 def killed(arguments: list[str], out: Path) -> None:
     """A training that was killed once it had written a checkpoint."""
     command = [sys.executable, str(AGENTS / "train.py"), *arguments, "--out", str(out)]
@@ -59,32 +53,40 @@ def killed(arguments: list[str], out: Path) -> None:
     assert not (out / "model.zip").exists()
 
 
-def test_a_killed_training_goes_on_with_the_same_curve(tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    arguments = [*TINY, "--steps", str(STEPS), "--seed", "7", "--learning-rate", "0.003"]
-    killed(arguments, cut)
-    assert seeds.main([*arguments, "--out", str(whole)]) == 0
-    before = checkpoints.read_state(checkpoints.find_checkpoints(cut / "checkpoints")[-1])
+@pytest.mark.parametrize(
+    "algo",
+    ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "tqc", "ppo_lstm"))],
+)
+def test_a_killed_training_goes_on_at_its_last_checkpoint(algo: str, tmp_path: Path) -> None:
+    arguments = [*TINY, "--steps", str(STEPS), "--seed", "7", "--algo", algo]
+    killed([*arguments, "--learning-rate", "0.003"], tmp_path)
+    newest = checkpoints.find_checkpoints(tmp_path / "checkpoints")[-1]
+    before, begun = checkpoints.read_state(newest), curve(tmp_path)
     assert 0 < before.steps < STEPS
-    assert seeds.main(["--resume", str(cut), "--trust"]) == 0
-    assert curve(cut) == curve(whole)
-    assert weights(cut) == weights(whole)
-    told = yaml.safe_load((cut / "config.yml").read_text())
+    assert seeds.main(["--resume", str(tmp_path), "--trust"]) == 0
+    assert curve(tmp_path)[: len(begun)] == begun
+    told = yaml.safe_load((tmp_path / "config.yml").read_text())
     assert told["acsar_gym/PointGoal-v0"]["learning_rate"] == 0.003
     assert (told["run"]["steps"], len(told["run"]["commands"])) == (STEPS, 2)
     assert told["run"]["seconds"] > before.seconds
+    bundle = OnnxPolicy(tmp_path / "policy.onnx").bundle
+    assert bundle.training is not None
+    assert bundle.training.seed == 7
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("algo", ["sac", "tqc", "ppo_lstm"])
-def test_the_other_algorithms_go_on_with_the_same_curve_too(algo: str, tmp_path: Path) -> None:
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    arguments = [*TINY, "--steps", "3000", "--seed", "7", "--algo", algo]
-    killed(arguments, cut)
-    assert seeds.main([*arguments, "--out", str(whole)]) == 0
-    assert seeds.main(["--resume", str(cut), "--trust"]) == 0
-    assert curve(cut) == curve(whole)
-    assert weights(cut) == weights(whole)
+def test_rewards_are_normalized_as_before(tmp_path: Path) -> None:
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    recipe, out = tmp_path / "mine.yml", tmp_path / "out"
+    given = {"n_timesteps": 512, "n_steps": 32, "batch_size": 64, "normalize": True}
+    recipe.write_text(yaml.safe_dump({"default": given}))
+    assert seeds.main([*TINY, "--conf-file", str(recipe), "--out", str(out)]) == 0
+    file = out / "checkpoints" / "vecnormalize.pkl"
+    before = pickle.loads(file.read_bytes())  # noqa: S301 - of this test
+    assert isinstance(before, VecNormalize)
+    assert seeds.main(["--resume", str(out), "--trust", "--steps", "768"]) == 0
+    after = pickle.loads(file.read_bytes())  # noqa: S301
+    assert after.ret_rms.count == pytest.approx(before.ret_rms.count + 256)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +139,7 @@ def test_more_steps_go_on_in_the_same_folder(
     finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert seeds.main(["--resume", str(finished), "--trust", "--steps", "512"]) == 0
-    assert "going on at 256 steps\n" in capsys.readouterr().out
+    assert "going on at 256 steps, with new episodes\n" in capsys.readouterr().out
     assert [path.name for path in checkpoints.find_checkpoints(finished / "checkpoints")] == [
         "rl_model_256_steps.zip",
         "rl_model_512_steps.zip",
@@ -183,9 +185,9 @@ def test_a_full_disk_leaves_the_last_checkpoint(
 ) -> None:
     write, folder = checkpoints.write_checkpoint, tmp_path / "checkpoints"
 
-    def write_until_full(to: Path, save: Callable[[Path], object], state: TrainingState) -> Path:
+    def write_until_full(to: Path, model: Any, state: TrainingState) -> Path:
         with full_disk(1000) if state.steps == 512 else contextlib.nullcontext():
-            return write(to, save, state)
+            return write(to, model, state)
 
     monkeypatch.setattr(checkpoints, "write_checkpoint", write_until_full)
     with pytest.raises(AcsarError) as error:
@@ -198,19 +200,3 @@ def test_a_full_disk_leaves_the_last_checkpoint(
     assert "\n" not in said
     assert [path.name for path in folder.iterdir()] == ["rl_model_256_steps.zip"]
     assert checkpoints.read_state(folder / "rl_model_256_steps.zip").steps == 256
-
-
-def test_old_checkpoints_are_removed(tmp_path: Path) -> None:
-    import zipfile
-
-    def save(path: Path) -> None:
-        with zipfile.ZipFile(path, "w") as archive:
-            archive.writestr("data", "{}")
-
-    for steps in (8, 16, 100):
-        checkpoints.write_checkpoint(
-            tmp_path, save, TrainingState("a", steps, 1.5, [], {"a": [1]}, {})
-        )
-    assert [
-        checkpoints.read_state(path).steps for path in checkpoints.find_checkpoints(tmp_path)
-    ] == [16, 100]

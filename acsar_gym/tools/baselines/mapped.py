@@ -1,0 +1,149 @@
+"""What the planners share: the robot's map, what is around, and the clearance of the footprint."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+
+import numpy as np
+
+from acsar_gym.errors import PolicyError
+from acsar_gym.jit import loop
+from acsar_gym.lidar.scan import ray_spec
+from acsar_gym.sensors.map.seen import CELLS, LAST_CELL
+from acsar_gym.sensors.map.sensor import MapSensor
+from acsar_gym.tasks.task import Floats
+from acsar_gym.tools.baselines.base import BaselinePolicy
+from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import is_inside
+
+Pose = tuple[float, float, float]
+"""x [m], y [m], theta [rad] in the odometry frame."""
+
+
+@loop
+def polygon_distance(x: float, y: float, sides: Floats) -> float:
+    """Distance of a point from a polygon, (sides, 4); 0 inside [m]."""
+    best = np.inf
+    for n in range(len(sides)):
+        ax, ay = sides[n, 0], sides[n, 1]
+        ex, ey = sides[n, 2] - ax, sides[n, 3] - ay
+        share = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        share = min(max(share, 0.0), 1.0)
+        dx, dy = x - ax - share * ex, y - ay - share * ey
+        best = min(best, dx * dx + dy * dy)
+    return 0.0 if is_inside(x, y, sides) else math.sqrt(best)
+
+
+@loop
+def points_clearance(
+    x: float, y: float, theta: float, points: Floats, sides: Floats, outer: float, most: float
+) -> float:
+    """Distance of the footprint at a pose from the nearest point.
+
+    Args:
+        x: of the pose [m].
+        y: of the pose [m].
+        theta: of the pose [rad].
+        points: (n, 2), in the same frame as the pose [m].
+        sides: of the footprint, (sides, 4), in the base frame [m].
+        outer: radius of the disc around the footprint [m].
+        most: farther points don't count [m].
+
+    Returns:
+        The distance, at most `most`; 0 where a point lies within the footprint [m].
+    """
+    cos, sin, best = math.cos(theta), math.sin(theta), most
+    for n in range(len(points)):
+        dx, dy = points[n, 0] - x, points[n, 1] - y
+        reach = outer + best
+        if dx * dx + dy * dy < reach * reach:
+            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
+            best = min(best, gap)
+    return best
+
+
+class MappedPolicy(BaselinePolicy):
+    """Drives along the way that the robot's map plans, around what the LiDAR sees and saw."""
+
+    needs = GOAL_NUMBERS
+    what = ("a goal", "obstacle_goal")
+    lidar = True
+
+    def equip(self, setting: PolicyContext) -> None:
+        """Prepare for a robot and a task.
+
+        Raises:
+            PolicyError: the robot has no map.
+        """
+        super().equip(setting)
+        if setting.map is None:
+            raise PolicyError(
+                f"{self.name}: needs a map, which {setting.task} doesn't observe: use --env "
+                "obstacle_goal, or another policy"
+            )
+        self.map: MapSensor = setting.map
+        corners = np.array(setting.config.outline)
+        self.sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
+        self.outer = self.units.radius
+        self._angles = ray_spec(setting.config).angles()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last command, and where things were met."""
+        self.sent = (0.0, 0.0)
+        self._places = np.full((CELLS, CELLS, 2), 1e6)  # newest of each cell, as the map has it
+
+    def act(self, seen: DecodedObservation) -> tuple[float, float]:
+        """Decide by the robot's map and its newest scan."""
+        self.sent = self.decide(self.map.pose, seen)
+        return self.sent
+
+    @abstractmethod
+    def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
+        """Choose the velocity command.
+
+        Args:
+            pose: by odometry.
+            seen: the observation.
+
+        Returns:
+            Linear [m/s] and angular velocity [rad/s].
+        """
+
+    def obstacles(self, pose: Pose, seen: DecodedObservation, reach: float) -> Floats:
+        """(n, 2): what is around the robot, in the odometry frame [m].
+
+        The newest scan, and the newest place of what was met in each cell of the map, as cells are
+        too coarse for a footprint that passes within centimetres.
+
+        Args:
+            pose: of the robot.
+            seen: the observation.
+            reach: half side of the square around the robot in which obstacles count [m].
+        """
+        config, (x, y, theta) = self.setting.config, pose
+        cos, sin = math.cos(theta), math.sin(theta)
+        origin = (
+            x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
+            y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
+        )
+        ranges = np.zeros(0) if seen.ranges is None else seen.ranges
+        along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
+        scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
+        i, j = (self.map.cells_of(scan) & LAST_CELL).T
+        self._places[i, j] = scan
+        cells = self.map.cells_met(reach)
+        i, j = (cells & LAST_CELL).T
+        places = self._places[i, j]
+        elsewhere = (self.map.cells_of(places) != cells).any(axis=1)
+        places[elsewhere] = self.map.centres_of(cells[elsewhere])
+        near = np.abs(scan - pose[:2]).max(axis=1) <= reach
+        return np.concatenate([scan[near], places])
+
+    def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
+        """The point that is so far along the way [m], in the base frame [m]."""
+        x, y = self.map.point_ahead(lookahead)
+        dx, dy = x - pose[0], y - pose[1]
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        return dx * cos + dy * sin, dy * cos - dx * sin
