@@ -157,26 +157,6 @@ def not_finite() -> bytes:
     return make.bytes()
 
 
-def shape_bomb() -> bytes:
-    """9 GB of zeros, made when a session is."""
-    make = Maker()
-    zeros = make.add("ConstantOfShape", make.weight([1, 2_250_000_000], np.int64))
-    total = make.add("ReduceSum", zeros, make.weight([1], np.int64), keepdims=1)
-    make.add("Add", make.dense("observation", 7, out="d"), total, out="action")
-    return make.bytes()
-
-
-def slow() -> bytes:
-    """Plain layers, but hours of them."""
-    make = Maker()
-    weights = make.weight(np.full((1000, 1000), 1e-4))
-    value = make.dense("observation", 7, 1000, out="row")
-    for _ in range(5_000):
-        value = make.add("MatMul", value, weights)
-    make.dense(value, 1000)
-    return make.bytes()
-
-
 def sizes_that_are_seen() -> bytes:
     """As many numbers as the observation says."""
     make = Maker()
@@ -184,32 +164,6 @@ def sizes_that_are_seen() -> bytes:
     count = make.add("Unsqueeze", make.add("Cast", first, to=7), make.weight([0], np.int64))
     zeros = make.add("ConstantOfShape", count)
     make.add("Add", make.dense("observation", 7, out="d"), make.add("Size", zeros), out="action")
-    return make.bytes()
-
-
-def endless_loop() -> bytes:
-    import onnx
-
-    helper = onnx.helper
-    body = helper.make_graph(
-        [
-            helper.make_node("Identity", ["go_on"], ["go_on_out"]),
-            helper.make_node("Identity", ["x"], ["x_out"]),
-        ],
-        "body",
-        [
-            helper.make_tensor_value_info("i", 7, []),
-            helper.make_tensor_value_info("go_on", 9, []),
-            helper.make_tensor_value_info("x", 1, None),
-        ],
-        [
-            helper.make_tensor_value_info("go_on_out", 9, []),
-            helper.make_tensor_value_info("x_out", 1, None),
-        ],
-    )
-    make = Maker()
-    looped = make.add("Loop", "", make.weight(True, np.bool_), "observation", body=body)
-    make.dense(looped, 7)
     return make.bytes()
 
 
@@ -236,28 +190,6 @@ def external_constant() -> bytes:
     make = Maker()
     make.add("MatMul", "observation", make.add("Constant", value=tensor), out="action")
     return make.bytes()
-
-
-def functions() -> bytes:
-    """Functions of the file's own, of which each calls the next one twice: a billion additions."""
-    import onnx
-
-    helper = onnx.helper
-    make = Maker()
-    make.domains.append(("mine", 1))
-    make.dense(make.add("f0", "observation", domain="mine"), 7)
-    model = make.model()
-    opsets = [helper.make_opsetid("", 20), helper.make_opsetid("mine", 1)]
-    for number in range(30):
-        if number < 29:
-            calls = [(["a"], ["c"]), (["c"], ["b"])]
-            nodes = [helper.make_node(f"f{number + 1}", *put, domain="mine") for put in calls]
-        else:
-            nodes = [helper.make_node("Add", ["a", "a"], ["b"])]
-        made = helper.make_function("mine", f"f{number}", ["a"], ["b"], nodes, opsets)
-        model.functions.append(made)
-    data: bytes = model.SerializeToString()
-    return data
 
 
 def random() -> bytes:
@@ -290,13 +222,9 @@ HOSTILE: tuple[Callable[[], bytes], ...] = (
     other_width,
     lies_about_its_output,
     not_finite,
-    shape_bomb,
-    slow,
     sizes_that_are_seen,
-    endless_loop,
     external_data,
     external_constant,
-    functions,
     random,
     weights_that_are_not_there,
     many_fields,

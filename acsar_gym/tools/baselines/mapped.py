@@ -91,6 +91,7 @@ class MappedPolicy(BaselinePolicy):
 
     def reset(self) -> None:
         """Forget the last command, and where things were met."""
+        super().reset()
         self.sent = (0.0, 0.0)
         self._places = np.full((CELLS, CELLS, 2), 1e6)  # newest of each cell, as the map has it
 

@@ -166,22 +166,7 @@ def describe_policy(
     width: int | None = None,
     robots: Mapping[str, Range] | None = None,
 ) -> Bundle:
-    """Describe a policy that was trained in an environment.
-
-    Args:
-        env: the environment, one robot or a batch, with the arguments of the training.
-        env_id: its id, such as "acsar_gym/PointGoal-v0" or "point_goal".
-        randomization: what the training randomized; None where that isn't known.
-        training: how it was trained; None where that isn't known.
-        metrics: figures of the policy by occasion; NaN becomes null.
-        state: the states of a recurrent policy.
-        width: how many numbers of an observation the policy takes, the first ones; None for all.
-        robots: least and largest number of the robots that it is for by name, see `robot_number`;
-            None for those of a batch whose robots differ, or the env's robot alone.
-
-    Raises:
-        PolicyError: something of it can't be written in a bundle.
-    """
+    """Describe a policy that was trained in an environment."""
     config, spec, task = robot_config(env), env.spec, env.task
     options: Any = dataclasses.fields(task) if dataclasses.is_dataclass(task) else ()
     ranges, sensors = None, take_sensors(task, env.sensors, width)
@@ -219,16 +204,7 @@ def describe_policy(
 
 
 def take_sensors(task: Task, sensors: Sequence[Sensor], width: int | None) -> Sequence[Sensor]:
-    """The sensors whose numbers a policy takes.
-
-    Args:
-        task: of the env.
-        sensors: of the env, in the order of the observation.
-        width: how many numbers of an observation the policy takes, the first ones; None for all.
-
-    Raises:
-        PolicyError: it takes some of a sensor's numbers, or more than there are.
-    """
+    """The sensors whose numbers a policy takes."""
     ends = list(itertools.accumulate((s.size for s in sensors), initial=len(task.observation)))
     if width is None:
         return sensors
@@ -294,18 +270,7 @@ def check_bundle(
     config: RobotConfig | None = None,
     rate: float | None = None,
 ) -> None:
-    """Check that a policy can drive in an env.
-
-    Args:
-        bundle: of the policy.
-        task: of the env.
-        sensors: of the env, in the order of the observation.
-        config: of the robot; None to skip what only it tells.
-        rate: policy steps per second of the env [Hz]; None to skip it.
-
-    Raises:
-        PolicyError: names the first field that doesn't match; the message doesn't name the file.
-    """
+    """Check that a policy can drive in an env."""
 
     def require(equal: bool, name: str, said: str, wanted: str, where: str) -> None:
         if not equal:
@@ -353,16 +318,8 @@ def _quote(text: str) -> str:
 def robot_number(config: RobotConfig, name: str) -> Value:
     """Return a number of a robot.
 
-    Args:
-        config: of the robot.
-        name: of OUTLINE_NUMBERS or ROBOT_FIELDS, or a field of the config, dotted where it is in a
-            section, such as "body.length".
-
     Returns:
         The number, one for each wheel, or None where the robot has none.
-
-    Raises:
-        PolicyError: a robot has no number of this name.
     """
     if name in OUTLINE_NUMBERS:
         return OUTLINE_NUMBERS[name](config)
@@ -396,15 +353,7 @@ def _extent(config: RobotConfig, axis: int) -> float:
 
 
 def robots_outside(bundle: Bundle, config: RobotConfig) -> list[str]:
-    """Say where a robot lies outside of those that a policy was trained on, a line for each number.
-
-    Args:
-        bundle: of the policy.
-        config: of the robot.
-
-    Raises:
-        PolicyError: the bundle names a number that no robot has.
-    """
+    """Say where a robot lies outside of those of the training, a line for each number."""
     lines = []
     for name, (low, high) in bundle.robots.items():
         value = robot_number(config, name)
@@ -419,13 +368,7 @@ def robots_outside(bundle: Bundle, config: RobotConfig) -> list[str]:
 
 
 def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotConfig) -> list[str]:
-    """Say how a robot differs from those of the training, one line for each field.
-
-    Args:
-        bundle: of the policy, which `check_bundle` has accepted.
-        sensors: of the env.
-        config: of the robot.
-    """
+    """Say how a robot differs from those of the training, one line for each field."""
     own = robot_values(config, sensors) | {"rates.control": config.control_rate}
     file = bundle.robot.values | {"rates.control": bundle.rates.control}
     lines = []
@@ -458,13 +401,7 @@ def robot_differences(bundle: Bundle, sensors: Sequence[Sensor], config: RobotCo
 def trained_range(
     field: RobotField, values: Sequence[float], ranges: Mapping[str, Sequence[float]]
 ) -> Range:
-    """Return the least and the largest number that a value had in the training.
-
-    Args:
-        field: says how the randomization changes it.
-        values: of the robot of the training: one, or one for each wheel.
-        ranges: of the randomization, by name.
-    """
+    """Return the least and the largest number that a value had in the training."""
     base = ranges.get(field.replaced, values)
     factors = ranges.get(field.factor, (1.0,))
     least, most = min(factors), max(factors)

@@ -23,16 +23,7 @@ with require_extra("writing an ONNX policy (torch, onnx, onnxscript)", "train"):
 
 
 class Normalizer(torch.nn.Module):
-    """Normalizes observations: (observation - mean) / std, clipped to [-clip, clip].
-
-    Args:
-        mean: a number, or shape (n,).
-        std: positive; a number, or shape (n,).
-        clip: positive; None for no clipping.
-
-    Raises:
-        PolicyError: for other values.
-    """
+    """Normalizes observations: (observation - mean) / std, clipped to [-clip, clip]."""
 
     def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None = None) -> None:
         super().__init__()
@@ -95,11 +86,7 @@ class _RecurrentModule(_PolicyModule):
 
 
 def make_normalizer(given: Any) -> torch.nn.Module | None:
-    """Convert the `normalizer` argument of `save` to a module.
-
-    Raises:
-        PolicyError: for anything else.
-    """
+    """Convert the `normalizer` argument of `save` to a module."""
     if given is None or isinstance(given, torch.nn.Module):
         return given
     if not isinstance(given, tuple | list) or len(given) not in (2, 3):
@@ -124,17 +111,6 @@ def write_network(
 
     The file maps `observation` (batch, n) to `action` (batch, 2) in float32. A recurrent one, with
     a batch of one, also maps each state of the bundle to the next one.
-
-    Args:
-        network: maps normalized observations (batch, n) to actions (batch, 2); a recurrent one
-            (observation, state, ...) to (action, next state, ...).
-        path: file to write; its folder is created.
-        bundle: what the policy was trained for and how; the normalizer is added to it.
-        normalizer: module that is applied to observations (batch, n) first; None for none.
-
-    Raises:
-        PolicyError: the network doesn't fit the env, its weights aren't finite, or they are more
-            than what is read.
     """
     weight = next(network.parameters(), torch.zeros(0))
     if normalizer is not None:

@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
+EXTERNAL_DATA = b"\n\x08location\x12"
+"""How protobuf writes the key of a tensor's place in another file."""
+
+
 class NetworkState(NamedTuple):
     """A state of a recurrent network: names of input and output, and the shape of both."""
 
@@ -92,6 +96,8 @@ def load_network(data: bytes) -> Network:
     """
     import onnxruntime  # noqa: PLC0415 - optional
 
+    if EXTERNAL_DATA in data:
+        raise PolicyError("has weights in another file: export it as one file")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL

@@ -34,15 +34,6 @@ class HeldOutEvaluation(RolloutCallback):
     Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
     eval/mean_length. A score that reaches the target raises TargetReached.
 
-    Args:
-        batch: robots to evaluate on.
-        steps: env steps of the training.
-        evaluations: largest number of evaluations during the training.
-        target: success rate at which the training ends; None for none.
-        clock: returns the time since the beginning of the training [s].
-        file: CSV that is written anew after every evaluation; None for none.
-        rows: the learning curve so far, where a training is resumed.
-
     Attributes:
         score: the newest score; None before the first one.
         reached: whether it has reached the target.
@@ -101,14 +92,7 @@ class HeldOutEvaluation(RolloutCallback):
 
 
 class CheckpointWriter(RolloutCallback):
-    """Writes a checkpoint between two rollouts, whenever some time has passed.
-
-    Args:
-        folder: where to.
-        run: id of the training.
-        scores: has the learning curve.
-        seconds: time between two checkpoints [s].
-    """
+    """Writes a checkpoint between two rollouts, whenever some time has passed."""
 
     def __init__(self, folder: Path, run: str, scores: HeldOutEvaluation, seconds: float) -> None:
         super().__init__()
@@ -159,11 +143,6 @@ class TrainingProgress(RolloutCallback):
     """Shows a progress bar with env steps per second and the newest held-out success rate.
 
     If the output isn't a terminal, it prints one line per evaluation instead.
-
-    Args:
-        steps: env steps of the training.
-        scores: the callback that evaluates.
-        before: steps of the model that aren't of this training; None for all at its beginning.
     """
 
     def __init__(self, steps: int, scores: HeldOutEvaluation, before: int | None = None) -> None:

@@ -99,11 +99,7 @@ def find_checkpoints(folder: Path) -> list[Path]:
 
 
 def read_state(path: Path) -> TrainingState:
-    """Read what a checkpoint says of its training; runs no code.
-
-    Raises:
-        ConfigError: it can't be read, or doesn't say it.
-    """
+    """Read what a checkpoint says of its training; runs no code."""
     try:
         with zipfile.ZipFile(path) as archive:
             return TrainingState(**json.loads(archive.read("data"))[TRAINING_KEY])
@@ -114,11 +110,7 @@ def read_state(path: Path) -> TrainingState:
 
 @contextlib.contextmanager
 def explain_disk_errors(out: Path) -> Iterator[None]:
-    """Turn the errors of a full or broken disk into one line that says what there is.
-
-    Raises:
-        AcsarError: nothing more could be written into the folder.
-    """
+    """Turn the errors of a full or broken disk into one line that says what there is."""
     try:
         yield
     except (OSError, AcsarError) as error:

@@ -38,9 +38,6 @@ UNLOCKABLE_ERRNOS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
 def describe_content(folder: Path) -> str | None:
     """Say what a folder holds of a training; None where a new one may begin in it.
 
-    Args:
-        folder: may be missing.
-
     Returns:
         Words such as "a training", or the name of a file that a training would replace.
     """
@@ -59,11 +56,7 @@ def describe_content(folder: Path) -> str | None:
 
 
 def number_folders(default: Path) -> Iterator[Path]:
-    """Yield runs/demo, runs/demo-2, runs/demo-3 and so on.
-
-    Args:
-        default: the first one.
-    """
+    """Yield runs/demo, runs/demo-2, runs/demo-3 and so on."""
     yield default
     for number in itertools.count(2):
         yield default.with_name(f"{default.name}-{number}")
@@ -78,17 +71,8 @@ def find_free_folder(default: Path) -> Path:
 def claim_folder(folder: Path, *, resume: bool = False, numbered: bool = False) -> Iterator[Path]:
     """Make the folder of a training, and keep other trainings out of it until the block ends.
 
-    Args:
-        folder: of the training.
-        resume: whether the training in it goes on; otherwise it must hold none.
-        numbered: whether to take the next number where it isn't free.
-
     Yields:
         The folder.
-
-    Raises:
-        ConfigError: it can't be written, holds a training already, or one is running in it.
-        MissingExtraError: filelock isn't installed.
     """
     for path in number_folders(folder) if numbered else [folder]:
         with contextlib.ExitStack() as lock:

@@ -23,11 +23,7 @@ MAX_TORCH_THREADS = 2
 
 
 def prepare_torch(plan: TrainingPlan) -> None:
-    """Set the number of torch's threads, and check the device.
-
-    Raises:
-        ConfigError: torch can't use the device.
-    """
+    """Set the number of torch's threads, and check the device."""
     torch.set_num_threads(min(plan.threads, plan.options.threads or MAX_TORCH_THREADS))
     if plan.options.device == "cuda" and not torch.cuda.is_available():
         why = (
@@ -37,11 +33,7 @@ def prepare_torch(plan: TrainingPlan) -> None:
 
 
 def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
-    """Make a new model by the recipe.
-
-    Raises:
-        ConfigError: a hyperparameter can't be used; the message names the file.
-    """
+    """Make a new model by the recipe."""
     recipe = plan.recipe
     arguments = recipe.build_arguments()
     steps, size = (arguments.get(name) for name in ("n_steps", "batch_size"))
@@ -61,18 +53,7 @@ def make_model(plan: TrainingPlan, env: RobotVectorEnv) -> BaseAlgorithm:
 def load_model(
     plan: TrainingPlan, env: RobotVectorEnv, saved: ZipPolicy, state: TrainingState | None
 ) -> BaseAlgorithm:
-    """Load a model, with the hyperparameters that it was saved with.
-
-    Args:
-        plan: of the training.
-        env: the robots to train on.
-        saved: the model's zip.
-        state: of the checkpoint that the training goes on from, whose next episodes are others than
-            those that it began with; None for a new training.
-
-    Raises:
-        PolicyError: it was made for another observation, or by another algorithm.
-    """
+    """Load a model, with the hyperparameters that it was saved with."""
     saved.check(env.task, env.sensors)
     name = recipes.policy_algorithm(saved.network)
     if name != plan.algorithm.name:

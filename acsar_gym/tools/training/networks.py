@@ -33,17 +33,6 @@ class MirrorPolicy(ActorCriticPolicy):
     part, (x - mirrored x) / 2, and acts on their sum and their difference: its units and their
     mirror images. The linear velocity and the value are even, the angular velocity is odd. A layer
     of n pairs of units costs half of a layer of 2 n units.
-
-    Args:
-        *args: as of ActorCriticPolicy.
-        odd: indices of the features that change their sign in the mirror.
-        reversed_at: first and count of groups of features whose order it reverses, such as
-            directions around the robot.
-        **kwargs: as of ActorCriticPolicy; `net_arch` has the pairs of units of each layer. Classes
-            may be given by the names in `classes`, as RL Zoo does with a recipe's.
-
-    Raises:
-        ConfigError: these aren't indices of the features.
     """
 
     def __init__(
@@ -105,16 +94,7 @@ class MirrorPolicy(ActorCriticPolicy):
 
 
 class _Split(torch.nn.Module):
-    """Features as coordinates of their even and odd parts, by one matrix.
-
-    Args:
-        width: of the features.
-        odd: indices of the numbers that change their sign in the mirror.
-        reversed_at: (first, count) of groups of numbers whose order the mirror reverses.
-
-    Raises:
-        ConfigError: they aren't indices of the features.
-    """
+    """Features as coordinates of their even and odd parts, by one matrix."""
 
     def __init__(
         self, width: int, odd: Sequence[int], reversed_at: Sequence[tuple[int, int]]

@@ -128,11 +128,7 @@ class TrainingOptions(Section):
 
 
 def require_training() -> None:
-    """Check that what training needs is installed.
-
-    Raises:
-        MissingExtraError: a library is missing.
-    """
+    """Check that what training needs is installed."""
     with require_extra("training", "train"):
         for module in ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript"):
             if find_spec(module) is None:
@@ -156,12 +152,7 @@ class TrainingPlan:
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
-        """Derive the settings of a training; writes nothing.
-
-        Raises:
-            ConfigError: the env isn't registered, has no time limit or no worlds, or the recipe or
-                the number of threads can't be used.
-        """
+        """Derive the settings of a training; writes nothing."""
         env_id = ids.find_id(options.env)
         own = ids.strip_module(env_id)
         limit = gymnasium.spec(own).max_episode_steps

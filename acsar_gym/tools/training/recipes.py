@@ -1,7 +1,7 @@
 """Recipes: hyperparameters by env in RL Zoo's YAML format, one file for each algorithm.
 
 All of a recipe are plain values: no code in it is run, and of classes only those are imported that
-`KNOWN_CLASSES` lists, or that are of modules that the user has named.
+`KNOWN_CLASSES` and `KNOWN_MODULES` list, or that are of modules that the user has named.
 """
 
 from __future__ import annotations
@@ -33,10 +33,6 @@ if TYPE_CHECKING:  # imports torch
 BATCH_WRAPPER = "acsar_gym.tools.training.wrappers.batch"
 """The wrapper that makes a batch for RL Zoo; `train` makes it itself."""
 NORMALIZE_WRAPPER = "stable_baselines3.common.vec_env.VecNormalize"
-ACTIVATIONS = (
-    *("CELU", "ELU", "GELU", "Hardswish", "Hardtanh", "Identity", "LeakyReLU", "Mish", "ReLU"),
-    *("ReLU6", "SELU", "SiLU", "Sigmoid", "Softplus", "Softsign", "Tanh"),
-)
 KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
     "policy": ("acsar_gym.tools.training.networks.MirrorPolicy",),
     "vec_env_wrapper": (
@@ -44,11 +40,13 @@ KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
         "acsar_gym.tools.training.wrappers.without_rays",
         NORMALIZE_WRAPPER,
     ),
-    "activation_fn": tuple(f"torch.nn.{name}" for name in ACTIVATIONS),
     "features_extractor_class": ("stable_baselines3.common.torch_layers.FlattenExtractor",),
-    "optimizer_class": tuple(f"torch.optim.{name}" for name in ("Adam", "AdamW", "RMSprop", "SGD")),
+    "activation_fn": (),
+    "optimizer_class": (),
 }
 """What may be named at each place of a recipe: nothing that writes files or takes code."""
+KNOWN_MODULES = {"activation_fn": "torch.nn", "optimizer_class": "torch.optim"}
+"""Modules whose classes may be named at some places."""
 POLICY_PLACES = ("activation_fn", "features_extractor_class", "optimizer_class")
 """The places in policy_kwargs."""
 MAX_RECIPE_BYTES = 1_000_000
@@ -89,11 +87,7 @@ class Algorithm:
     """Base class of its policies."""
 
     def load(self) -> type[BaseAlgorithm]:
-        """Import its class.
-
-        Raises:
-            MissingExtraError: its library isn't installed.
-        """
+        """Import its class."""
         with require_extra(f"training with {self.name}", "train"):
             found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
         return found
@@ -111,11 +105,7 @@ ALGORITHMS = {
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """Find an algorithm by its name.
-
-    Raises:
-        ConfigError: there is none of that name.
-    """
+    """Find an algorithm by its name."""
     if name not in ALGORITHMS:
         raise ConfigError(f"--algo {name}: unknown{suggest_name(name, ALGORITHMS)}")
     return ALGORITHMS[name]
@@ -129,17 +119,10 @@ def policy_algorithm(policy: Any) -> str | None:
 
 
 def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
-    """Check that a recipe may name a class. Imports nothing.
-
-    Args:
-        place: where it is named, one of `KNOWN_CLASSES`.
-        name: such as "torch.nn.ReLU".
-        modules: of the user's own, such as "mine.networks", whose classes may be named, too.
-
-    Raises:
-        ConfigError: it may not.
-    """
-    if name not in KNOWN_CLASSES[place] and name.rpartition(".")[0] not in modules:
+    """Check that a recipe may name a class. Imports nothing."""
+    module = name.rpartition(".")[0]
+    known = name in KNOWN_CLASSES[place] or module == KNOWN_MODULES.get(place)
+    if not known and module not in modules:
         raise ConfigError(
             f"{place}: {show_value(name)}: not a class that recipes may name"
             f"{suggest_name(shorten_text(name), KNOWN_CLASSES[place])}; a module of your own is "
@@ -148,11 +131,7 @@ def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
 
 
 def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
-    """Import a class that `check_class` accepts; a module in the current folder is found, too.
-
-    Raises:
-        ConfigError: a recipe may not name it, or it can't be imported.
-    """
+    """Import a class that `check_class` accepts; a module in the current folder is found, too."""
     check_class(place, name, modules)
     module, _, kind = name.rpartition(".")
     try:
@@ -193,12 +172,7 @@ class Recipe:
     """What of the file isn't done, for people."""
 
     def with_changes(self, **changes: Any) -> Recipe:
-        """Return a recipe with some hyperparameters changed; None leaves one as it is.
-
-        Args:
-            **changes: steps, robots, net (widths of the hidden layers), or any argument of the
-                algorithm.
-        """
+        """Return a recipe with some hyperparameters changed; None leaves one as it is."""
         wanted = {name: value for name, value in changes.items() if value is not None}
         own = {name: wanted.pop(name) for name in ("steps", "robots") if name in wanted}
         net = wanted.pop("net", None)
@@ -221,11 +195,7 @@ class Recipe:
         }
 
     def build_arguments(self) -> dict[str, Any]:
-        """Return the arguments of the algorithm, with schedules and classes for their names.
-
-        Raises:
-            ConfigError: a value can't be read, or a class may not be named or isn't there.
-        """
+        """Return the arguments of the algorithm, with schedules and classes for their names."""
         from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
 
         built = dict(self.arguments)
@@ -259,16 +229,14 @@ class Recipe:
         return int(number) if unit == "step" else None
 
     def check_names(self) -> None:
-        """Check what the file names, before anything is imported.
-
-        Raises:
-            ConfigError: a class or module may not be named, or a wrapper's arguments are refused.
-        """
+        """Check what the file names, before anything is imported."""
         if "." in self.policy:
             check_class("policy", self.policy, self.modules)
         for place in POLICY_PLACES:
             if (kind := (self.arguments.get("policy_kwargs") or {}).get(place)) is not None:
                 check_class(place, str(kind), self.modules)
+                if str(kind).startswith("torch."):
+                    find_class(place, str(kind))
         for name, given in self.wrappers.items():
             check_class("vec_env_wrapper", name, self.modules)
             if name == NORMALIZE_WRAPPER and given.get("norm_obs") is not False:
@@ -281,11 +249,7 @@ class Recipe:
             _check_modules(name, value, self.modules)
 
     def wrap_batch(self, batch: VecEnv) -> VecEnv:
-        """Return the batch in the recipe's wrappers.
-
-        Raises:
-            ConfigError: a wrapper may not be named, or doesn't take its arguments or the batch.
-        """
+        """Return the batch in the recipe's wrappers."""
         with name_errors(self.file, self.key):
             for name, given in self.wrappers.items():
                 try:
@@ -312,19 +276,7 @@ def read_recipe(
     modules: Sequence[str] = (),
     entry: str | None = None,
 ) -> Recipe:
-    """Read the recipe of an env.
-
-    Args:
-        algorithm: the algorithm.
-        env_id: id of the env, without its module.
-        file: recipe file; default: the packaged one of the algorithm.
-        modules: of the user's own, such as "mine.networks", whose classes the file may name.
-        entry: of the file, such as "Pendulum-v1"; default: the env's, or "default".
-
-    Raises:
-        ConfigError: the file can't be read, has no such entry, or has unknown keys; the message
-            names file and key.
-    """
+    """Read the recipe of an env."""
     path = file or AGENTS / "recipes" / f"{algorithm.name}.yml"
     data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
     names = (env_id, DEFAULT_KEY) if entry is None else (entry,)
@@ -383,15 +335,7 @@ def _evaluate_texts(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parse_text(text: str) -> Any:
-    """Read a Python value such as "dict(net_arch=[64], activation_fn=nn.ReLU)"; runs no code.
-
-    Args:
-        text: literals, `dict(...)` of them, and names of torch's classes, which become texts such
-            as "torch.nn.ReLU".
-
-    Raises:
-        ConfigError: it is something else.
-    """
+    """Read a Python value such as "dict(net_arch=[64], activation_fn=nn.ReLU)"; runs no code."""
 
     def convert(node: ast.expr) -> Any:
         match node:

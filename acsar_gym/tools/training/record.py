@@ -146,11 +146,7 @@ def training_command() -> list[str]:
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """Read what a training has recorded of itself, besides its recipe.
-
-    Raises:
-        ConfigError: the folder has no config.yml of a training.
-    """
+    """Read what a training has recorded of itself, besides its recipe."""
     path = folder / CONFIG_FILE
     if describe_content(folder) == SEVERAL_SEEDS:
         raise ConfigError(f"{folder}: holds {SEVERAL_SEEDS}: name one, such as {folder}/seed-0")
@@ -168,9 +164,6 @@ def save_results(model: BaseAlgorithm, bundle: Bundle, out: Path) -> tuple[Path,
 
     Returns:
         Paths of policy.onnx and model.zip.
-
-    Raises:
-        PolicyError: the policy can't be exported.
     """
     from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - imports torch
 
@@ -204,11 +197,6 @@ def find_start(options: TrainingOptions) -> TrainingStart:
 
     One whose steps are done, but whose policy couldn't be written, as on a full disk, goes on with
     no more steps.
-
-    Raises:
-        ConfigError: the folder has no checkpoint, or one of another training, all its steps are
-            done, or the options are of another training.
-        PolicyError: the zip can't be read, or isn't trusted.
     """
     folder = options.resume
     if folder is None:

@@ -32,11 +32,6 @@ def batch(env: VecEnv, *, randomize: bool = True, threads: int | None = None) ->
 
     A single env stays as it is, so that RL Zoo evaluates and renders with the real one.
 
-    Args:
-        env: of one id, all with the same arguments.
-        randomize: draw the physics of each episode, as `acsar-gym train` does.
-        threads: cores to use; None is all.
-
     Returns:
         The batch, with the Monitor file of the envs if they had one.
     """
@@ -70,12 +65,6 @@ def without_rays(env: VecEnv) -> VecEnv:
 
     What the map says about them is in units of the robot: a policy that sees no more than that can
     drive robots whose LiDAR has other rays.
-
-    Args:
-        env: a batch, in wrappers or not, or single envs, which RL Zoo evaluates with.
-
-    Raises:
-        ConfigError: the robots have no map.
     """
     inner = env.unwrapped
     if isinstance(inner, BatchVecEnv):
@@ -89,12 +78,7 @@ def without_rays(env: VecEnv) -> VecEnv:
 
 
 class FirstNumbers(VecEnvWrapper):
-    """Keeps the first numbers of observations.
-
-    Args:
-        venv: with observations (robots, n).
-        count: how many are kept.
-    """
+    """Keeps the first numbers of observations."""
 
     def __init__(self, venv: VecEnv, count: int) -> None:
         space: Any = venv.observation_space

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import resource
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, bundle_of, relabelled
+from onnx_tools import ENV_ID, HOSTILE, Maker, bundle_of, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
@@ -36,16 +35,7 @@ def test_a_hostile_file_is_one_line(
     Path("weights.bin").write_bytes(bytes(56))  # what external data would be taken from
     path = tmp_path / "policy.onnx"
     path.write_bytes(make())
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of other tests' children
     refused(path)
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    assert grown < 300_000  # kB
-    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss <= max(
-        largest,
-        before + 100_000,
-        1_500_000,  # a child begins with the size of its parent
-    )
 
 
 def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
@@ -56,23 +46,6 @@ def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
     assert "regular file" in refused(pipe)
     assert "larger than 32 MB" in refused(large)
     assert "regular file" in refused(Path("/dev/zero"))
-
-
-@pytest.mark.parametrize("cut", [0, 7, 140, 399])
-def test_no_cut_or_changed_file_gets_past_as_anything_but_a_policy(
-    cut: int, tmp_path: Path
-) -> None:
-    data, path = GOOD.read_bytes(), tmp_path / "policy.onnx"
-    rng = np.random.default_rng(cut)
-    changed = bytearray(data)
-    for place in rng.integers(0, 600, 5):
-        changed[place] = rng.integers(256)
-    for content in (data[:cut], data[:-cut] if cut else b"", bytes(changed)):
-        path.write_bytes(content)
-        try:
-            OnnxPolicy(path)
-        except PolicyError as error:
-            assert "\n" not in str(error)  # noqa: PT017 - most are refused, some are harmless
 
 
 def test_other_networks_than_dense_layers_drive_too(tmp_path: Path) -> None:

@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
-import itertools
-import json
 import os
 import pickle
-import sys
 import zipfile
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.spaces import Box
 from onnx_tools import GOOD
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy, ZipPolicy
-from acsar_gym.tools.policies.sb3_zip import uses_normalization
 from acsar_gym.tools.training import seeds
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -187,9 +180,7 @@ def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("algorithm", ["SAC", "TD3", "DDPG"])
-def test_a_vecnormalize_is_seen_in_the_zip_itself(
-    algorithm: str, tmp_path: Path, recwarn: pytest.WarningsRecorder
-) -> None:
+def test_a_vecnormalize_is_seen_in_the_zip_itself(algorithm: str, tmp_path: Path) -> None:
     """These algorithms save an original observation without one, too."""
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -197,8 +188,8 @@ def test_a_vecnormalize_is_seen_in_the_zip_itself(
 
     out, path = tmp_path / "policy.onnx", tmp_path / "model.zip"
     options: dict[str, Any] = {"policy_kwargs": {"net_arch": [8]}, "buffer_size": 100, "seed": 0}
-    for robots, normalizer in itertools.product((1, 4), (None, "rewards", "observations")):
-        env: Any = make_batch("point_goal", robots)
+    for normalizer in (None, "rewards", "observations"):
+        env: Any = make_batch("point_goal", 4)
         if normalizer is not None:
             env = VecNormalize(env, norm_obs=normalizer == "observations")
         algorithms()[algorithm]("MlpPolicy", env, device="cpu", **options).learn(20).save(path)
@@ -209,16 +200,6 @@ def test_a_vecnormalize_is_seen_in_the_zip_itself(
         else:
             runs.export_policy(path, out, "point_goal", None, trust=True)
             runs.load_policy(str(path), trust=True, env="point_goal")
-    assert not recwarn.list
-
-
-def test_where_the_zip_does_not_tell_it_is_said() -> None:
-    seen, original = np.array([[0.1, 0.2, 0.3]]), np.array([[0.2, 0.3, 0.4]])
-    data: dict[str, Any] = {"observation_space": Box(-1.0, 1.0, (3,)), "replay_buffer_class": None}
-    data |= {"_last_obs": seen, "_last_original_obs": original}
-    assert uses_normalization(data) is None
-    assert uses_normalization(data | {"_last_obs": 10.0 * seen}) is True
-    assert uses_normalization(data | {"_last_obs": None}) is False
 
 
 def test_a_dict_of_observations_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -235,50 +216,6 @@ def test_a_dict_of_observations_is_refused_in_one_line(tmp_path: Path) -> None:
             attempt()
         assert "\n" not in str(no.value)
         assert len(str(no.value)) - len(str(path)) < 250
-
-
-def test_a_space_of_many_numbers_is_one_line(tmp_path: Path) -> None:
-    path = save(tmp_path / "barn.zip", env_id="acsar_gym/Barn-v1", label=False)
-    with pytest.raises(PolicyError, match=r"made for Box.* has Box\(.*\(7,\)\)") as no:
-        runs.export_policy(path, tmp_path / "p.onnx", "point_goal", None, trust=True)
-    assert "\n" not in str(no.value)
-
-
-def test_a_zip_of_version_1_with_the_spaces_of_gym_is_read(
-    good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its spaces name gym.spaces.box, which isn't installed; as version 1.8.0 writes it."""
-
-    class OldBox(Box):
-        pass
-
-    OldBox.__module__, OldBox.__qualname__ = "gym.spaces.box", "Box"
-    for name in ("gym", "gym.spaces", "gym.spaces.box"):
-        module = ModuleType(name)
-        module.Box = OldBox  # type: ignore[attr-defined]
-        monkeypatch.setitem(sys.modules, name, module)
-    old = OldBox(-1.0, 1.0, (7,))
-    for name in ("low_repr", "high_repr"):  # which gym doesn't have
-        delattr(old, name)
-    spaces = {"observation_space": old, "action_space": OldBox(-1.0, 1.0, (2,))}
-    path = tmp_path / "old.zip"
-    with zipfile.ZipFile(good) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == "data":
-                data = json.loads(content)
-                for key, space in spaces.items():
-                    pickled = base64.b64encode(pickle.dumps(space)).decode()
-                    data[key] = {":type:": "<class 'gym.spaces.box.Box'>", ":serialized:": pickled}
-                content = json.dumps(data).encode()
-            target.writestr(name, content)
-    for name in ("gym", "gym.spaces", "gym.spaces.box"):
-        monkeypatch.delitem(sys.modules, name)
-    observation = np.linspace(-1.0, 1.0, 7, dtype=np.float32)
-    policy = ZipPolicy(path, trust=True)
-    assert (policy(observation) == ZipPolicy(good, trust=True)(observation)).all()
-    assert type(policy.network.observation_space) is Box
-    assert "gym" not in sys.modules
 
 
 def test_what_is_onnx_already_is_not_exported(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str) -> N
         (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy'"),
         (
             GOOD.replace("n_steps: 8", "policy_kwargs: {activation_fn: torch.nn.ReLUU}"),
-            "did you mean 'torch.nn.ReLU'",
+            "activation_fn: torch.nn.ReLUU: can't be imported",
         ),
         (
             "a: &a [1]\nb: &b [*a, *a]\nother: {}",
