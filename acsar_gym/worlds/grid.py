@@ -81,12 +81,6 @@ def free_cells(
     """Make the grid of cells whose centre is at least `radius` away from every obstacle.
 
     No wall fits between two neighbouring cells.
-
-    Args:
-        world: with the obstacles.
-        radius: of the disc [m].
-        ends: (n, 2), ends of the path [m]; the grid covers them and the world.
-        reach: the grid covers no more than this around the ends [m].
     """
     box, margin = np.array(world.bounds), _margin(radius)
     if ends is not None:

@@ -55,11 +55,7 @@ def footprint_radius(config: RobotConfig) -> float:
 
 
 def lidar_height(config: RobotConfig) -> float:
-    """Height at which a robot's LiDAR sees the bodies of a file [m]; the default one at the floor.
-
-    Args:
-        config: of the robot.
-    """
+    """Height at which a robot's LiDAR sees the bodies of a file [m]."""
     return config.lidar_z_offset if config.lidar_z_offset > STEP_HEIGHT else LIDAR_HEIGHT
 
 
@@ -101,14 +97,7 @@ def shortest_path(
 
 
 def check_region(world: World, name: str, region: Region, radius: float) -> None:
-    """Raise WorldError unless a disc is free everywhere in a region.
-
-    Args:
-        world: with the obstacles.
-        name: of the region, for the message.
-        region: for the centre of the disc.
-        radius: of the disc [m].
-    """
+    """Raise WorldError unless a disc is free everywhere in a region."""
     free = point_clearance(np.array([[region.x, region.y]]), world)[0]
     if free < radius + region.radius - PATH_SLACK:
         raise WorldError(
@@ -133,12 +122,6 @@ def check_path(world: World, radius: float) -> None:
 
 def remaining_distance(world: World, radius: float, place: Region, goal: Region) -> float:
     """Length of a shortest path to the goal [m], for a robot that may have collided.
-
-    Args:
-        world: with the obstacles.
-        radius: of the disc [m]; a smaller one is used if only that is free where the robot is.
-        place: of the robot.
-        goal: its centre is used.
 
     Returns:
         inf where there is no path.
@@ -247,14 +230,7 @@ def _find_blocked(starts: Floats, ends: Floats, world: World, radius: float) -> 
 
 
 def world_along(path: Floats) -> World:
-    """Make an empty world with a path to follow; the robot starts on it, heading along it.
-
-    Args:
-        path: (points, 2) [m].
-
-    Raises:
-        WorldError: unless the path has two different points.
-    """
+    """Make an empty world with a path to follow; the robot starts on it, heading along it."""
     world = World(path=path)
     if world.path is None or len(world.path) < 2 or not world.length > 0.0:
         raise WorldError("path: must have at least two points (x, y) [m], not all the same")
@@ -266,11 +242,7 @@ def world_along(path: Floats) -> World:
 
 
 def align_with_path(world: World) -> World:
-    """Move a world's start and goal to the ends of its path; the start's heading is along it.
-
-    Raises:
-        WorldError: the world has no path.
-    """
+    """Move a world's start and goal to the ends of its path; the start's heading is along it."""
     if world.path is None:
         raise WorldError(f"{world.name or 'the world'}: has no path to follow")
     ends = world_along(world.path)
@@ -286,10 +258,6 @@ def drop_repeated(path: Floats) -> Floats:
 
 def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
     """Sample a path at even distances, its end included.
-
-    Args:
-        path: (points, 2) [m].
-        spacing: between two samples, at most [m].
 
     Returns:
         (samples, 3): x [m], y [m] and direction [rad] of the line that follows; at the end that of

@@ -145,7 +145,7 @@ def test_the_command_line_names_the_known_models() -> None:
         "1",
         "0",
         "--policy",
-        "follow_gap",
+        "navfn",
         "--env",
         "obstacle_goal",
         "--lidar",

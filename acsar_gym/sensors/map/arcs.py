@@ -44,11 +44,6 @@ def along_arc(x: float, y: float, curvature: float) -> tuple[float, float]:
     """Where a point of the base frame lies beside an arc, to the left, and how far along it [m].
 
     What the robot would meet after more than half a turn lies behind it.
-
-    Args:
-        x: of the point [m].
-        y: of the point [m].
-        curvature: of the arc that the base's middle drives [1/m].
     """
     if curvature == 0.0:
         return y, x
@@ -64,9 +59,6 @@ def tabulate_arcs(outline: Outline) -> tuple[Floats, Floats]:
     """Tabulate a footprint's fronts along the arcs.
 
     A slanted front differs within a band: what lies beyond a part of it counts as touched already.
-
-    Args:
-        outline: corners [m].
 
     Returns:
         (ARCS, 2): the least and the greatest `across` of the footprint, and (ARCS, BANDS, 4): of
@@ -99,15 +91,7 @@ def tabulate_arcs(outline: Outline) -> tuple[Floats, Floats]:
 
 @subroutine
 def measure_arcs(spans: Floats, fronts: Floats, radius: float, spots: Floats, out: Floats) -> None:
-    """Measure the free way along each arc.
-
-    Args:
-        spans: see `tabulate_arcs`.
-        fronts: see `tabulate_arcs`.
-        radius: of the footprint's disc [m].
-        spots: (n, 2): places of obstacles in the base frame [m].
-        out: (2 ARCS,): gets the free ways of the footprint, then of the wider one, in radii.
-    """
+    """Measure the free way along each arc."""
     margin = MARGIN * radius
     for arc in range(ARCS):
         curvature = CURVATURES[arc] / radius

@@ -68,10 +68,6 @@ class Grid(NamedTuple):
 def make_stamp(inner: float, outer: float) -> Bytes:
     """Make the costs around an occupied cell.
 
-    Args:
-        inner: radius of the circle within the footprint [m].
-        outer: of the circle around it [m].
-
     Returns:
         (2 STAMP_REACH + 1, STAMP_WIDTH).
     """
@@ -87,12 +83,7 @@ def make_stamp(inner: float, outer: float) -> Bytes:
 
 @jit
 def cell_at(place: float, side: float) -> int:
-    """Number of the cell, along one axis, that a place lies in.
-
-    Args:
-        place: in the odometry frame [m].
-        side: of a cell [m].
-    """
+    """Number of the cell, along one axis, that a place lies in."""
     return int(math.floor(place / side + CELL_SHIFT))  # noqa: RUF046 - a float when compiled
 
 

@@ -154,12 +154,7 @@ RECORD = np.dtype(
 
 
 def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
-    """Make the empty map of a robot, an array of one `RECORD`.
-
-    Args:
-        config: of the robot.
-        period: of an env step [s].
-    """
+    """Make the empty map of a robot, an array of one `RECORD`."""
     made = np.zeros(1, RECORD)
     outline = config.outline
     radius, inner = outline_radius(outline), border_distance(outline, 0.0, 0.0)
@@ -356,14 +351,6 @@ def fill_sectors(
 
     Where the LiDAR doesn't look, what was seen before counts.
 
-    Args:
-        record: `RECORD` of the robot.
-        pose: by odometry.
-        ranges: (rays,): the scan [m].
-        rays: of the LiDAR.
-        out: (SECTORS,).
-        spots: (rays + SECTORS, 2): gets the places of what is around, in the base frame [m].
-
     Returns:
         How many spots there are.
     """
@@ -411,12 +398,6 @@ def remembered_clearance(
     record: Any, pose: tuple[float, float, float], bearing: float, edge: float
 ) -> float:
     """Look for the nearest occupied cell in a direction in which the LiDAR doesn't look.
-
-    Args:
-        record: `RECORD` of the robot.
-        pose: by odometry.
-        bearing: of the direction in the base frame [rad].
-        edge: distance of the footprint's edge in this direction, from which on it is looked [m].
 
     Returns:
         Distance from the edge [m]; FARTHEST_CLEARANCE radii where there is none within 8, and -1

@@ -127,15 +127,7 @@ def piece_cost(
     begin: tuple[float, float],
     end: tuple[float, float],
 ) -> tuple[float, float]:
-    """Cost of a straight piece of a way, in cells, and the largest cost on it.
-
-    Args:
-        costs: (CELLS, CELLS): of the cells; outside of the window all are free.
-        side: of a cell [m].
-        middle: of the window: the cell that the robot is in.
-        begin: of the piece [m].
-        end: of the piece [m].
-    """
+    """Cost of a straight piece of a way, in cells, and the largest cost on it."""
     (ax, ay), (bx, by), half = begin, end, CELLS // 2
     length = math.sqrt((bx - ax) * (bx - ax) + (by - ay) * (by - ay)) / side
     count = int(min(max(math.ceil(length - LENGTH_SLACK), 1.0), CELLS))

@@ -201,15 +201,7 @@ class Dwa(MappedPolicy):
 def advance_arc(
     state: MotionState, linear: float, angular: float, brake: float, model: ArcModel
 ) -> MotionState:
-    """Predict the state a STEP later.
-
-    Args:
-        state: now.
-        linear: command [m/s].
-        angular: command [rad/s].
-        brake: greatest linear acceleration [m/s^2].
-        model: of the robot.
-    """
+    """Predict the state a STEP later."""
     x, y, theta, v, w, sent_v, sent_w = state
     sent_v += min(max(linear - sent_v, -brake * ARC_STEP), brake * ARC_STEP)
     sent_w += min(max(angular - sent_w, -model.spin * ARC_STEP), model.spin * ARC_STEP)
@@ -232,12 +224,6 @@ def score_window(
     window: Floats, state: MotionState, model: ArcModel, around: Surroundings
 ) -> Floats:
     """Score velocities; less is better.
-
-    Args:
-        window: (n, 2), linear [m/s] and angular [rad/s].
-        state: now.
-        model: of the robot.
-        around: of the robot.
 
     Returns:
         (n,): the scores, in equivalent metres; infinite where a velocity isn't admissible.

@@ -59,10 +59,6 @@ class PurePursuit(BaselinePolicy):
 def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, float]:
     """The first point of the path ahead that is `lookahead` away from the robot [m].
 
-    Args:
-        seen: with the path.
-        lookahead: [m].
-
     Returns:
         The point in the base frame; the path's last observed one where all are nearer.
     """

@@ -104,10 +104,6 @@ class MappedPolicy(BaselinePolicy):
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command.
 
-        Args:
-            pose: by odometry.
-            seen: the observation.
-
         Returns:
             Linear [m/s] and angular velocity [rad/s].
         """
@@ -117,11 +113,6 @@ class MappedPolicy(BaselinePolicy):
 
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
-
-        Args:
-            pose: of the robot.
-            seen: the observation.
-            reach: half side of the square around the robot in which obstacles count [m].
         """
         config, (x, y, theta) = self.setting.config, pose
         cos, sin = math.cos(theta), math.sin(theta)

@@ -207,12 +207,7 @@ class Bundle(Section):
 
 
 def parse_bundle(text: str) -> Bundle:
-    """Parse a bundle from a file.
-
-    Raises:
-        PolicyError: it is too large, not JSON, of another version, or has other fields or values;
-            the message doesn't name the file.
-    """
+    """Parse a bundle from a file."""
     if len(text) > MAX_BUNDLE_BYTES:
         raise PolicyError(
             f"its bundle is larger than {MAX_BUNDLE_BYTES:,} bytes, the most that is read"

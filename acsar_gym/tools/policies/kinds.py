@@ -29,9 +29,6 @@ def list_entries(data: bytes) -> frozenset[str]:
 def describe_other_file(data: bytes) -> str | None:
     """Say what a file is that is given as an ONNX policy, and how to get a policy from it.
 
-    Args:
-        data: its content.
-
     Returns:
         One line; None where it may be an ONNX file.
     """

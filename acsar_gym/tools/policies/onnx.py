@@ -42,22 +42,11 @@ EXTERNAL_DATA = b"\n\x08location\x12"
 """How protobuf writes the key of a tensor's place in another file."""
 
 
-class NetworkState(NamedTuple):
-    """A state of a recurrent network: names of input and output, and the shape of both."""
-
-    input: str
-    output: str
-    shape: tuple[int, ...]
-
-
 class Network(NamedTuple):
     """An ONNX network that maps `observation` (batch, n) and states to `action` and next states."""
 
     session: Any
     """Of onnxruntime."""
-    width: int
-    """Size n of the observation."""
-    states: tuple[NetworkState, ...]
     bundle: Bundle
 
 
@@ -128,16 +117,15 @@ def load_network(data: bytes) -> Network:
             f"takes {width} numbers, but its bundle describes {bundle.observation.width}: export "
             "the policy again"
         )
-    states = tuple(
-        NetworkState(before.name, after.name, tuple(before.shape))
-        for before, after in zip(inputs[1:], outputs[1:], strict=True)
-    )
-    if list(states) != [(one.input, one.output, one.shape) for one in bundle.state]:
+    states = [
+        (one.name, after.name, tuple(one.shape)) for one, after in zip(inputs, outputs, strict=True)
+    ][1:]
+    if states != [(one.input, one.output, one.shape) for one in bundle.state]:
         raise PolicyError(
             f"has {len(states)} states, which aren't the {len(bundle.state)} of its bundle: export "
             "the policy again"
         )
-    network = Network(session, width, states, bundle)
+    network = Network(session, bundle)
     check_decisions(network)
     return network
 
@@ -149,14 +137,14 @@ def check_decisions(network: Network) -> None:
         PolicyError: the action isn't two finite numbers of shape (1, 2), a state comes out in
             another shape than it goes in, or the same observation gets different actions.
     """
-    shapes = {"observation": (1, network.width)} | {s.input: s.shape for s in network.states}
-    zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+    zeros = {one.input: np.zeros(one.shape, np.float32) for one in network.bundle.state}
+    zeros["observation"] = np.zeros((1, network.bundle.observation.width), np.float32)
     action, *states = network.session.run(None, zeros)
     if action.shape != (1, 2):
         raise PolicyError(f"gives shape {action.shape}: must be (1, 2)")
     if not np.isfinite(action).all():
         raise PolicyError(f"gives {action[0].tolist()} for an observation of zeros")
-    for state, after in zip(network.states, states, strict=True):
+    for state, after in zip(network.bundle.state, states, strict=True):
         if state.shape != after.shape:
             raise PolicyError(f"gives a state of shape {after.shape}: must be {state.shape}")
     if not np.array_equal(action, network.session.run(None, zeros)[0]):
@@ -179,15 +167,15 @@ class OnnxPolicy(FilePolicy):
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
         self.sha256, network = open_policy_file(self.path)
-        self.bundle, self.width = network.bundle, network.width
+        self.bundle, self.width = network.bundle, network.bundle.observation.width
         self.env_id = self.bundle.env.id
         # Arrays that are made once: faster than new ones for every decision.
         self._run, self._binding = network.session.run_with_iobinding, network.session.io_binding()
-        self._observation = self._bind("input", "observation", (1, network.width))
+        self._observation = self._bind("input", "observation", (1, self.width))
         self._action = self._bind("output", "action", (1, 2))
         self._states = [
             (self._bind("input", one.input, one.shape), self._bind("output", one.output, one.shape))
-            for one in network.states
+            for one in self.bundle.state
         ]
 
     def _bind(self, side: str, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:

@@ -47,7 +47,7 @@ def test_it_writes_tables_json_and_a_report(ran: Path, call: Call) -> None:
 
 
 def test_another_plan_in_the_same_folder(ran: Path, call: Call) -> None:
-    other = ("benchmark", *SMALL, "--agents", "smooth", "--out", ran)
+    other = ("benchmark", *SMALL, "--agents", "navfn", "--out", ran)
     code, _, error = call(*other)
     assert code == 2
     assert_one_line(error, "holds a benchmark with another plan (agents differs)")
