@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, search
+from acsar_gym.worlds import files
 from acsar_gym.worlds import grid as cells_of
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.grid import CELL_SIDE, free_cells
@@ -65,19 +65,6 @@ def around(start: Any, goal: Any, centre: Any, radius: float, *, reflex: bool = 
     angle = math.tau - angle if reflex else angle
     tangents = [math.sqrt(d * d - radius * radius) for d in far]
     return sum(tangents) + radius * (angle - sum(math.acos(radius / d) for d in far))
-
-
-def test_cells_are_numbered_as_older_versions_of_scipy_can(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before 1.15, `dijkstra` refuses a graph with indices of 64 bits."""
-    widths = []
-
-    def search_from(graph: Any, **options: Any) -> Any:
-        widths.extend([graph.indices.itemsize, graph.indptr.itemsize])
-        return dijkstra(graph, **options)
-
-    monkeypatch.setattr("scipy.sparse.csgraph.dijkstra", search_from)
-    shortest_path(between((-2, 0), (2, 0), PILLAR), 0.2)
-    assert widths == [4, 4]
 
 
 def random_world(seed: int, radius: float) -> World:
@@ -140,17 +127,6 @@ def test_round_a_walls_end_it_is_an_arc_of_the_footprint(radius: float, degrees:
     by_hand = around(start, goal, near, radius, reflex=True)
     assert 1.0 - CUT < path_length(path) / by_hand < ROUGHLY
     assert closest(path, world) > radius - CUT
-
-
-def test_a_long_way_is_pulled_straight_too() -> None:
-    """Past the first block of points that are tried at once, and past several."""
-    for length in (search.POINTS_AT_ONCE * CELL_SIDE, 4.1 * search.POINTS_AT_ONCE * CELL_SIDE):
-        wall_ahead = array([0.0, -length, 0.0, 1.0])
-        world = between((-length, 0), (length, 0), (), wall_ahead)
-        path = shortest_path(world, 0.25)
-        by_hand = around((-length, 0), (length, 0), (0.0, 1.0), 0.25, reflex=True)
-        assert path_length(path) < 1.01 * by_hand
-        assert len(path) < 10
 
 
 @samples(2, 8)
@@ -340,9 +316,3 @@ def test_the_remaining_way_counts_from_anywhere(
 ) -> None:
     left = remaining_distance(world, 0.25, start, goal)
     assert left == pytest.approx(expected, rel=0.02, abs=0.0)
-
-
-def test_the_remaining_way_is_the_shortest() -> None:
-    world, start = between((-3, 0), (3, 0), PILLAR), Region(-3.0, 0.1)
-    left = remaining_distance(world, 0.25, start, FAR)
-    assert left == path_length(shortest_path(world, 0.25, start)) > 6.1

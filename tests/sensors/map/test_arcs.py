@@ -122,18 +122,6 @@ def test_what_nearly_touches_a_slanted_front_counts_as_touched(degrees: int) -> 
     assert measure(CIRCLE, spot)[0, ARCS // 2] < 0.03
 
 
-def test_a_mirrored_spot_has_mirrored_ways() -> None:
-    rng = np.random.default_rng(0)
-    for outline in OUTLINES[:3]:
-        spots = rng.uniform(-1.5, 1.5, (20, 2))
-        ways, images = (measure(outline, *(spots * sign)) for sign in ((1.0, 1.0), (1.0, -1.0)))
-        assert images == pytest.approx(ways[:, ::-1], abs=1e-9)
-
-
-def test_nothing_around_is_free_as_far_as_it_goes() -> None:
-    assert measure(CIRCLE) == pytest.approx(np.full((2, ARCS), LONGEST_ARC * 0.3))
-
-
 @pytest.mark.parametrize("curvature", [0.0, 0.5, -0.5, 2.0])
 def test_a_point_of_the_arc_lies_where_the_robot_will_be(curvature: float) -> None:
     for far in (0.1, 0.7, 1.5):

@@ -14,7 +14,7 @@ import acsar_gym  # noqa: F401 - registers the ids
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config.footprint import outline_radius, outline_reach
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, TaskError
+from acsar_gym.errors import ConfigError
 from acsar_gym.jit import COMPILED
 from acsar_gym.lidar.scan import make_rays
 from acsar_gym.sensors import LIDAR, MAP
@@ -40,10 +40,8 @@ from acsar_gym.sensors.map.sensor import (
     log_share,
     make_record,
     update_alone,
-    update_map,
 )
 from acsar_gym.sensors.map.way import SCRATCH
-from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
@@ -148,21 +146,6 @@ def test_clearances_are_those_of_the_exact_footprint(config: RobotConfig, seed: 
     between = ~seen & np.roll(seen, 1) & np.roll(seen, -1)
     nearer = np.minimum(np.roll(wanted, 1), np.roll(wanted, -1))
     assert found[between] == pytest.approx(nearer[between], abs=0.02)
-
-
-@pytest.mark.parametrize("reach", [5.0, 12.0, 40.0])
-def test_what_is_seen_from_afar_counts_as_far_away(reach: float) -> None:
-    """However many radii of a small robot that is."""
-    config = ACSAR.with_(lidar={"max_range": reach, "rays": 96})
-    ranges = far(config)
-    ranges[::2] = 0.9 * reach
-    near = len(ranges) // 2  # straight ahead
-    ranges[near - 1 : near + 2] = 0.6
-    found = clearance(sectors(Mapped(config).see((0.0, 0.0, 0.0), ranges)))
-    radius = outline_radius(config.outline)
-    assert found[6] == pytest.approx(min(0.9 * reach / radius - 1.0, 16.0), rel=0.05)
-    assert found[SECTORS // 2 - 3] > 10.0
-    assert found[SECTORS // 2] < 3.0
 
 
 def test_a_lidar_that_sees_ahead_alone_remembers_what_is_behind() -> None:
@@ -270,20 +253,6 @@ def test_the_robot_itself_is_described(changes: Any, name: str, factor: float) -
     assert after[place] == pytest.approx(factor * before[place])
 
 
-def test_in_plain_python_the_map_is_the_same() -> None:
-    """What stands in place of numba's code where it isn't installed."""
-    plain, fast = Mapped(ACSAR, update=update_map), Mapped(ACSAR)
-    rng = np.random.default_rng(1)
-    for step in range(6):
-        pose = (0.05 * step, -0.02 * step, 0.1 * step)
-        ranges = rng.uniform(0.3, 5.0, ACSAR.lidar.rays)
-        if step % 2:
-            ranges = wall_seen(ACSAR, pose)
-        one, other = plain.see(pose, ranges), fast.see(pose, ranges)
-        assert one == pytest.approx(other, abs=1e-9)
-        check_same(plain.record, fast.record)
-
-
 def check_same(one: Any, other: Any) -> None:
     """Compare all that two maps remember."""
     for name in one.dtype.names:
@@ -338,10 +307,3 @@ def test_the_map_comes_first_and_the_lidar_after_it() -> None:
     assert [sensor.name for sensor in robot.sensors] == [MAP, LIDAR]
     with pytest.raises(ConfigError, match="the scene has no goal, to which it shows the way"):
         robot.sensors[0].reset(Scene(), np.random.default_rng(0))
-
-
-def test_a_task_that_pays_for_the_way_cannot_leave_the_map_out() -> None:
-    with pytest.raises(TaskError, match=r"Blind\.sensors = \('lidar',\): must name 'map'"):
-
-        class Blind(ObstacleGoal):
-            sensors = (LIDAR,)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,19 +11,16 @@ from hypothesis import strategies as st
 
 from acsar_gym.lidar.scan import Rays
 from acsar_gym.sensors.map.seen import (
-    CELL_SIDE,
     CELLS,
     COST_LETHAL,
     COST_UNIT,
     COUNT_FREE,
     COUNT_MOST,
     COUNT_OCCUPIED,
-    LAST_CELL,
     MISS,
     OCCUPIED,
     SHARED_RAYS,
     STAMP_REACH,
-    STAMP_WIDTH,
     Grid,
     add_scan,
     cell_at,
@@ -51,15 +47,6 @@ def in_window(cell: tuple[int, int], middle: tuple[int, int]) -> bool:
 
 def place(cell: tuple[int, int]) -> tuple[int, int]:
     return cell[0] % CELLS, cell[1] % CELLS
-
-
-@pytest.mark.parametrize("side", [0.05, 0.0771, 1.0])
-def test_a_cells_centre_lies_in_it_and_the_origin_between_no_two(side: float) -> None:
-    for cell in (-1000, -129, -128, -1, 0, 1, 127, 128, 1000):
-        assert cell_at(cell_centre(cell, side), side) == cell
-        assert cell & LAST_CELL == cell % CELLS
-    for x in (-1.0, 0.0, 1.0):
-        assert {cell_at(x * side + error, side) for error in (-1e-9, 1e-9)} == {round(x)}
 
 
 @given(
@@ -201,20 +188,3 @@ def test_a_stamp_is_cut_off_at_the_windows_edge_and_goes_on_beyond_the_arrays(
         if in_window(around, middle):
             wanted[place(around)] = max(int(cost), 3)
     np.testing.assert_array_equal(grid.costs, wanted)
-
-
-@pytest.mark.parametrize(("inner", "outer"), [(0.2, 0.2), (0.12, 0.2), (0.05, 0.5)])
-def test_costs_fall_from_an_occupied_cell_outwards(inner: float, outer: float) -> None:
-    stamp: Any = make_stamp(inner, outer).astype(int)
-    assert stamp.shape == (2 * STAMP_REACH + 1, STAMP_WIDTH)
-    assert not stamp[:, 2 * STAMP_REACH + 1 :].any()
-    stamp = stamp[:, : 2 * STAMP_REACH + 1]
-    assert (stamp == stamp.T).all()
-    assert (stamp == stamp[::-1]).all()
-    row = stamp[STAMP_REACH, STAMP_REACH:]
-    assert (np.diff(row) <= 0).all()
-    distances = np.arange(STAMP_REACH + 1) * CELL_SIDE * outer
-    assert (row[distances < inner] == COST_LETHAL / COST_UNIT).all()
-    assert (row[distances >= inner] < COST_LETHAL / COST_UNIT).all()
-    assert row[-1] > 0
-    assert stamp[0, 0] == 0  # the corner is further away

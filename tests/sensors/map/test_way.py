@@ -16,7 +16,6 @@ from acsar_gym.sensors.map.seen import (
     OCCUPIED,
     Grid,
     cell_at,
-    cell_centre,
     make_stamp,
     raise_costs,
 )
@@ -37,7 +36,6 @@ from acsar_gym.sensors.map.way import (
 SIDE, HALF = 0.05, CELLS // 2
 STAMP = make_stamp(0.12, 0.2)
 LETHAL = COST_LETHAL / COST_UNIT
-NEAR = (0.05, 0.05)
 ORIGIN = cell_at(0.0, SIDE), cell_at(0.0, SIDE)
 
 
@@ -211,16 +209,3 @@ def test_corners_are_passed_and_the_way_that_is_left_measured(
 )
 def test_a_point_of_the_way_lies_so_far_ahead(length: float, wanted: tuple[float, float]) -> None:
     assert point_ahead(POINTS, 3, 1, 0.25, 0.0, length) == pytest.approx(wanted)
-
-
-def test_cells_of_a_way_are_in_order_of_the_torus() -> None:
-    """A robot far from the origin plans as one at the origin does."""
-    shift = 3 * CELLS + 5
-    place = cell_centre(shift, SIDE), cell_centre(-shift, SIDE)
-    here = cell_centre(0, SIDE), cell_centre(0, SIDE)
-    wall = walled((0.5, -0.4, 0.5, 0.4))
-    moved = Grid(*(np.roll(cells, (shift, -shift), (0, 1)) for cells in wall))
-    near = planned(wall, (here[0] + 1.5, here[1]), here)
-    far = planned(moved, (place[0] + 1.5, place[1]), place)
-    assert far[:, :2] - place == pytest.approx(near[:, :2] - here, abs=1e-9)
-    assert far[:, 2] == pytest.approx(near[:, 2], abs=1e-9)

@@ -158,6 +158,8 @@ def test_a_score_that_no_task_tells_is_an_error(module: str, call: Call, tmp_pat
 
 def test_a_baseline_that_cant_drive_it_says_why(module: str, call: Call, tmp_path: Path) -> None:
     small = ("--links", "planar", "--scenes", "1", "--out", tmp_path / "run")
-    code, _, error = call("benchmark", "--env", write_task(module), "--agents", "turn_drive", *small)
+    code, _, error = call(
+        "benchmark", "--env", write_task(module), "--agents", "turn_drive", *small
+    )
     assert code == 0, error
     assert f"which {module}/Park-v0 doesn't observe" in (tmp_path / "run/benchmark.md").read_text()

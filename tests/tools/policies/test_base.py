@@ -80,17 +80,6 @@ def test_a_function_drives_to_its_goal(mine: Path) -> None:
     assert sum(result.success for result in results) == 5
 
 
-def test_the_environment_may_be_named(mine: Path) -> None:
-    mine.write_text("def act(observation):\n    return [0.5, 0.0]\n")
-    with pytest.raises(PolicyError, match="--env point_goal"):
-        runs.load_policy(f"{mine}:act", trust=False)
-    policy = runs.load_policy(f"{mine}:act", trust=False, env="path_follow")
-    env = runs.make_env(policy, "planar", None, {})
-    assert env.spec is not None
-    assert env.spec.id == "acsar_gym/PathFollow-v0"
-    env.close()
-
-
 @pytest.mark.parametrize(
     ("source", "said"),
     [

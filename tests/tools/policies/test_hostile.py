@@ -6,13 +6,11 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
-from onnx_tools import ENV_ID, HOSTILE, Maker, bundle_of, relabelled
+from onnx_tools import ENV_ID, HOSTILE, bundle_of, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES
 
 
@@ -46,16 +44,6 @@ def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
     assert "regular file" in refused(pipe)
     assert "larger than 32 MB" in refused(large)
     assert "regular file" in refused(Path("/dev/zero"))
-
-
-def test_other_networks_than_dense_layers_drive_too(tmp_path: Path) -> None:
-    make = Maker()
-    lanes = make.add("Unsqueeze", "observation", make.weight([1], np.int64))
-    filtered = make.add("Conv", lanes, make.weight(np.full((4, 1, 3), 0.1)))
-    make.dense(make.add("Flatten", filtered), 20)
-    path = tmp_path / "convolution.onnx"
-    path.write_bytes(make.bytes())
-    assert OnnxPolicy(path)(np.ones(7, np.float32)).tolist() == pytest.approx([0.06, 0.06])
 
 
 @pytest.mark.parametrize("env_id", ["GymV21Environment-v0", "phys2d/CartPole-v1", "CartPole-v1"])

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.wrappers.vector import TransformReward
 
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.errors import ConfigError
@@ -127,26 +126,6 @@ def test_a_batch_is_made_by_its_id() -> None:
     for env_id, options, said in (("maze", {}, "Maze"), ("point_goal", {"goals": 1}, "goals")):
         with pytest.raises(ConfigError, match=said):
             make_batch(env_id, 2, **options)
-
-
-def test_gymnasiums_wrappers_may_stand_around_a_batch() -> None:
-    """Their rewards arrive, and episodes end as without them."""
-    batch = PointGoalVectorEnv(4, autoreset_mode="SameStep", max_episode_steps=10)
-    env = wrapped(TransformReward(batch, lambda reward: 10.0 * reward))
-    plain = vec_env(4, max_episode_steps=10, goal_distance=(0.5, 3.0))
-    for each in (env, plain):
-        each.seed(3)
-        each.reset()
-    for _ in range(12):
-        (_, rewards, dones, infos), (_, expected, ended, _) = (
-            each.step(np.full((4, 2), 0.5, np.float32)) for each in (env, plain)
-        )
-        assert np.asarray(rewards) == pytest.approx(10.0 * np.asarray(expected), abs=1e-5)
-        assert (np.asarray(dones) == np.asarray(ended)).all()
-        assert all("episode" in infos[index] for index in np.flatnonzero(dones))
-    assert env.get_attr("config") == [batch.config] * 4
-    env.close()
-    plain.close()
 
 
 def test_other_batches_are_refused() -> None:

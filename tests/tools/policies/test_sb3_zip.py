@@ -75,18 +75,6 @@ def test_it_decides_as_the_model_does_and_so_does_its_export(
     assert np.std(seen, axis=0).min() > 0.05
 
 
-@pytest.mark.parametrize("squash", [False, True])
-def test_state_dependent_noise_changes_no_deterministic_action(
-    squash: bool, tmp_path: Path
-) -> None:
-    path = save(tmp_path / "model.zip", net={"squash_output": squash}, use_sde=True)
-    out = tmp_path / "policy.onnx"
-    runs.export_policy(path, out, "", None, trust=True)
-    observation = np.linspace(-1.0, 1.0, 7, dtype=np.float32)
-    expected = ZipPolicy(path, trust=True)(observation)
-    assert OnnxPolicy(out)(observation) == pytest.approx(expected, abs=1e-6)
-
-
 def test_an_unlabelled_zip_needs_to_be_told_its_environment(tmp_path: Path) -> None:
     path, out = save(tmp_path / "model.zip", label=False), tmp_path / "policy.onnx"
     with pytest.raises(PolicyError, match="--env"):

@@ -226,15 +226,6 @@ def test_named_modules_may_be_used(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file, modules[:1])
 
 
-def test_a_schedule_falls_to_zero(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yml"
-    file.write_text(GOOD.replace("n_steps: 8", "learning_rate: lin_0.5"))
-    falling = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file).build_arguments()[
-        "learning_rate"
-    ]
-    assert (falling(1.0), falling(0.5), falling(0.0)) == (0.5, 0.25, 0.0)
-
-
 def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
     given = recipes.read_recipe(find_algorithm("ppo"), "acsar_gym/Barn-v1").arguments[
         "policy_kwargs"
@@ -242,16 +233,3 @@ def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
     observed, acted = Box(-1.0, 1.0, (97,)), Box(-1.0, 1.0, (2,))
     policy = MirrorPolicy(observed, acted, lambda _: 0.001, **given)
     assert policy.activation_fn is ReLU
-
-
-def test_options_change_a_recipe(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yml"
-    given = {"log_std_init": 1.0}
-    content = {"n_timesteps": 8, "n_envs": 1, "policy_kwargs": given, "gamma": 0.9}
-    file.write_text(yaml.safe_dump({"default": content}))
-    recipe = recipes.read_recipe(find_algorithm("ppo"), "mine/Task-v0", file)
-    changed = recipe.with_changes(steps=None, robots=7, gamma=0.5, net=(8, 4))
-    assert (changed.steps, changed.robots) == (8, 7)
-    built = changed.build_arguments()
-    assert built["gamma"] == 0.5
-    assert built["policy_kwargs"] == {"log_std_init": 1.0, "net_arch": [8, 4]}

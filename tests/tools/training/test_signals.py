@@ -43,15 +43,6 @@ def test_without_anything_to_save_the_program_ends_at_once(number: signal.Signal
     assert ended.value.args in ((), (stop.exit_code,))
 
 
-@NUMBERS
-def test_the_second_signal_ends_the_program(number: signal.Signals) -> None:
-    with StopRequest() as stop:
-        stop.defer()
-        signal.raise_signal(signal.SIGTERM)
-        with pytest.raises((KeyboardInterrupt, SystemExit)):
-            signal.raise_signal(number)
-
-
 def test_handlers_are_put_back_and_ignored_signals_stay_ignored() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with StopRequest():
