@@ -532,15 +532,25 @@ class MapSensor(Sensor):
         return np.array(record.points[int(record.corner) : int(record.corners)])
 
     def point_ahead(self, length: float) -> tuple[float, float]:
-        """The point so far along the way from the robot [m], the goal at most [m]."""
+        """Find the point that is so far along the way from the robot.
+
+        Args:
+            length: along the way [m].
+
+        Returns:
+            The point in the odometry frame, the goal at most [m].
+        """
         way, (x, y, _) = self.way_ahead, self.pose
         return point_ahead(way, len(way), 0, x, y, length)
 
     def cells_met(self, reach: float) -> NDArray[np.int64]:
-        """(cells, 2): the cells in a square around the robot in which scans have met something.
+        """Find the cells around the robot in which scans have met something.
 
         Args:
-            reach: half side of the square [m]; the map ends 16 radii away.
+            reach: half side of a square around the robot [m]; the map ends 16 radii away.
+
+        Returns:
+            (cells, 2): the cells, counted from the odometry frame's origin.
         """
         record, count = self._record, min(math.ceil(reach / self.cell_side), CELLS // 2 - 1)
         window = np.arange(-count, count + 1)
@@ -550,9 +560,23 @@ class MapSensor(Sensor):
         return np.column_stack([i[rows], j[columns]])
 
     def cells_of(self, places: Floats) -> NDArray[np.int64]:
-        """(n, 2): the cells that places (n, 2) [m] lie in, in the odometry frame."""
+        """Find the cells that places lie in.
+
+        Args:
+            places: (n, 2), in the odometry frame [m].
+
+        Returns:
+            (n, 2): see `cells_met`.
+        """
         return np.floor(places / self.cell_side + CELL_SHIFT).astype(np.int64)
 
     def centres_of(self, cells: NDArray[np.int64]) -> Floats:
-        """(n, 2): the centres of cells (n, 2), in the odometry frame [m]."""
+        """Find the centres of cells.
+
+        Args:
+            cells: (n, 2), see `cells_met`.
+
+        Returns:
+            (n, 2), in the odometry frame [m].
+        """
         return (cells + 0.5 - CELL_SHIFT) * self.cell_side
