@@ -579,4 +579,5 @@ class MapSensor(Sensor):
         Returns:
             (n, 2), in the odometry frame [m].
         """
-        return (cells + 0.5 - CELL_SHIFT) * self.cell_side
+        centres: Floats = (cells + 0.5 - CELL_SHIFT) * self.cell_side
+        return centres

@@ -290,7 +290,8 @@ def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most:
 def in_goal(x: float, y: float, around: Surroundings) -> bool:
     """Whether a place is within the goal."""
     dx, dy = around.way[-1, 0] - x, around.way[-1, 1] - y
-    return dx * dx + dy * dy < around.radius * around.radius
+    inside: bool = dx * dx + dy * dy < around.radius * around.radius
+    return inside
 
 
 @loop
