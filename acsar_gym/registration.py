@@ -90,11 +90,8 @@ def register(
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
     from acsar_gym.reading import import_object  # noqa: PLC0415
-    from acsar_gym.tasks.factory import (  # noqa: PLC0415
-        check_register_options,
-        importable_task,
-        split_by_mode,
-    )
+    from acsar_gym.tasks.factory import importable_task  # noqa: PLC0415
+    from acsar_gym.tasks.options import check_register_options, split_by_mode  # noqa: PLC0415
 
     chosen = {}
     for name, given in (scenes or {}).items():

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from acsar_gym import RobotConfig
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools import baselines
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext

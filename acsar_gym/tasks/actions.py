@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.errors import CommandError, shorten_text, show_value
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 
 NUMBER_KINDS = "fiub"
 """Kinds of numpy's types that are numbers: no text, complex numbers or objects."""

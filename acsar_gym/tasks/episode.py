@@ -20,20 +20,11 @@ from acsar_gym.errors import (
     translate_errors,
 )
 from acsar_gym.jit import jit
-from acsar_gym.tasks.factory import (
-    ask_outcome,
-    ask_reward,
-    check_distances,
-    check_reset_options,
-    method_place,
-    task_name,
-)
+from acsar_gym.tasks.factory import ask_outcome, ask_reward, method_place, task_name
+from acsar_gym.tasks.options import check_distances, check_reset_options
+from acsar_gym.tasks.state import Goal, Info, Observation, State
 from acsar_gym.tasks.task import (
-    Goal,
-    Info,
-    Observation,
     Outcome,
-    State,
     Task,
     info_names,
     new_memory,

@@ -13,17 +13,9 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.factory import check_distances, check_positive
-from acsar_gym.tasks.task import (
-    OBSERVATION_LIMIT,
-    Goal,
-    Outcome,
-    Pose,
-    State,
-    Task,
-    clip_to,
-    relative_point,
-)
+from acsar_gym.tasks.options import check_distances, check_positive
+from acsar_gym.tasks.state import Goal, Pose, State
+from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
 from acsar_gym.trigonometry import cos_sin
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {

@@ -30,9 +30,10 @@ from acsar_gym.sensors.map.sensor import (
     STALLED,
     log_share,
 )
-from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import GoalTask, goal_distance
-from acsar_gym.tasks.task import Outcome, State
+from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.state import State
+from acsar_gym.tasks.task import Outcome
 
 BARN_TOLERANCE = 1.0
 """The run is a success once odometry is this close to the goal [m]."""

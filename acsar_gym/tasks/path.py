@@ -8,16 +8,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.factory import check_positive
-from acsar_gym.tasks.task import (
-    OBSERVATION_LIMIT,
-    Floats,
-    Outcome,
-    State,
-    Task,
-    clip_to,
-    relative_point,
-)
+from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.state import Floats, State
+from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds.search import PATH_SPACING
 

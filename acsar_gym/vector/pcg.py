@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import jit
 
 Generators = NDArray[np.uint64]
 """(n, 4): one generator a row."""
@@ -107,12 +107,3 @@ def uniform(generators: Generators, i: int) -> float:
     turn = high >> np.uint64(58)
     word = (word >> turn) | (word << ((np.uint64(64) - turn) & np.uint64(63)))
     return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
-if not COMPILED:
-    _wrapping = uniform
-
-    def uniform(generators: Generators, i: int) -> float:
-        """The next double in [0, 1) of generator i; NumPy's overflow warnings are expected here."""
-        with np.errstate(over="ignore"):
-            return _wrapping(generators, i)

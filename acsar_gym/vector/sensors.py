@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
-from acsar_gym.jit import COMPILED, overloads
+from acsar_gym.jit import overloads
 from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.sensor import name_memory
@@ -331,7 +331,7 @@ class _Whole:
         self._first = first.reshape(-1, 1)
         self._memory = self._first.repeat(robots, axis=1)
         """(names, robots)."""
-        self._compiled = COMPILED and is_compiled(sensor, BATCH_METHODS)
+        self._compiled = is_compiled(sensor, BATCH_METHODS)
         self._reset: Any = getattr(sensor, "reset_batch", None)
         self._read: Any = sensor.read_batch
         if self._compiled:

@@ -12,12 +12,63 @@ import threading
 from collections.abc import Callable
 from queue import SimpleQueue
 
+import numpy as np
+
+from acsar_gym.errors import ConfigError, show_value
+
+ROBOTS_PER_THREAD = 256
+"""A thread more is used for so many robots; with fewer its start costs more than it saves."""
 Work = Callable[[int, int], None]
 """A loop over items first to last."""
 Order = tuple[int, Work, int, int]
 """Number of the order, the loop, and its first and last item."""
 OrderReport = tuple[int, BaseException | None]
 """Number of the order that is done, and the exception that it raised."""
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def check_threads(name: str, asked: int) -> int:
+    """Check a number of threads that a user asked for, and return it.
+
+    Args:
+        name: of the option, for the message.
+        asked: by the user.
+
+    Raises:
+        ConfigError: for fewer than 1, or more than the cores that this process may use.
+    """
+    usable, all_cores = usable_cores(), os.cpu_count() or 1
+    if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
+        return int(asked)
+    which = "the cores of this machine"
+    if usable < all_cores:
+        which = (
+            f"the cores that this process may use: taskset, a batch system or a container keeps "
+            f"it from the others of this machine's {all_cores}"
+        )
+    most = f"1 to {usable}" if usable > 1 else "1"
+    raise ConfigError(f"{name} {show_value(asked)}: must be {most}, {which}")
+
+
+def choose_threads(asked: int | None, robots: int) -> int:
+    """Number of threads to use.
+
+    Args:
+        asked: by the user; None uses all cores, but gives each at least ROBOTS_PER_THREAD robots.
+        robots: of the batch.
+
+    Raises:
+        ConfigError: as `check_threads`.
+    """
+    if asked is None:
+        return max(1, min(usable_cores(), robots // ROBOTS_PER_THREAD))
+    return min(check_threads("threads =", asked), robots)
 
 
 class Threads:

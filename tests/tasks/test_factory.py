@@ -16,13 +16,11 @@ import pytest
 import acsar_gym
 from acsar_gym import Outcome, RobotEnv, State, Task
 from acsar_gym.errors import ConfigError, TaskError, TaskWarning
-from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 
 register: Any = acsar_gym.register
 KINDS: list[Any] = [RobotEnv, RobotVectorEnv]
-needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 
 
 class Plain(Task):
@@ -200,9 +198,7 @@ class Beyond(Plain):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    "compiled", [False, pytest.param(True, marks=needs_numba)], ids=["plain", "compiled"]
-)
+@pytest.mark.parametrize("compiled", [False, True], ids=["plain", "compiled"])
 def test_an_observation_beyond_its_bounds_is_said_once(kind: Any, compiled: bool) -> None:
     env = make(kind, type("Mine", (Beyond,), {"compiled": compiled}))
     action = np.zeros((2,) if kind is RobotEnv else (1, 2))
@@ -241,7 +237,6 @@ class CallsSuper(Helping):
         return super().observe(state, memory)
 
 
-@needs_numba
 @pytest.mark.parametrize(
     ("task", "method", "called", "line"),
     [
@@ -278,7 +273,6 @@ class CallsPlainFunction(Plain):
         return undecorated(state.time)
 
 
-@needs_numba
 @pytest.mark.parametrize(
     ("task", "method", "line"), [(Formats, "outcome", 1), (CallsPlainFunction, "reward", 1)]
 )

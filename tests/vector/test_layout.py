@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.physics import Physics
+from acsar_gym.tasks.state import INFO
 from acsar_gym.vector.kernel import layout
 
 ROBOTS = 100
@@ -44,4 +45,4 @@ def test_an_episodes_numbers_come_first_and_options_are_not_among_them() -> None
     began = {name for name, rows in layout.ROWS.items() if rows.stop <= layout.EPISODE_ROWS}
     assert began == set(inspect.get_annotations(layout.Episode))
     assert not began & set(layout.OPTIONS)
-    assert set(layout.INFO_FIELDS.values()) <= began
+    assert set(INFO.values()) <= began

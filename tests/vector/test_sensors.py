@@ -12,7 +12,6 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.jit import COMPILED
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
@@ -320,7 +319,6 @@ class OutOfBounds(Wrong):
         out[0, len(rngs)] = 0.0
 
 
-@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 @pytest.mark.parametrize(
     ("kind", "error", "said"),
     [
@@ -347,7 +345,6 @@ class RaisesInProperty(Wrong):
         return self.scene.start[0]
 
 
-@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 def test_a_property_of_a_compiled_sensor_that_raises_is_named() -> None:
     with pytest.raises(
         SensorError, match=r"^sensor 'wrong': span\(\) raised AttributeError"

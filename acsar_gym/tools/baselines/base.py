@@ -12,8 +12,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import MissingExtraError
-from acsar_gym.jit import COMPILED
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.baselines.tuning import TUNED, Constants, RobotUnits, find_constants
 from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, PolicyContext
@@ -38,8 +36,6 @@ class BaselinePolicy(FilePolicy):
     """What these are in words, and an env that has them."""
     lidar: ClassVar[bool] = False
     """Whether it needs a LiDAR."""
-    compiled: ClassVar[bool] = False
-    """Whether it is too slow without numba."""
     constants_type: ClassVar[type[Constants]] = Constants
     """Class of its constants."""
     env_named = True
@@ -62,10 +58,7 @@ class BaselinePolicy(FilePolicy):
 
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
-            MissingExtraError: it needs numba, which isn't installed.
         """
-        if self.compiled and not COMPILED:
-            raise MissingExtraError(f"the baseline {self.name}", "fast")
         setting.need(self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.what)
         if self.lidar:
             setting.need(self.name, (), "a LiDAR", "obstacle_goal")

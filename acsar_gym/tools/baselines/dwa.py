@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.jit import jit, loop
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.mapping import (
     MapConstants,
     MappedPolicy,

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext

@@ -14,7 +14,8 @@ from acsar_gym.config import footprint
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import jit, loop
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.tasks.task import OBSERVATION_LIMIT, Floats
+from acsar_gym.tasks.state import Floats
+from acsar_gym.tasks.task import OBSERVATION_LIMIT
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
@@ -473,7 +474,6 @@ class MappedPolicy(BaselinePolicy):
 
     needs = GOAL_NUMBERS
     lidar = True
-    compiled = True
     constants_type = MapConstants
 
     def equip(self, setting: PolicyContext) -> None:

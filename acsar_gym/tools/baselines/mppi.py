@@ -22,7 +22,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.physics.model import Physics, compute_physics, tyre_step, wheel_speed
 from acsar_gym.safety.rules import read_limits
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.mapping import (
     MapConstants,
     MappedPolicy,

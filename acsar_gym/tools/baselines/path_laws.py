@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.baselines.tuning import Constants, constant
 from acsar_gym.tools.policies.policy import PATH_NUMBERS, DecodedObservation

@@ -15,19 +15,16 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numba
 import numpy as np
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, PACKAGE, WITHIN, NumbaError, named_tuple
+from acsar_gym.jit import PACKAGE, WITHIN, NumbaError, named_tuple
 from acsar_gym.jit import loop as compiled
 from acsar_gym.worlds.registry import hash_modules
 
-OWN_FOLDERS = [PACKAGE]
+OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]
 """Of files that aren't a user's."""
-if COMPILED:
-    import numba
-
-    OWN_FOLDERS.append(Path(numba.__file__).parent)
 
 
 def numbers_of(instance: Any) -> Any:

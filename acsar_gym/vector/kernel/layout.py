@@ -19,9 +19,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import jit
 from acsar_gym.physics import Physics
 from acsar_gym.safety.rules import AxisLimits, SafetyRules
+from acsar_gym.worlds.geometry import Surroundings
 
 Floats = NDArray[np.float64]
 Number = Annotated[Floats, ()]
@@ -94,7 +95,7 @@ class Episode:
     """Env steps since the reset."""
     total_reward: Number
     outcome: Number
-    """See `tasks.base.Outcome`."""
+    """See `tasks.task.Outcome`."""
     contact: Number
     """Whether the robot has touched an obstacle."""
     world: Number
@@ -225,14 +226,14 @@ def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
 
 def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
     """Fields of a record for `Physics`: those of four wheels, named _a to _d, are one."""
-    found: list[tuple[str, Any, tuple[int, ...]]] = []
+    fields: list[tuple[str, Any, tuple[int, ...]]] = []
     for name in Physics._fields:
         stem, _, wheel = name.rpartition("_")
         if wheel == "a":
-            found.append((stem, np.float64, (4, BLOCK_ROBOTS)))
+            fields.append((stem, np.float64, (4, BLOCK_ROBOTS)))
         elif wheel not in tuple("bcd"):
-            found.append((name, np.float64, (BLOCK_ROBOTS,)))
-    return found
+            fields.append((name, np.float64, (BLOCK_ROBOTS,)))
+    return fields
 
 
 def _rules_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
@@ -267,29 +268,11 @@ PHYSICS_ROW = ROWS["physics"].start
 BUILD = tuple(name for name, *_ in _fields(Build))
 BUILD_ROW = ROWS[BUILD[0]].start
 """The first row of `Build` and `rules`; they are the last ones."""
-INFO_FIELDS = {
-    "is_success": "success",
-    "odom_x": "odom_x",
-    "odom_y": "odom_y",
-    "odom_theta": "odom_theta",
-    "feedback_age": "age",
-    "sent_linear": "sent_linear",
-    "sent_angular": "sent_angular",
-    "sent_reason": "reason",
-    "true_x": "x",
-    "true_y": "y",
-    "true_theta": "true_theta",
-    "true_contact": "contact",
-    "true_goal_distance": "goal_distance",
-    "odometry_error": "odom_error",
-}
-"""Keys of info that every task has, and their fields."""
 
 
 def make_blocks(robots: int) -> NDArray[Any]:
     """Blocks for so many robots, all zero; the last block may have more."""
-    blocks = np.zeros(-(-robots // BLOCK_ROBOTS), BLOCK)
-    return blocks if COMPILED else blocks.view(np.recarray)
+    return np.zeros(-(-robots // BLOCK_ROBOTS), BLOCK)
 
 
 def view_numbers(blocks: NDArray[Any]) -> Floats:
@@ -306,8 +289,8 @@ def read_fields(numbers: Floats, names: Sequence[str], robots: Any) -> Floats:
         robots: indices of robots, or a slice.
     """
     rows = [row for name in names for row in ROWS[name]]
-    found: Floats = numbers[:, rows].swapaxes(0, 1).reshape(len(rows), -1)[:, robots]
-    return found
+    fields: Floats = numbers[:, rows].swapaxes(0, 1).reshape(len(rows), -1)[:, robots]
+    return fields
 
 
 class LineFaults(NamedTuple):
@@ -360,20 +343,13 @@ class Setup(NamedTuple):
     """Firmware loops in a control period."""
     max_steps: float
     """Time limit of an episode [env steps]; infinite for none."""
-    guarded: bool
-    """Whether commands must be kept tick by tick: there are limits, a geofence, faults, or commands
-    that take longer than a step."""
     faults: LineFaults
     """Faults of the lines."""
-    falls_silent: bool
-    """Whether feedback may stay away for so long that the episode ends."""
     sees: bool
     """Whether the robots have a LiDAR."""
     numbers: int
     """Numbers of an observation that are the task's own; those of the sensors follow, those of map
     and LiDAR first."""
-    maps: bool
-    """Whether the robots have a map."""
     first_ray: int
     """Place of the LiDAR's first number in an observation."""
 
@@ -402,7 +378,7 @@ class Spawns(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """All arrays of a batch of R robots that change."""
+    """The arrays of a batch of R robots that all loops need."""
 
     blocks: Any
     """(blocks,): records of `Robots`."""
@@ -410,28 +386,8 @@ class Tables(NamedTuple):
     """(blocks, rows, BLOCK_ROBOTS): the same memory, for what treats many fields alike."""
     counts: Floats
     """(blocks, firmware loops, 4, BLOCK_ROBOTS): a ring of encoder counts."""
-    commands: Floats
-    """(blocks, ticks, 2, BLOCK_ROBOTS): a ring of command lines, wheel speeds right and left
-    [rad/s]; no ticks where nothing limits commands."""
-    arrivals: Floats
-    """(blocks, ticks, 3, BLOCK_ROBOTS): the firmware loop in which the boards get what the wire
-    passed on in a tick, and its two wheel speeds; no ticks where no lines are lost or late."""
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
-    nominal: NDArray[Any]
-    """(kinds,): records of `Physics`, as configured."""
-    low: Floats
-    """(kinds, numbers): least value of each randomized number: `randomization.Drawn`."""
-    high: Floats
-    """(kinds, numbers): largest value of each randomized number."""
-    delays: Floats
-    """(kinds, delays): what randomized delays of commands are drawn from [s]."""
-    delay_counts: NDArray[np.int64]
-    """(kinds,): how many of these a kind has."""
-    rays: NDArray[Any]
-    """(kinds,): records of `Rays`."""
-    drawn: Floats
-    """(R, numbers): what the episodes have drawn; no numbers where nothing varies."""
     actions: Floats
     """(R, 2): linear and angular, as given to the step."""
     over: NDArray[np.bool_]
@@ -439,20 +395,8 @@ class Tables(NamedTuple):
     idle: NDArray[np.bool_]
     """(R,): whether the robot doesn't drive: it begins anew, its board is silent, or this is a
     reset."""
-    kept: Floats
-    """(blocks, EPISODE_ROWS, BLOCK_ROBOTS): the episodes before the step; no rows where boards
-    can't fall silent."""
-    kept_rays: NDArray[np.float32]
-    """(R, rays): the observed ranges before the step; no robots where boards can't fall silent."""
     ranges: Floats
     """(R, rays): the LiDAR's newest scan [m]; a robot may have fewer, see `Build.rays`."""
-    trails: Floats
-    """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
-    `Trail.rows`; no slots without a LiDAR."""
-    maps: NDArray[Any]
-    """(R,): `sensors.map.RECORD`; no robots where they have no map."""
-    scratch: NDArray[np.int32]
-    """(blocks, numbers): for the search of ways; no blocks without a map."""
     edges: Floats
     """(kinds, rays): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]
@@ -463,21 +407,67 @@ class Tables(NamedTuple):
     """(2, R): terminated, truncated."""
     ring: NDArray[np.int64]
     """(4,): the slot of `counts` that the last loop of the last step wrote, the slot of
-    `commands` that its last tick wrote, and the first tick (and the one after the last) of a
+    `Commands` that its last tick wrote, and the first tick (and the one after the last) of a
     step that the next call drives."""
 
 
-class TaskTables(NamedTuple):
-    """The fields of `Tables` that the task's loops need."""
+class Draws(NamedTuple):
+    """What the physics of episodes is drawn from, and what was drawn."""
 
-    blocks: Any
-    over: NDArray[np.bool_]
-    idle: NDArray[np.bool_]
-    ranges: Floats
-    edges: Floats
-    observations: NDArray[np.float32]
-    rewards: Floats
-    ends: NDArray[np.bool_]
+    nominal: NDArray[Any]
+    """(kinds,): records of `Physics`, as configured."""
+    low: Floats
+    """(kinds, numbers): least value of each randomized number: `randomization.Drawn`."""
+    high: Floats
+    """(kinds, numbers): largest value of each randomized number."""
+    delays: Floats
+    """(kinds, delays): what randomized delays of commands are drawn from [s]."""
+    delay_counts: NDArray[np.int64]
+    """(kinds,): how many of these a kind has."""
+    drawn: Floats
+    """(R, numbers): what the episodes have drawn; no numbers where nothing varies."""
+
+
+# Loops get None in the place of these where a batch doesn't need them, and numba then leaves away
+# what stands behind `if scans is not None`: most batches compile less than half of the code.
+
+
+Commands = Floats
+"""(blocks, ticks, 2, BLOCK_ROBOTS): a ring of command lines, wheel speeds right and left [rad/s],
+each kept until the board uses it. For limits, a geofence, faults, and commands that take longer
+than a step."""
+
+
+class Lines(NamedTuple):
+    """Lines that may be lost or late, see `LineFaults`."""
+
+    arrivals: Floats
+    """(blocks, ticks, 3, BLOCK_ROBOTS): the firmware loop in which the boards get what the wire
+    passed on in a tick, and its two wheel speeds."""
+    kept: Floats
+    """(blocks, EPISODE_ROWS, BLOCK_ROBOTS): the episodes before the step; no rows where boards
+    can't fall silent."""
+
+
+class Scans(NamedTuple):
+    """What LiDARs and contacts need: robots with a LiDAR, or in worlds with obstacles."""
+
+    around: Surroundings
+    """Obstacles and rays."""
+    rays: NDArray[Any]
+    """(kinds,): records of `Rays`."""
+    trails: Floats
+    """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
+    `Trail.rows`; no slots without a LiDAR."""
+
+
+class Maps(NamedTuple):
+    """The robots' maps."""
+
+    records: NDArray[Any]
+    """(R,): `sensors.map.RECORD`."""
+    scratch: NDArray[np.int32]
+    """(blocks, numbers): for the search of ways."""
 
 
 @jit

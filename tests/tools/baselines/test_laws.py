@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from baseline_tools import CONFIG, equipped, goal_seen, path_seen
 
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.follow_gap import choose_course
 from acsar_gym.tools.baselines.goal_laws import curvature_to
 
