@@ -72,6 +72,7 @@ Motion = tuple[Point3, tuple[float, float, float, float], Point3, Point3]
 _pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
 _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
 _simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
+_push_robot = model.push_robot
 MAX_SHAPES = 16
 """Shapes of a compound, at most; PyBullet's limit."""
 FRAME_KEYS = ("Positions", "Orientations")
@@ -143,7 +144,6 @@ class BulletBody:
             self._robot, -1, mass=own.mass, localInertiaDiagonal=inertia, physicsClientId=client
         )
         self._physics = record_of(own)
-        self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
         pybullet.resetBasePositionAndOrientation(
             self._robot, (x, y, self._config.wheel_radius), upright, physicsClientId=client
@@ -171,19 +171,18 @@ class BulletBody:
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
-        position, (qx, qy, qz, qw), (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
-        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = model.robot_step(
-            1.0 - 2.0 * (qy * qy + qz * qz),
-            2.0 * (qw * qz + qx * qy),
-            (vx, vy, rate),
+        position, orientation = _pose_of(robot, client)
+        velocity, spin = _velocity_of(robot, client)
+        force, torque, self.wheel_speeds, self.wheel_angles = _push_robot(
+            orientation,
+            velocity,
+            spin,
             self.wheel_speeds,
             self.wheel_angles,
             set_points,
             self._physics,
             self._dt,
         )
-        force = (self._push * (nx - vx), self._push * (ny - vy), 0.0)
-        torque = (0.0, 0.0, self._twist * (new_rate - rate))
         _apply_force(robot, -1, force, position, _WORLD, client)
         _apply_torque(robot, -1, torque, _WORLD, client)
         _simulate(client)

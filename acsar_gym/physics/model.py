@@ -284,6 +284,43 @@ def robot_step(
     )
 
 
+@loop
+def push_robot(
+    orientation: tuple[float, float, float, float],
+    velocity: Velocity,
+    spin: Velocity,
+    wheels: Speeds,
+    angles: Speeds,
+    set_points: Speeds,
+    physics: Any,
+    dt: float,
+) -> tuple[Velocity, Velocity, Speeds, Speeds]:
+    """`robot_step` as a push, for an engine that moves the chassis itself.
+
+    Args:
+        orientation: of the chassis (x, y, z, w).
+        velocity: of the chassis in the world frame [m/s].
+        spin: its angular velocity in the world frame [rad/s].
+        wheels: as for `robot_step`, and so on.
+        angles: see there.
+        set_points: see there.
+        physics: see there.
+        dt: substep [s].
+
+    Returns:
+        Force [N] and torque [Nm] on the chassis in the world frame; new wheel speeds and angles.
+    """
+    qx, qy, qz, qw = orientation
+    cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
+    vx, vy, rate = velocity[0], velocity[1], spin[2]
+    (new_vx, new_vy, new_rate), wheels, angles = robot_step(
+        cos, sin, (vx, vy, rate), wheels, angles, set_points, physics, dt
+    )
+    push, twist = physics[0].mass / dt, physics[0].yaw_inertia / dt
+    force = push * (new_vx - vx), push * (new_vy - vy), 0.0
+    return force, (0.0, 0.0, twist * (new_rate - rate)), wheels, angles
+
+
 def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
     """Yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s], neglecting inertia."""
     right, left = (speeds[0] + speeds[3]) / 2.0, (speeds[1] + speeds[2]) / 2.0
