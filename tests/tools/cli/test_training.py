@@ -12,7 +12,6 @@ import gymnasium
 import pytest
 from cli_tools import Call, assert_one_line
 
-
 pytestmark = pytest.mark.xdist_group(__name__)
 
 
