@@ -87,11 +87,7 @@ FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
 
 @cache
 def hash_sources_beside(folder: Path) -> str:
-    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are.
-
-    Args:
-        folder: of the source file whose functions are compiled.
-    """
+    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are."""
     if folder.is_relative_to(TOOLS):
         return hash_sources(TOOLS)
     is_package = (folder / "__init__.py").is_file() and not folder.is_relative_to(PACKAGE)
@@ -221,13 +217,7 @@ event.register("numba:compile", announcer)
 
 
 def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
-    """Make a class of named tuples as an attribute of another, where numba's cache finds it again.
-
-    Args:
-        kind: the class that gets the attribute.
-        name: of the attribute.
-        fields: of the named tuples.
-    """
+    """Make a class of named tuples as an attribute of another, where numba's cache finds it."""
     with _NAMING:
         made: Any = vars(kind).get(name)
         if made is None or made._fields != fields:
@@ -243,9 +233,6 @@ def record_of(values: Any) -> Any:
 
     Compiled functions read and write `record[0].name`. Passing a record to them takes a fifth of
     the time of a named tuple.
-
-    Args:
-        values: the named tuple.
     """
     kind: Any = type(values)
     return np.array([values], _record_type(kind))

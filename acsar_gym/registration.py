@@ -119,12 +119,11 @@ def register_all() -> None:
     """Register this package's ids. Idempotent."""
     for name, options in IDS.items():
         if f"acsar_gym/{name}" not in gymnasium.registry:
-            kind = name.partition("-")[0]
-            home = f"acsar_gym.envs.{snake_case(kind)}"
+            home = f"acsar_gym.envs.manuals:{name.partition('-')[0]}"
             gymnasium.register(
                 id=f"acsar_gym/{name}",
-                entry_point=f"{home}:{kind}Env",
-                vector_entry_point=f"{home}:{kind}VectorEnv",
+                entry_point=f"{home}Env",
+                vector_entry_point=f"{home}VectorEnv",
                 **options,
             )
 

@@ -210,14 +210,6 @@ class BulletBody:
         """Measure ranges with PyBullet's own rays, for tests and benchmarks.
 
         A ray may stop up to a millimetre beside a cylinder's surface; environments don't use it.
-
-        Args:
-            place: x, y in the frame of the world [m].
-            bearings: (rays,) in the frame of the world [rad].
-            reach: longest range [m].
-
-        Returns:
-            (rays,) [m].
         """
         (x, y), height = place, self._config.lidar_z_offset
         ends = np.column_stack([x + reach * np.cos(bearings), y + reach * np.sin(bearings)])
@@ -406,14 +398,6 @@ def write_mesh(outline: Outline, low: float, high: float) -> Iterator[str]:
     PyBullet reads shapes of many corners from files only. It uses the convex hull of each object
     in a file, so each piece is an object, and notches stay open. Its hulls are 1 mm larger on
     every side. The file is deleted after the block.
-
-    Args:
-        outline: corners in the base frame [m].
-        low: least height [m].
-        high: largest height [m].
-
-    Yields:
-        Name of the file.
     """
     lines, first = [], 1  # of corners, which count from 1
     for number, piece in enumerate(convex_pieces(outline)):

@@ -52,11 +52,7 @@ class Firmware:
         self.reset()
 
     def reset(self, own: Physics | None = None) -> None:
-        """Reset to the state after power-up: nothing on the wire, set points and encoders zero.
-
-        Args:
-            own: physics with the delays and the feedback rate of this robot; None: as configured.
-        """
+        """Reset to the state after power-up: nothing on the wire, set points and encoders zero."""
         own = own or self._configured
         self._latency = own.latency_loops * self._dt
         self._reaction = self._processing + own.command_delay + self._latency
@@ -87,9 +83,6 @@ class Firmware:
         """Let time pass, and return the feedback bytes that reach the host meanwhile.
 
         Time that is left after whole firmware loops is added to the next period.
-
-        Args:
-            period: [s].
         """
         self._elapsed += period
         now = self._elapsed + TIME_EPSILON

@@ -182,16 +182,7 @@ def compute_physics(config: RobotConfig) -> Physics:
 def wheel_speed(
     speed: float, set_point: float, gain: float, blend: float, deadband: float, top: float
 ) -> float:
-    """Compute a wheel's speed one substep later: gain, deadband, saturation, first-order lag.
-
-    Args:
-        speed: of the wheel [rad/s].
-        set_point: of the firmware [rad/s].
-        gain: of this wheel.
-        blend: of this wheel.
-        deadband: of this wheel [rad/s].
-        top: top speed of a motor [rad/s].
-    """
+    """Compute a wheel's speed one substep later: gain, deadband, saturation, first-order lag."""
     set_point *= gain
     if abs(set_point) < deadband:
         set_point = 0.0
@@ -295,20 +286,9 @@ def push_robot(
     physics: Any,
     dt: float,
 ) -> tuple[Velocity, Velocity, Speeds, Speeds]:
-    """`robot_step` as a push, for an engine that moves the chassis itself.
+    """`robot_step` for an engine that moves the chassis itself, by a force [N] and a torque [Nm].
 
-    Args:
-        orientation: of the chassis (x, y, z, w).
-        velocity: of the chassis in the world frame [m/s].
-        spin: its angular velocity in the world frame [rad/s].
-        wheels: as for `robot_step`, and so on.
-        angles: see there.
-        set_points: see there.
-        physics: see there.
-        dt: substep [s].
-
-    Returns:
-        Force [N] and torque [Nm] on the chassis in the world frame; new wheel speeds and angles.
+    Orientation (x, y, z, w), velocity [m/s], spin [rad/s], force and torque are in the world frame.
     """
     qx, qy, qz, qw = orientation
     cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
@@ -334,22 +314,12 @@ def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
 
 @loop
 def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, physics: Any) -> float:
-    """Compute the power that the motors give to the ground at this moment.
+    """Compute the power that the motors give to the ground at this moment [W].
 
     P = sum over wheels of max(0, F_i r_i w_i), in which r_i w_i is the speed of the wheel's
     surface and F_i = -D_i s_x the force of its tyre along the rolling direction, with D_i and the
     slip (s_x, s_y) of this file. A wheel that is pushed by the ground brakes; its motor
     recovers nothing. Losses inside the motors are not known.
-
-    Args:
-        cos: of the heading.
-        sin: of the heading.
-        velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
-        wheels: speeds of the four wheels [rad/s].
-        physics: of the robot, a record of `Physics`.
-
-    Returns:
-        The power [W].
     """
     own = physics[0]
     vx, vy, rate = velocity

@@ -214,13 +214,6 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
     wheel its rotor is as heavy as the load, as gears are chosen for. This matters: MuJoCo solves
     friction with the inertia that it finds at each contact, and lets the robot turn the slower the
     lighter its rotors are and the better its tyres grip.
-
-    Args:
-        config: of the robot.
-        own: its physics.
-
-    Returns:
-        A `mujoco.MjSpec`, to be compiled.
     """
     spec, shape = mujoco.MjSpec.from_file(str(URDF)), mujoco.mjtGeom
     spec.compiler.discardvisual = False
@@ -302,12 +295,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
 
 
 def add_obstacles(spec: Any, world: World | None) -> None:
-    """Add the circles and segments of a world, as cylinders and thin boxes.
-
-    Args:
-        spec: a `mujoco.MjSpec`.
-        world: None for an open floor.
-    """
+    """Add the circles and segments of a world, as cylinders and thin boxes."""
     shape, middle = mujoco.mjtGeom, OBSTACLE_HEIGHT / 2.0
     common = {"contype": 0, "conaffinity": OBSTACLES, "rgba": OBSTACLE_PAINT}
     for x, y, radius in () if world is None else world.circles.tolist():

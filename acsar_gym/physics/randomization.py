@@ -145,13 +145,6 @@ def randomization_level(config: RobotConfig, number: int) -> Randomization:
     """Return the randomization of a level: half, all, or twice of what a robot is trained with.
 
     Measured delays (`command_delay`, `delay_samples`) are the same on all levels.
-
-    Args:
-        config: the robot.
-        number: 1, 2 or 3.
-
-    Raises:
-        ConfigError: there is no such level.
     """
     if number not in LEVEL_WIDTHS:
         raise ConfigError(f"randomization level {show_value(number)}: must be 1, 2 or 3")
@@ -420,13 +413,7 @@ def scale_kappa(nominal: Physics, factor: float) -> float:
 
 @jit
 def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
-    """Apply what was drawn to a robot's physics.
-
-    Args:
-        nominal: physics of the configured robot.
-        drawn: numbers of the episode.
-        dt: firmware loop period [s].
-    """
+    """Apply what was drawn to a robot's physics."""
     return Physics(
         left_radius=nominal.left_radius * drawn.wheel_radius * drawn.left_wheel_radius,
         right_radius=nominal.right_radius * drawn.wheel_radius * drawn.right_wheel_radius,
@@ -465,19 +452,7 @@ def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
 def draw_robot(
     nominal: Any, low: Floats, high: Floats, delays: Floats, samples: Floats, dt: float
 ) -> tuple[Physics, Drawn]:
-    """Draw a robot's physics for one episode.
-
-    Args:
-        nominal: the configured robot's, a record of `Physics`.
-        low: Least value of each number of `Drawn`.
-        high: Largest value of each.
-        delays: What `delay_samples` is drawn from [s].
-        samples: A uniform sample of [0, 1) for each; ignored where low == high.
-        dt: The firmware's loop period [s].
-
-    Returns:
-        The physics, and the numbers that were drawn, as applied.
-    """
+    """Draw a robot's physics for one episode."""
     numbers = np.empty(DRAWN_SIZE)
     for k in range(DRAWN_SIZE):
         numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
@@ -537,14 +512,7 @@ class Randomizer:
         self._drawn = Drawn()
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Draw the physics of an episode.
-
-        Args:
-            rng: the env's generator; one sample is taken for each number that varies.
-
-        Returns:
-            The physics; None where nothing varies.
-        """
+        """Draw the physics of an episode."""
         if not self._names:
             return None
         samples, varies = np.zeros(DRAWN_SIZE), self._high > self._low

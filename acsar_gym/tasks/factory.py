@@ -37,17 +37,7 @@ METHOD_ARGUMENTS = {
 
 
 def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
-    """Make a task from what a user passes as `task`, and check its class; see `validate_task`, too.
-
-    Args:
-        task: a Task, a subclass of it, or "module:Class".
-        options: fields of the class.
-        others: names of the env's own options, for messages.
-
-    Raises:
-        ConfigError: for anything else, for options that the class doesn't know, and for methods
-            that are missing.
-    """
+    """Make a task from what a user passes, and check its class; `others`: the env's own options."""
     if isinstance(task, str):
         task = import_object("task", task)
     if isinstance(task, type) and issubclass(task, Task):
@@ -149,17 +139,7 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
 
 
 def importable_task(task: Any) -> Any:
-    """Name a class of tasks in a way that can be stored in a spec.
-
-    Args:
-        task: a subclass of Task, or "module:Class".
-
-    Returns:
-        "module:Class" where other processes can import it so, otherwise the class.
-
-    Raises:
-        ConfigError: for anything else.
-    """
+    """Name a class of tasks in a way that can be stored in a spec."""
     kind = import_object("task", task) if isinstance(task, str) else task
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         raise ConfigError(f"task = {show_value(task)}: must be a subclass of acsar_gym.Task")
@@ -174,17 +154,7 @@ def task_name(task: Task | type[Task]) -> str:
 
 
 def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
-    """Call all methods of a task once with an example state, to find mistakes early.
-
-    Args:
-        task: to try.
-        config: of the robot.
-        sensors: that the robot has.
-
-    Raises:
-        ConfigError: where a method returns something of the wrong type or shape.
-        TaskError: where a method raises an error.
-    """
+    """Call all methods of a task once with an example state, to find mistakes early."""
     most = np.concatenate([np.zeros(0), *(sensor.bounds[1] for sensor in sensors)])
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
     rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)

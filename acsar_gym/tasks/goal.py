@@ -121,15 +121,7 @@ def goal_numbers(
     scales: tuple[float, float, float],
     action: tuple[float, float],
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Compute the numbers that GOAL_OBSERVATION names.
-
-    Args:
-        pose: x [m], y [m], theta [rad] by odometry.
-        twist: linear [m/s] and angular [rad/s] velocity by odometry.
-        goal: x, y in the odometry frame [m].
-        scales: of distance [m], linear [m/s] and angular velocity [rad/s].
-        action: the last one, in [-1, 1].
-    """
+    """Compute the numbers that GOAL_OBSERVATION names."""
     x, y, theta = pose
     cos, sin = cos_sin(theta)
     ahead, left = relative_point(x, y, cos, sin, goal[0], goal[1])

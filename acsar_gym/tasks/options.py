@@ -50,18 +50,7 @@ class SharedOptions(Section):
 
     @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """Separate these options from those of the task.
-
-        Args:
-            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
-                and only one mode knows.
-
-        Returns:
-            These options, and the others.
-
-        Raises:
-            ConfigError: for values that are unknown or out of range.
-        """
+        """Separate these options from those of the task."""
         own, asked = cls.names(), dict(given)
         defaults = asked.pop(MODE_DEFAULTS, {})
         asked = {name: value for name, value in defaults.items() if name in own} | asked
@@ -79,17 +68,7 @@ def split_by_mode(options: Mapping[str, Any]) -> dict[str, Any]:
 def check_register_options(
     name: str, task: Any, options: Iterable[str], others: Iterable[str]
 ) -> None:
-    """Check the options with which an id is registered.
-
-    Args:
-        name: of the id.
-        task: its class.
-        options: their names.
-        others: names of what `acsar_gym.register` itself takes, for messages.
-
-    Raises:
-        ConfigError: neither the env, a batch nor the task has such an option.
-    """
+    """Check the options with which an id is registered."""
     known = [*inspect.signature(task).parameters, *SharedOptions.names(), *ONE_MODE_OPTIONS]
     known += ["link", "robot"]
     for option in options:
@@ -99,15 +78,7 @@ def check_register_options(
 
 
 def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]:
-    """Return a reset's options once their names are checked.
-
-    Args:
-        options: as passed to `reset`.
-        names: that the task knows.
-
-    Raises:
-        ConfigError: for an unknown name, or where `options` is no mapping.
-    """
+    """Return a reset's options once their names are checked."""
     if not isinstance(options, Mapping):
         raise ConfigError(f"options = {show_value(options)}: must be a mapping of names to values")
     for name in options:
@@ -119,16 +90,7 @@ def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]
 
 
 def check_count(name: str, value: int, most: int) -> int:
-    """Check that an option is a whole number from 1 to `most`, and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-        most: largest allowed value.
-
-    Raises:
-        ConfigError: for anything else.
-    """
+    """Check that an option is a whole number from 1 to `most`, and return it."""
     if not isinstance(value, int | np.integer) or not 1 <= value <= most:
         raise ConfigError(
             f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"

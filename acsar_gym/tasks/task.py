@@ -140,12 +140,7 @@ TASK_METHODS = ("begin", "outcome", "reward", "observe")
 
 
 def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
-    """Whether a batch compiles these methods; not where a subclass overrides compiled ones.
-
-    Args:
-        instance: a task, or a sensor.
-        methods: their names.
-    """
+    """Whether a batch compiles these methods; not where a subclass overrides compiled ones."""
     for one in type(instance).__mro__:
         if "compiled" in vars(one):
             return bool(vars(one)["compiled"])
@@ -155,11 +150,7 @@ def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
 
 
 def says_shortest_path(task: Task) -> bool:
-    """Whether a task has a `shortest_path` that belongs to its `outcome`.
-
-    Args:
-        task: of any class.
-    """
+    """Whether a task has a `shortest_path` that belongs to its `outcome`."""
     for one in type(task).__mro__:
         if "shortest_path" in vars(one) or "outcome" in vars(one):
             return "shortest_path" in vars(one) and one is not Task

@@ -166,13 +166,7 @@ class Batch:
         return layout.read_fields(self.tables.numbers, names, slice(self.robots))
 
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
-        """Make new generators.
-
-        Args:
-            seeds: one for each robot; None for a robot, or for all, keeps the generators that there
-                are, and draws seeds from the system the first time.
-            mask: (robots,): for which robots.
-        """
+        """Make new generators."""
         if seeds is None and self.seeded:
             return
         for robot in np.flatnonzero(mask):
@@ -285,12 +279,7 @@ def ray_count(config: RobotConfig, sees: bool) -> int:
 
 
 def make_setup(fleet: Sequence[RobotConfig], **numbers: Any) -> layout.Setup:
-    """Compute the numbers that all robots of a batch share.
-
-    Args:
-        fleet: the kinds of robots, whose `SHARED_FIELDS` are equal.
-        **numbers: fields of `layout.Setup` that don't follow from the robots.
-    """
+    """Compute the numbers that all robots of a batch share."""
     config, loop_rate = fleet[0], fleet[0].firmware.loop_rate
     return layout.Setup(
         dt=loop_period(config),
@@ -406,14 +395,7 @@ def write_builds(
     setup: layout.Setup,
     places: Sequence[range],
 ) -> None:
-    """Write the numbers of `layout.Build`, and those of the safety rules, of all robots.
-
-    Args:
-        numbers: of all blocks.
-        fleet: the kinds of robots.
-        setup: of the batch.
-        places: indices of the worlds that were made for each kind's footprint.
-    """
+    """Write the numbers of `layout.Build`, and those of the safety rules, of all robots."""
     rows = []
     for kind, (config, worlds) in enumerate(zip(fleet, places, strict=True)):
         per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
@@ -466,19 +448,7 @@ def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:
 
 
 def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[World], list[range]]:
-    """Make all worlds of all pools, each pool's once.
-
-    Args:
-        pools: of each kind of robots, the same object where footprints are as large; None on an
-            open floor.
-        follow: whether robots follow the worlds' paths, from their beginnings.
-
-    Returns:
-        The worlds of one pool after another's, and where those of each kind are.
-
-    Raises:
-        WorldError: for more than 10,000 of a footprint, before any is made.
-    """
+    """Make all worlds of all pools, each pool's once."""
     worlds: list[World] = []
     places: dict[int, range] = {}
     for pool in pools:

@@ -52,15 +52,7 @@ def check_seeds(seed: Any, robots: int) -> list[int | None] | None:
 
 
 def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
-    """Check the faults of a batch.
-
-    Args:
-        faults: as users pass `faults=`; see `Faults.of`.
-        config: of the robots.
-
-    Raises:
-        ConfigError: for a fault that a batch can't simulate, or a value out of range.
-    """
+    """Check the faults of a batch."""
     asked, sound = Faults.of(faults), Faults()
     for name in Faults.model_fields:
         if name not in BATCH_FAULTS and getattr(asked, name) != getattr(sound, name):
@@ -78,16 +70,7 @@ def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig)
 
 
 def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetOptions:
-    """Convert a reset's options "world", "difficulty" and "goal" to fields of the robots.
-
-    Args:
-        spawn: knows which options the task has.
-        options: of the reset, without the mask.
-        robots: number of robots.
-
-    Raises:
-        ConfigError, WorldError: for an unknown option, or a bad value; names the robot.
-    """
+    """Convert a reset's options "world", "difficulty" and "goal" to fields of the robots."""
     given = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
     fields: ResetOptions = {}
     if given.get("goal") is not None:

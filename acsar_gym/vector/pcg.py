@@ -44,13 +44,7 @@ class LentGenerators(Sequence[np.random.Generator]):
     """NumPy generators that go on where some rows are, until `give_back` stores their states."""
 
     def __init__(self, rows: Generators, which: Sequence[int], made: dict[int, Lent]) -> None:
-        """Make no generator yet; each is made when it is first used.
-
-        Args:
-            rows: (n, 4): generators of all robots.
-            which: rows to lend, in order.
-            made: NumPy generators by row, reused because half of a 64-bit number may be buffered.
-        """
+        """Make no generator yet; each is made when it is first used."""
         self._rows, self._which, self._made = rows, which, made
         self._lent: dict[int, np.random.Generator] = {}
 

@@ -203,12 +203,7 @@ class BatchSensors:
         self._generators.pop(robot, None)
 
     def reset(self, robots: Robots, observations: Observations) -> None:
-        """Reset the sensors of robots that begin an episode, and read them.
-
-        Args:
-            robots: indices of the robots.
-            observations: (all robots, numbers): their rows are written.
-        """
+        """Reset the sensors of robots that begin an episode, and read them."""
         if len(robots) == 0:
             return
         for robot, scene in zip(robots.tolist(), self._view.scenes(robots), strict=True):
@@ -415,11 +410,7 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
 
 
 def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
-    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR.
-
-    Raises:
-        ConfigError: A name is unknown, or the LiDAR is named twice.
-    """
+    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR."""
     compiled = [sensor for sensor in sensors if isinstance(sensor, str) and sensor in (LIDAR, MAP)]
     check_names(compiled)
     if MAP in compiled and LIDAR not in compiled:

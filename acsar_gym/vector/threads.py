@@ -34,15 +34,7 @@ def usable_cores() -> int:
 
 
 def check_threads(name: str, asked: int) -> int:
-    """Check a number of threads that a user asked for, and return it.
-
-    Args:
-        name: of the option, for the message.
-        asked: by the user.
-
-    Raises:
-        ConfigError: for fewer than 1, or more than the cores that this process may use.
-    """
+    """Check a number of threads that a user asked for, and return it."""
     usable, all_cores = usable_cores(), os.cpu_count() or 1
     if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
         return int(asked)
@@ -57,15 +49,7 @@ def check_threads(name: str, asked: int) -> int:
 
 
 def choose_threads(asked: int | None, robots: int) -> int:
-    """Number of threads to use.
-
-    Args:
-        asked: by the user; None uses all cores, but gives each at least ROBOTS_PER_THREAD robots.
-        robots: of the batch.
-
-    Raises:
-        ConfigError: as `check_threads`.
-    """
+    """Number of threads to use."""
     if asked is None:
         return max(1, min(usable_cores(), robots // ROBOTS_PER_THREAD))
     return min(check_threads("threads =", asked), robots)

@@ -43,14 +43,6 @@ def bind_methods(kind: type, template: Any, methods: Mapping[str, str]) -> Calla
     """Make a copy of a loop that calls the methods of one class, compiled.
 
     Compilation happens at the first call; `explain_error` makes a message of numba's errors.
-
-    Args:
-        kind: the class.
-        template: the loop, in whose globals there are placeholders for the methods.
-        methods: names of the methods by placeholder.
-
-    Raises:
-        ConfigError: as `check_calls`.
     """
     check_calls(kind, methods.values())
     options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
@@ -85,15 +77,7 @@ def _cached_as(kind: type, methods: Collection[str]) -> str:
 
 
 def check_calls(kind: type, methods: Collection[str]) -> None:
-    """Check that compiled methods call no others of their object, which numba can't compile.
-
-    Args:
-        kind: the class.
-        methods: names of its compiled methods.
-
-    Raises:
-        ConfigError: one does; names both, and the line.
-    """
+    """Check that compiled methods call no others of their object, which numba can't compile."""
     for method in methods:
         function = inspect.unwrap(getattr(kind, method))
         before: Any = None
@@ -143,15 +127,7 @@ GENERAL = ("Failed in ", "During: ", "File ", "Raised from ")
 def explain_error(
     name: str, kind: type, methods: Collection[str], error: Exception, rules: str = ""
 ) -> ConfigError:
-    """Make a ConfigError of one line from numba's error about a class that it can't compile.
-
-    Args:
-        name: of the task or sensor.
-        kind: its class.
-        methods: names of its compiled methods.
-        error: of numba.
-        rules: what compiled methods must keep to.
-    """
+    """Make a ConfigError of one line from numba's error about a class that it can't compile."""
     text = COLOURS.sub("", str(error))
     lines = [" ".join(line.split()).partition(" Raised from ")[0] for line in text.splitlines()]
     reasons = [line for line in lines if line and not line.startswith(GENERAL)]

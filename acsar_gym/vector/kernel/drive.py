@@ -133,16 +133,7 @@ def explain_commands(robots: Robots, count: int, setup: Setup) -> None:
 def release_time(
     key: float, whose: int, number: float, arrived: float, before: float, faults: LineFaults
 ) -> float:
-    """Time at which the wire passes a line on [s]; NaN where the line is lost.
-
-    Args:
-        key: of the episode; negative where it has no faults.
-        whose: COMMAND_LINE or FEEDBACK_LINE.
-        number: of the line.
-        arrived: when it would arrive without faults [s].
-        before: when the line before it was passed on [s].
-        faults: of the batch.
-    """
+    """Time at which the wire passes a line on [s]; NaN where the line is lost."""
     suffers = faults.feedback if whose == FEEDBACK_LINE else faults.commands
     if key < 0.0 or not suffers:
         return arrived

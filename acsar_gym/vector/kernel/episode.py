@@ -34,13 +34,7 @@ from acsar_gym.vector.pcg import uniform
 
 @jit
 def count_settle_ticks(delay: float, every: float, loops: float) -> float:
-    """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`.
-
-    Args:
-        delay: from making a feedback line to its use [firmware loops].
-        every: period of feedback lines [firmware loops].
-        loops: firmware loops in a tick.
-    """
+    """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`."""
     one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
     two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
     return max(one + 1.0, two)

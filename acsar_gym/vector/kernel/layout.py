@@ -281,13 +281,7 @@ def view_numbers(blocks: NDArray[Any]) -> Floats:
 
 
 def read_fields(numbers: Floats, names: Sequence[str], robots: Any) -> Floats:
-    """Copy fields of some robots, (numbers, robots); those of wheels are four numbers.
-
-    Args:
-        numbers: of all blocks, see `view_numbers`.
-        names: of the fields.
-        robots: indices of robots, or a slice.
-    """
+    """Copy fields of some robots, (numbers, robots); those of wheels are four numbers."""
     rows = [row for name in names for row in ROWS[name]]
     fields: Floats = numbers[:, rows].swapaxes(0, 1).reshape(len(rows), -1)[:, robots]
     return fields

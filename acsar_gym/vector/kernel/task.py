@@ -124,9 +124,5 @@ def _store(columns: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
 
 
 def bind_task(task: Task) -> Callable[..., None]:
-    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`.
-
-    Args:
-        task: whose class has the methods.
-    """
+    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`."""
     return bind_methods(type(task), run, {f"task_{one}": one for one in TASK_METHODS})
