@@ -53,16 +53,6 @@ def test_what_the_fingerprint_leaves_out_has_one_of_its_own(tmp_path: Path) -> N
     assert compiled.hash_sources_beside(package) == compiled.hash_sources(package)
 
 
-def test_folders_that_do_not_count_change_no_stamp(tmp_path: Path) -> None:
-    """So an edited tool compiles nothing anew, and a wheel uses the code of its checkout."""
-    (tmp_path / "robot.py").touch()
-    checkout = compiled.hash_sources(tmp_path)
-    (tmp_path / "agents").mkdir()
-    (tmp_path / "agents" / "train.py").touch()
-    assert compiled.hash_sources(tmp_path) != checkout
-    assert compiled.hash_sources(tmp_path, tmp_path / "agents") == checkout
-
-
 def plus_one(x: float) -> float:
     return x + 1.0
 
@@ -169,29 +159,6 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
         again
         == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.robots_of_block"
     )
-
-
-COMPILE_MAP = """
-import sys
-from acsar_gym import jit as compiled
-from acsar_gym.sensors.map.sensor import log_share
-
-def double_share(value, most):
-    return 2.0 * log_share(value, most)
-
-compiled.loop(double_share, keep=False)(1.0, 2.0)
-print("within", file=sys.stderr)
-compiled.loop(log_share)(1.0, 2.0)
-"""
-
-
-def test_compiling_a_map_is_announced_but_not_as_a_part_of_a_batch(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", COMPILE_MAP]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    within, said = done.stderr.splitlines()
-    assert within == "within"
-    assert said.startswith("acsar_gym: compiling the map, a quarter of a minute")
 
 
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)

@@ -67,21 +67,6 @@ def test_what_is_no_outcome_is_named(kind: Any, name: str) -> None:
         make(kind, task)
 
 
-def late_success(self: Any, state: State, memory: Any) -> Any:
-    return state.time > 0.15 if state.time != 0.1 else Outcome.GOING
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_later_true_is_no_success_either(kind: Any) -> None:
-    env = make(kind, type("Mine", (Plain,), {"outcome": late_success}))
-    action = np.zeros((2,) if kind is RobotEnv else (1, 2))
-    env.reset(seed=0)
-    env.step(action)
-    with pytest.raises(TaskError, match=rf"outcome returned True: .* {place_of(late_success)}"):
-        env.step(action)
-    env.close()
-
-
 SIGNATURES: list[tuple[str, Any]] = [
     ("reward", lambda self, state: 0.0),
     ("reward", lambda self, state, memory: 0.0),
@@ -100,16 +85,6 @@ def test_a_method_with_another_signature_is_named(kind: Any, method: str, functi
     said = rf"^Mine: must have {method}\(state, memory.*\), .*: .* {place_of(function)}$"
     with pytest.raises(TaskError, match=said):
         make(kind, task)
-
-
-def test_signatures_that_fit_may_say_more() -> None:
-    fitting: list[Any] = [
-        lambda self, state, memory, outcome, weight=1.0: weight,
-        lambda self, *given: 0.0,
-        lambda self, state, memory, outcome, **more: 0.0,
-    ]
-    for function in fitting:
-        make(RobotEnv, type("Mine", (Plain,), {"reward": function})).close()
 
 
 def text(*_: Any) -> Any:

@@ -254,14 +254,6 @@ def test_bad_actions_and_seeds_are_one_clear_error_and_change_nothing() -> None:
     env.close()
 
 
-def test_a_robot_takes_less_than_two_kilobytes() -> None:
-    made = batch(64).batch
-    arrays = [*made.tables, *made._draws, made._commands]
-    used = sum(array.nbytes for array in arrays if array is not None)
-    used -= made.tables.numbers.nbytes  # `blocks` in other words
-    assert used / 64 < 2048
-
-
 @pytest.mark.parametrize("kind", [RobotVectorEnv, RobotEnv])
 def test_randomization_true_is_that_of_a_training(kind: Any) -> None:
     told = []
@@ -366,18 +358,6 @@ def test_worlds_that_a_batch_cannot_use_are_refused() -> None:
 
 
 # Fleets
-
-
-def test_a_fleets_robots_keep_their_places() -> None:
-    env = batch(7, robot=["acsar", "jackal", "husky"])
-    assert [one.max_linear for one in env.fleet] == [0.5, 2.0, 1.0]
-    env.reset(seed=0)
-    tops = env.batch.read("max_linear")[0]
-    assert tops.tolist() == [0.5, 2.0, 1.0, 0.5, 2.0, 1.0, 0.5]
-    env.step(np.ones((7, 2)))
-    env.reset(options={"reset_mask": np.arange(7) < 3})
-    assert (env.batch.read("max_linear")[0] == tops).all()
-    env.close()
 
 
 def test_robots_of_one_size_share_their_worlds() -> None:

@@ -337,38 +337,6 @@ def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said:
     env.close()
 
 
-class RaisesInProperty(Wrong):
-    compiled = True
-
-    @property
-    def span(self) -> float:
-        return self.scene.start[0]
-
-
-def test_a_property_of_a_compiled_sensor_that_raises_is_named() -> None:
-    with pytest.raises(
-        SensorError, match=r"^sensor 'wrong': span\(\) raised AttributeError"
-    ) as caught:
-        batch(RaisesInProperty, robots=2)
-    assert "\n" not in str(caught.value)
-
-
-class Halved(Gyro):
-    """Overrides half of a compiled sensor, in Python: its generators are NumPy's."""
-
-    name = "halved"
-
-    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
-        memory.bias[:] = [rng.normal() for rng in rngs]
-
-
-def test_a_subclass_of_a_compiled_sensor_is_plain_unless_it_says_otherwise() -> None:
-    env = batch(Halved, robots=2)
-    env.reset(seed=0)
-    env.step(np.zeros((2, 2)))
-    env.close()
-
-
 class Lazy(AtOnce):
     def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
         out[:1] = 0.5

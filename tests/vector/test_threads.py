@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
@@ -91,21 +90,6 @@ def test_no_thread_works_on_after_an_interrupt() -> None:
     threading.Timer(0.05, held.set).start()
     pool.share(lambda first, _: seen.append(len(ended)), 90)
     assert seen == [2, 2, 2]
-    pool.close()
-
-
-def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
-    pool, ended = Threads(3), []
-
-    def work(first: int, last: int) -> None:
-        if first == 0:
-            signal.raise_signal(signal.SIGINT)
-        ended.append(first)
-
-    for number in range(1, 4):
-        with pytest.raises(KeyboardInterrupt):
-            pool.share(work, 90)
-        assert len(ended) == 2 * number
     pool.close()
 
 
