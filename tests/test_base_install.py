@@ -14,8 +14,8 @@ from licence_tools import installed_by, normal
 
 LARGE = {"matplotlib", "mujoco", "onnxruntime", "pandas", "pybullet", "scipy", "torch"}
 MOST_BYTES = 300_000_000
-"""Of the installed base; more than half of it is llvmlite, which numba brings. Its wheels together are
-90 MB."""
+"""Of the installed base; more than half of it is llvmlite, which numba brings. Its wheels together
+are 90 MB."""
 HIDE = """
 import sys
 class Hidden:
