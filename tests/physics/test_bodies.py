@@ -167,23 +167,6 @@ def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
     return poses
 
 
-def test_motion_that_was_read_lasts_until_the_next_step_or_reset(body: BulletBody) -> None:
-    """Reading changes nothing, and what is told is always of now."""
-    seen = [body.truth.pose[0]]
-    for driven in (True, False, True):
-        for _ in range(20):
-            if driven:
-                body.step(AHEAD)
-            else:
-                body.engine_step()
-            seen.append(body.truth.pose[0])
-    assert seen == sorted(set(seen))
-    assert body.power > 0.0
-    body.reset(Scene((1.0, 2.0, 0.5)))
-    assert body.truth.pose == pytest.approx((1.0, 2.0, 0.5))
-    assert body.power == 0.0
-
-
 def test_a_reset_body_repeats_a_fresh_one_bit_for_bit(body: BulletBody) -> None:
     start = Scene(start=(0.3, 0.1, 1.0))
     body.reset(start)

@@ -1,4 +1,4 @@
-"""The tyre and motor model against closed forms and its own plain-Python source."""
+"""The tyre and motor model against closed forms."""
 
 from __future__ import annotations
 

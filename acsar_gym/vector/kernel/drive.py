@@ -466,9 +466,9 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             if commands is not None:
                 line = (line + 1) % commands.shape[1]
                 store_commands(robots, commands[block], count, line, setup)
-            if lines is not None:
-                arrivals = lines.arrivals[block]
-                dispatch_commands(robots, commands[block], arrivals, count, line, setup)
+                if lines is not None:
+                    arrivals = lines.arrivals[block]
+                    dispatch_commands(robots, commands[block], arrivals, count, line, setup)
             for turn in range(setup.loops):
                 if lines is not None:
                     obey_commands(robots, lines.arrivals[block], count, line, turn, setup)
