@@ -61,8 +61,8 @@ class Batch:
         randomization: what the robots draw anew for every episode, see `Randomization.of`.
 
     Attributes: `robots`, how many; `worlds`, all of them, and `places`, where those of each kind
-    are; `tables`, the arrays; `python`, the sensors written in Python; `seeded`, whether the robots
-    have generators.
+    are; `tables`, the arrays; `maps`, None without; `python`, the sensors written in Python;
+    `seeded`, whether the robots have generators.
     """
 
     def __init__(  # noqa: PLR0913 - all that a batch is made of
@@ -132,11 +132,11 @@ class Batch:
         self._commands = make_commands(blocks, setup, kinds)
         self._lines = make_lines(blocks, setup, self._commands)
         self._scans = make_scans(robots, self.worlds, setup, kinds)
-        self._maps: layout.Maps | None = None
+        self.maps: layout.Maps | None = None
         if self._has_map:
             records = np.concatenate([make_record(config, step) for config in fleet])
             scratch = np.zeros((len(blocks), SCRATCH), np.int32)
-            self._maps = layout.Maps(records[np.arange(robots) % len(records)], scratch)
+            self.maps = layout.Maps(records[np.arange(robots) % len(records)], scratch)
         write_builds(self.tables.numbers, fleet, setup, self.places)
         self._loops = make_loops(task, self.tables, setup, self._spawns)
         self._together = self._loops.compiled and not len(self.python)
@@ -236,7 +236,7 @@ class Batch:
             arrays = tables, self._commands, self._lines, self._draws
             episode.reset(*arrays, first, last, setups, self._spawns)
         if self._scans is not None and self._setup.sees:
-            lidars.read_scans(tables, self._scans, self._maps, first, last, setups)
+            lidars.read_scans(tables, self._scans, self.maps, first, last, setups)
         if self._together:
             self._loops.run(first, last)
 

@@ -311,7 +311,7 @@ def test_the_map_of_a_batchs_robot_is_the_single_ones(robot: str, kind: str) -> 
         *_, ended, _, _ = one.step(actions[1])
         if ended:
             break
-        check_same(many.batch.tables.maps[1], one.unwrapped.sensors[0]._record)
+        check_same(many.batch.maps.records[1], one.unwrapped.sensors[0]._record)
     assert (np.asarray(one.unwrapped.sensors[0]._record.counts) >= OCCUPIED).any()
     many.close()
     one.close()
