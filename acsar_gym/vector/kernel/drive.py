@@ -462,18 +462,20 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
         slot = (tables.ring[0] + start * setup.loops) % slots
         if commands is not None:
             line = (tables.ring[1] + start) % commands.shape[1]
+            sent = commands[block]
+        if lines is not None:
+            arrivals = lines.arrivals[block]
         for tick in range(start, stop):
             if commands is not None:
                 line = (line + 1) % commands.shape[1]
-                store_commands(robots, commands[block], count, line, setup)
+                store_commands(robots, sent, count, line, setup)
                 if lines is not None:
-                    arrivals = lines.arrivals[block]
-                    dispatch_commands(robots, commands[block], arrivals, count, line, setup)
+                    dispatch_commands(robots, sent, arrivals, count, line, setup)
             for turn in range(setup.loops):
                 if lines is not None:
-                    obey_commands(robots, lines.arrivals[block], count, line, turn, setup)
+                    obey_commands(robots, arrivals, count, line, turn, setup)
                 elif commands is not None:
-                    follow_commands(robots, commands[block], count, line, turn, setup.loops)
+                    follow_commands(robots, sent, count, line, turn, setup.loops)
                 else:
                     hear_newest(robots, count, tick * setup.loops + turn)
                 move_set_points(robots, count)
