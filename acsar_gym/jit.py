@@ -35,8 +35,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
-TOOLS = PACKAGE / "tools"
-"""Sources that have a stamp of their own."""
+TOOLS = PACKAGE / "tools"  # sources that have a stamp of their own
 SLOW_MODULES = {
     "acsar_gym.vector.kernel.": "the loops of batches",
     "acsar_gym.sensors.map.sensor": "the map",
@@ -46,8 +45,7 @@ TASK_MODULE = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEWLY_COMPILED: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
-GIVEN_WARNINGS: set[str] = set()
-"""Warnings that this process has given: each once."""
+GIVEN_WARNINGS: set[str] = set()  # warnings that this process has given: each once
 CANNOT_CACHE = (
     "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
     "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
@@ -68,8 +66,7 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 NumbaError = errors.NumbaError
 leading_numbers = to_fixed_tuple
 """`leading_numbers(array, count)`: its first numbers as a tuple, in compiled code."""
-_NAMING = threading.Lock()
-"""Two threads may make the first batches of a class at once."""
+_NAMING = threading.Lock()  # two threads may make the first batches of a class at once
 
 
 def hash_sources(folder: Path, *without: Path) -> str:

@@ -63,10 +63,8 @@ FAULT_CODES = (
     (LinkError, 5),
 )
 """Numbers of errors in info's `fault`; subclasses come first."""
-LARGEST = float(np.finfo(np.float32).max)
-"""Largest number of an action in a recording."""
-UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
-"""The true pose on links without ground truth."""
+LARGEST = float(np.finfo(np.float32).max)  # largest number of an action in a recording
+UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)  # the true pose on links without ground truth
 Numbers = dict[str, Any]
 """Numbers of the robot, by the names that State and info have in `tasks.state`."""
 make_state = write_maker(lambda name: f'{"*" * (name == "read_speed")}numbers["{name}"]')

@@ -73,14 +73,11 @@ _pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBas
 _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
 _simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
 _push_robot = model.push_robot
-MAX_SHAPES = 16
-"""Shapes of a compound, at most; PyBullet's limit."""
+MAX_SHAPES = 16  # shapes of a compound, at most; PyBullet's limit
 FRAME_KEYS = ("Positions", "Orientations")
 """Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
-FOOT_PLACES = 100
-"""Places between a hub and the middle of the robot that are tried for a foot."""
-LEAST_FOOT = 1e-3
-"""Radius of the smallest foot [m]."""
+FOOT_PLACES = 100  # places between a hub and the middle of the robot that are tried for a foot
+LEAST_FOOT = 1e-3  # radius of the smallest foot [m]
 CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
 WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)

@@ -16,8 +16,7 @@ from acsar_gym.physics.body import Body
 from acsar_gym.physics.model import loop_period, ramp_set_points, round_printed
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 
-TIME_EPSILON = 1e-9
-"""Slack for comparing times that are sums of periods [s]."""
+TIME_EPSILON = 1e-9  # slack for comparing times that are sums of periods [s]
 
 
 class Firmware:

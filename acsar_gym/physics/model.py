@@ -26,8 +26,7 @@ GRAVITY = 9.81
 FRICTION_ROUNDS = 3
 """Fixed-point iterations for the secant friction."""
 
-Velocity = tuple[float, float, float]
-"""vx, vy [m/s] and yaw rate [rad/s]."""
+Velocity = tuple[float, float, float]  # vx, vy [m/s] and yaw rate [rad/s]
 
 
 def loop_period(config: RobotConfig) -> float:

@@ -59,12 +59,10 @@ WHEEL_FIELDS = {
 """Parameters of single wheels, and the field of `motor` that they are about."""
 LEAST_TURN = 1.001
 """Least turn factor of a range; one of 1 would be a tyre without sideways friction."""
-MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3
-"""Factors that a range can have."""
+MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3  # factors that a range can have
 LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
 """Widths of the levels of randomization, relative to what `acsar-gym train` randomizes."""
-MIN_LEVEL_FACTOR = 0.05
-"""Least factor of a range that is widened for a level."""
+MIN_LEVEL_FACTOR = 0.05  # least factor of a range that is widened for a level
 
 
 def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:

@@ -18,10 +18,8 @@ ONE_MODE_OPTIONS = ("autoreset_mode", "lidar", "on_fault", "record", "threads", 
 """Options that only batches or only single envs have."""
 MODE_DEFAULTS = "defaults"
 """The argument of both in which an id's registered defaults of such options are."""
-MAX_STEPS = 10**9
-"""Largest time limit of an episode [steps]."""
-NO_LIMIT = -1
-"""What Gymnasium's `make` takes for no time limit, beside None."""
+MAX_STEPS = 10**9  # largest time limit of an episode [steps]
+NO_LIMIT = -1  # what Gymnasium's `make` takes for no time limit, beside None
 
 
 class SharedOptions(Section):

@@ -36,10 +36,8 @@ from acsar_gym.worlds import World, cache, geometry
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
-MAX_WORLDS = 10_000
-"""Worlds of a batch, at most."""
-PADDING_PLACE = 1e6
-"""Coordinates of the unused circles and segments that pad the arrays [m]."""
+MAX_WORLDS = 10_000  # worlds of a batch, at most
+PADDING_PLACE = 1e6  # coordinates of the unused circles and segments that pad the arrays [m]
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
 """Runs a loop, given as a function of its first and last block, for a number of blocks, which it

@@ -16,10 +16,8 @@ from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.options import SharedOptions, check_reset_options
 
 Array = NDArray[Any]
-ResetOptions = dict[str, Array]
-"""A field of `layout.Options` -> (robots,). Missing ones are zero."""
-MAX_ROBOTS = 1_000_000
-"""Robots of a batch, at most; so many take about 2 GB."""
+ResetOptions = dict[str, Array]  # a field of `layout.Options` -> (robots,). Missing ones are zero
+MAX_ROBOTS = 1_000_000  # robots of a batch, at most; so many take about 2 GB
 BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
 """Faults that a batch can simulate: lines that are lost or late."""
 

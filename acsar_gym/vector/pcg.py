@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import jit
 
-Generators = NDArray[np.uint64]
-"""(n, 4): one generator a row."""
+Generators = NDArray[np.uint64]  # (n, 4): one generator a row
 
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
 _MULTIPLIER_LOW = np.uint64(4865540595714422341)

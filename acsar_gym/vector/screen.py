@@ -15,10 +15,8 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.vector.batch import Batch
 from acsar_gym.worlds.world import to_world
 
-MAX_PICTURES = 16
-"""Robots that are drawn, at most; the pictures of the others are empty."""
-TILE_SIDE = 240
-"""Width and height of a robot's picture [pixels]."""
+MAX_PICTURES = 16  # robots that are drawn, at most; the pictures of the others are empty
+TILE_SIDE = 240  # width and height of a robot's picture [pixels]
 LARGEST_SIDE = 1920
 """Of all pictures as a square, which Gymnasium's recorder makes of them [pixels]."""
 SMALLEST_SIDE = 64
@@ -27,8 +25,7 @@ FIELDS = (
     *("steps", "start_x", "start_y", "start_theta", "goal_x", "goal_y", "world", "kind"),
     *("odom_x", "odom_y", "odom_theta", "x", "y", "theta"),
 )
-Image = NDArray[np.uint8]
-"""(height, width, 3), RGB."""
+Image = NDArray[np.uint8]  # (height, width, 3), RGB
 Point = tuple[float, float]
 
 

@@ -45,8 +45,7 @@ from acsar_gym.worlds import Scene, World
 Floats = NDArray[np.float64]
 Observations = NDArray[np.float32]
 """(robots, numbers): the columns of the observations that these sensors fill."""
-Robots = NDArray[np.int64]
-"""Indices of robots in the batch."""
+Robots = NDArray[np.int64]  # indices of robots in the batch
 START = ("start_x", "start_y", "start_theta")
 DIRECTION = ("start_cos", "start_sin")
 BATCH_METHODS = ("reset_batch", "read_batch")

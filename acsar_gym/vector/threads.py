@@ -19,8 +19,7 @@ from acsar_gym.errors import ConfigError, show_value
 
 ROBOTS_PER_THREAD = 256
 """A thread more is used for so many robots; with fewer its start costs more than it saves."""
-Work = Callable[[int, int], None]
-"""A loop over items first to last."""
+Work = Callable[[int, int], None]  # a loop over items first to last
 
 
 def usable_cores() -> int:

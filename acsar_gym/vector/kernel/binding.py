@@ -23,8 +23,7 @@ from acsar_gym.jit import PACKAGE, WITHIN, NumbaError, named_tuple
 from acsar_gym.jit import loop as compiled
 from acsar_gym.worlds.registry import hash_modules
 
-OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]
-"""Of files that aren't a user's."""
+OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]  # of files that aren't a user's
 
 
 def numbers_of(instance: Any) -> Any:

@@ -57,8 +57,7 @@ from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails
 
 forward = jit(kinematics.compute_twist)
 integrate = jit(odometry.integrate_twist)
-SILENCE = 1.0
-"""The code of BoardSilentError in info's `fault`, see `FAULT_CODES`."""
+SILENCE = 1.0  # the code of BoardSilentError in info's `fault`, see `FAULT_CODES`
 
 
 @jit

@@ -25,8 +25,7 @@ from acsar_gym.safety.rules import AxisLimits, SafetyRules
 from acsar_gym.worlds.geometry import Surroundings
 
 Floats = NDArray[np.float64]
-Number = Annotated[Floats, ()]
-"""A number of each robot of a block, (BLOCK_ROBOTS,)."""
+Number = Annotated[Floats, ()]  # a number of each robot of a block, (BLOCK_ROBOTS,)
 WheelNumber = Annotated[Floats, (4,)]
 """A number of each wheel of each robot of a block, (4, BLOCK_ROBOTS), in the order of wheels."""
 
@@ -210,8 +209,7 @@ EPISODE_ROWS = ROWS[_fields(Episode)[-1][0]].stop
 OPTIONS = tuple(name for name, *_ in _fields(Options))
 PHYSICS_ROW = ROWS["physics"].start
 BUILD = tuple(name for name, *_ in _fields(Build))
-BUILD_ROW = ROWS[BUILD[0]].start
-"""The first row of `Build` and `rules`; they are the last ones."""
+BUILD_ROW = ROWS[BUILD[0]].start  # the first row of `Build` and `rules`; they are the last ones
 
 
 def make_blocks(robots: int) -> NDArray[Any]:
