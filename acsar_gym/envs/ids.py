@@ -25,7 +25,7 @@ def full_id(name: str) -> str:
     if not name or "/" in name or ":" in name:
         return name
     kind = name.title().replace("_", "")
-    return f"acsar_gym/{next((own for own in IDS if own.startswith(f'{kind}-')), kind)}"
+    return f"acsar_gym/{next((env_id for env_id in IDS if env_id.startswith(f'{kind}-')), kind)}"
 
 
 def strip_module(env_id: str) -> str:

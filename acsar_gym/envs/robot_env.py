@@ -116,12 +116,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
-        self._options, rest = EnvOptions.split(options)
+        self._options, task_options = EnvOptions.split(options)
         rate = self._options.policy_rate
         self.render_mode = self._options.render_mode
         self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
         self.metadata = {**type(self).metadata, "render_fps": rate}
-        self.task = make_task(task, rest, EnvOptions.names())
+        self.task = make_task(task, task_options, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._connect(link, config)
@@ -139,17 +139,18 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
         """Make the robot with its link and sensors, and the screen; opens nothing."""
-        asked, human = self._options, self.render_mode == "human"
+        chosen = self._options
+        human = self.render_mode == "human"
         simulator = BODIES.get(link) if isinstance(link, str) else None
         has_camera = simulator.has_camera if simulator else not isinstance(link, str)
-        if asked.view == "camera" and not has_camera:
+        if chosen.view == "camera" and not has_camera:
             raise RenderError(
                 f"link {link!r} has no camera; view='camera' needs link {LINKS_WITH_CAMERA}"
             )
-        sensors = (*self.task.sensors, *asked.sensors)
-        if asked.lidar is not None and LIDAR not in sensors:
+        sensors = (*self.task.sensors, *chosen.sensors)
+        if chosen.lidar is not None and LIDAR not in sensors:
             raise ConfigError(
-                f"lidar = {show_value(asked.lidar)}: {task_name(self.task)} uses none"
+                f"lidar = {show_value(chosen.lidar)}: {task_name(self.task)} uses none"
             )
         has_own_window = simulator is not None and simulator.has_window
         own_window = human and has_own_window and body.has_display()
@@ -159,20 +160,20 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         simulated = link.truth is not None
         unused = simulator.unused if simulator else ()
         self._randomizer = Randomizer(
-            asked.randomization, config, step, simulated=simulated, unused=unused
+            chosen.randomization, config, step, simulated=simulated, unused=unused
         )
-        faults = Faults.of(asked.faults)
+        faults = Faults.of(chosen.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
         self._tells_faults = faults.possible or not simulated
-        self._recorder = Recorder.of(asked.record)
-        if isinstance(asked.record, str | os.PathLike):
+        self._recorder = Recorder.of(chosen.record)
+        if isinstance(chosen.record, str | os.PathLike):
             check_extra("recording", "record", "mcap", "rosbags")
-        if self.render_mode is not None and asked.view == "top" and not own_window:
+        if self.render_mode is not None and chosen.view == "top" and not own_window:
             check_extra("pictures", "pictures", "PIL")
-        factories = sensor_factories(sensors, asked.lidar, step)
+        factories = sensor_factories(sensors, chosen.lidar, step)
         self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
-        self._screen = Screen(config, None if own_window else self.render_mode, asked.view)
+        self._screen = Screen(config, None if own_window else self.render_mode, chosen.view)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

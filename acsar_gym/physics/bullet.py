@@ -135,12 +135,13 @@ class BulletBody:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
-        own, client, (x, y, theta) = scene.physics or self._configured, self._client, scene.start
-        inertia = (own.yaw_inertia, own.yaw_inertia, own.yaw_inertia)
+        physics, client = scene.physics or self._configured, self._client
+        x, y, theta = scene.start
+        inertia = (physics.yaw_inertia, physics.yaw_inertia, physics.yaw_inertia)
         pybullet.changeDynamics(
-            self._robot, -1, mass=own.mass, localInertiaDiagonal=inertia, physicsClientId=client
+            self._robot, -1, mass=physics.mass, localInertiaDiagonal=inertia, physicsClientId=client
         )
-        self._physics = record_of(own)
+        self._physics = record_of(physics)
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
         pybullet.resetBasePositionAndOrientation(
             self._robot, (x, y, self._config.wheel_radius), upright, physicsClientId=client
@@ -211,10 +212,10 @@ class BulletBody:
         (x, y), height = place, self._config.lidar_z_offset
         ends = np.column_stack([x + reach * np.cos(bearings), y + reach * np.sin(bearings)])
         starts = [(x, y, height)] * len(ends)
-        found = pybullet.rayTestBatch(
+        hits = pybullet.rayTestBatch(
             starts, [(*end, height) for end in ends.tolist()], physicsClientId=self._client
         )
-        return np.array([hit[2] * reach for hit in found])
+        return np.array([hit[2] * reach for hit in hits])
 
     @property
     def truth(self) -> GroundTruth:

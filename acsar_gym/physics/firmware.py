@@ -50,12 +50,12 @@ class Firmware:
         self.decoder = Decoder()
         self.reset()
 
-    def reset(self, own: Physics | None = None) -> None:
+    def reset(self, physics: Physics | None = None) -> None:
         """Reset to the state after power-up: nothing on the wire, set points and encoders zero."""
-        own = own or self._configured
-        self._latency = own.latency_loops * self._dt
-        self._reaction = self._processing + own.command_delay + self._latency
-        self._feedback_every = own.feedback_loops
+        physics = physics or self._configured
+        self._latency = physics.latency_loops * self._dt
+        self._reaction = self._processing + physics.command_delay + self._latency
+        self._feedback_every = physics.feedback_loops
         self._loops = 0
         self._lines = 0
         self._line_due = self._feedback_every - TIME_EPSILON

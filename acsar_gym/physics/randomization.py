@@ -72,27 +72,27 @@ def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     the configured value. Where wheels have intervals of their own, the range holds all of them, and
     the default width for wheels without one.
     """
-    measured, found = config.measured, dict[str, tuple[float, ...]]()
+    measured, ranges = config.measured, dict[str, tuple[float, ...]]()
     for name, path in FACTOR_FIELDS.items():
         if path in measured:
             value: Any = functools.reduce(getattr, path.split("."), config)
-            found[name] = _relative_range(measured[path], value)
+            ranges[name] = _relative_range(measured[path], value)
     turning = next((measured[path] for path in TURNING_FIELDS if path in measured), None)
     if turning is not None:
         factor = turn_factor(config)
-        found["turn_factor"] = (
+        ranges["turn_factor"] = (
             max(turning.low, LEAST_TURN) / factor,
             max(turning.high, LEAST_TURN) / factor,
         )
     for name, field in WHEEL_FIELDS.items():
         ends = _wheel_ends(config, name, field)
         if ends:
-            found[name] = (min(ends), max(ends))
+            ranges[name] = (min(ends), max(ends))
     if delay := measured.get("firmware.command_delay"):
-        found["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
+        ranges["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
     if config.firmware.delay_samples:
-        found["delay_samples"] = config.firmware.delay_samples
-    return found
+        ranges["delay_samples"] = config.firmware.delay_samples
+    return ranges
 
 
 def _wheel_ends(config: RobotConfig, name: str, field: str) -> list[float]:
@@ -116,12 +116,12 @@ def _relative_range(interval: Measured, value: float) -> Range:
 
 def choose_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     """Return the measured ranges of a robot, and the default ones of what wasn't measured."""
-    found, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
+    from_robot, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
     low, high = usual["turn_factor"]
     usual["turn_factor"] = (max(low, (1.0 + factor) / 2.0 / factor), high)  # stays above 1
-    if "command_delay" in found or "delay_samples" in found:
+    if "command_delay" in from_robot or "delay_samples" in from_robot:
         del usual["latency"]
-    return usual | found
+    return usual | from_robot
 
 
 def describe_ranges(config: RobotConfig) -> str:
@@ -129,14 +129,14 @@ def describe_ranges(config: RobotConfig) -> str:
     measured = measured_ranges(config)
     if not measured:
         return ""
-    told = [
+    texts = [
         f"delay_samples ({len(width)} delays up to {max(width):.3g} s)"
         if name == "delay_samples"
         else f"{name} {width[0]:.3g} to {width[1]:.3g}"
         for name, width in measured.items()
     ]
     usual = [name for name in choose_ranges(config) if name not in measured]
-    return f"randomized as measured: {', '.join(told)}; by default widths: {', '.join(usual)}"
+    return f"randomized as measured: {', '.join(texts)}; by default widths: {', '.join(usual)}"
 
 
 def randomization_level(config: RobotConfig, number: int) -> Randomization:
@@ -515,11 +515,11 @@ class Randomizer:
             return None
         samples, varies = np.zeros(DRAWN_SIZE), self._high > self._low
         samples[varies] = rng.random(int(varies.sum()))
-        own, drawn = draw_robot(
+        physics, drawn = draw_robot(
             self._nominal, self._low, self._high, self._delays, samples, self._dt
         )
         self._drawn = Drawn(*map(float, drawn))
-        return Physics(*map(float, own))
+        return Physics(*map(float, physics))
 
     def info(self) -> dict[str, Any]:
         """What was drawn last, as applied: a float, or an array of four in the order of wheels."""

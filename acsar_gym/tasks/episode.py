@@ -166,22 +166,22 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
 
     `share` is a uniform sample of [0, 1), used where the options name no world.
     """
-    asked, difficulty = options.get("world"), options.get("difficulty")
-    if isinstance(asked, World):
-        return -1, check_world(asked, worlds.radius)
-    if asked is None and difficulty is None:
+    wanted, difficulty = options.get("world"), options.get("difficulty")
+    if isinstance(wanted, World):
+        return -1, check_world(wanted, worlds.radius)
+    if wanted is None and difficulty is None:
         number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
-    elif asked is None:
+    elif wanted is None:
         ranks = worlds.ranks(difficulty)
         rank = ranks[min(int(share * len(ranks)), len(ranks) - 1)]
         number = worlds.numbers[int(worlds.by_difficulty[0][rank])]
-    elif isinstance(asked, int | np.integer) or (
-        isinstance(asked, float | np.floating) and float(asked).is_integer()  # as in info
+    elif isinstance(wanted, int | np.integer) or (
+        isinstance(wanted, float | np.floating) and float(wanted).is_integer()  # as in info
     ):
-        number = int(asked)
+        number = int(wanted)
     else:
         raise ConfigError(
-            f"world = {show_value(asked)}: must be a number of the env's worlds, or a World"
+            f"world = {show_value(wanted)}: must be a number of the env's worlds, or a World"
         )
     return number, worlds[number]
 

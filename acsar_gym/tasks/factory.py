@@ -41,12 +41,12 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
     if isinstance(task, str):
         task = import_object("task", task)
     if isinstance(task, type) and issubclass(task, Task):
-        known = list(inspect.signature(task).parameters)
+        names_of_task = list(inspect.signature(task).parameters)
         for name in options:
-            if name not in known:
+            if name not in names_of_task:
                 raise ConfigError(
                     f"unknown option {show_value(name)} of {task_name(task)}"
-                    f"{explain_option(task, str(name)[:40], [*known, *others])}"
+                    f"{explain_option(task, str(name)[:40], [*names_of_task, *others])}"
                 )
         with translate_errors(TaskError, lambda: task_name(task)):
             try:
@@ -98,7 +98,7 @@ def method_place(task: Task, name: str) -> str:
 
 def _tupled(value: Any) -> Any:
     """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
-    numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
+    numbers = isinstance(value, list) and all(isinstance(number, int | float) for number in value)
     return tuple(value) if numbers else value
 
 

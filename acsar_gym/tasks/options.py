@@ -49,18 +49,18 @@ class SharedOptions(Section):
     @classmethod
     def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
         """Separate these options from those of the task."""
-        own, asked = cls.names(), dict(given)
-        defaults = asked.pop(MODE_DEFAULTS, {})
-        asked = {name: value for name, value in defaults.items() if name in own} | asked
-        rest = {name: value for name, value in asked.items() if name not in own}
-        return cls(**{name: value for name, value in asked.items() if name in own}), rest
+        names, chosen = cls.names(), dict(given)
+        defaults = chosen.pop(MODE_DEFAULTS, {})
+        chosen = {name: value for name, value in defaults.items() if name in names} | chosen
+        others = {name: value for name, value in chosen.items() if name not in names}
+        return cls(**{name: value for name, value in chosen.items() if name in names}), others
 
 
 def split_by_mode(options: Mapping[str, Any]) -> dict[str, Any]:
     """Move an id's defaults that only one mode has to MODE_DEFAULTS; see `SharedOptions.split`."""
-    own = {name: value for name, value in options.items() if name in ONE_MODE_OPTIONS}
-    shared = {name: value for name, value in options.items() if name not in own}
-    return shared | ({MODE_DEFAULTS: own} if own else {})
+    of_one_mode = {name: value for name, value in options.items() if name in ONE_MODE_OPTIONS}
+    shared = {name: value for name, value in options.items() if name not in of_one_mode}
+    return shared | ({MODE_DEFAULTS: of_one_mode} if of_one_mode else {})
 
 
 def check_register_options(

@@ -21,8 +21,8 @@ from acsar_gym.tasks.task import Task
 
 def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
     """Make the action and the observation space of a task, for one robot."""
-    own = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
-    bounds = np.hstack([own, *(np.array(sensor.bounds) for sensor in sensors)])
+    of_task = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
+    bounds = np.hstack([of_task, *(np.array(sensor.bounds) for sensor in sensors)])
     low, high = bounds.astype(np.float32)
     return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
 
@@ -46,8 +46,8 @@ class PlainSpec:
         if spec is not None:
             spec = copy.copy(spec)
             sensors = [
-                (isinstance(one, FunctionType) and object_name(one)) or one
-                for one in spec.kwargs.get("sensors", ())
+                (isinstance(sensor, FunctionType) and object_name(sensor)) or sensor
+                for sensor in spec.kwargs.get("sensors", ())
             ]
             named = {**spec.kwargs, "sensors": sensors}
             spec.kwargs = {name: to_plain(named[name]) for name in spec.kwargs}

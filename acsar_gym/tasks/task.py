@@ -141,19 +141,19 @@ TASK_METHODS = ("begin", "outcome", "reward", "observe")
 
 def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
     """Whether a batch compiles these methods; not where a subclass overrides compiled ones."""
-    for one in type(instance).__mro__:
-        if "compiled" in vars(one):
-            return bool(vars(one)["compiled"])
-        if any(name in vars(one) for name in methods):
+    for kind in type(instance).__mro__:
+        if "compiled" in vars(kind):
+            return bool(vars(kind)["compiled"])
+        if any(name in vars(kind) for name in methods):
             return False
     return False
 
 
 def says_shortest_path(task: Task) -> bool:
     """Whether a task has a `shortest_path` that belongs to its `outcome`."""
-    for one in type(task).__mro__:
-        if "shortest_path" in vars(one) or "outcome" in vars(one):
-            return "shortest_path" in vars(one) and one is not Task
+    for kind in type(task).__mro__:
+        if "shortest_path" in vars(kind) or "outcome" in vars(kind):
+            return "shortest_path" in vars(kind) and kind is not Task
     return False
 
 

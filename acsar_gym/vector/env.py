@@ -197,7 +197,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError, WorldError: for unknown options, or values that are malformed.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
-        mask, asked = self._read_options(options)
+        mask, fields = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
             raise ConfigError(
                 "reset_mask: the first reset, and the next one after an interrupt, must be of all "
@@ -206,7 +206,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         seeds = check_seeds(seed, self.num_envs)
         self._whole = False
         self.batch.seed(seeds, mask)
-        self.batch.set_reset_options(asked, mask)
+        self.batch.set_reset_options(fields, mask)
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
@@ -223,8 +223,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
         """
-        mask, asked = self._read_options(options)
-        self.batch.set_reset_options(asked, mask)
+        mask, fields = self._read_options(options)
+        self.batch.set_reset_options(fields, mask)
 
     def _read_options(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetOptions]:
         """Which robots a reset's options are for, and the options as fields of the robots.
@@ -232,13 +232,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        asked = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
-        rest = {name: value for name, value in asked.items() if name != MASK_OPTION}
-        mask = asked.get(MASK_OPTION)
+        given = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        chosen = {name: value for name, value in given.items() if name != MASK_OPTION}
+        mask = given.get(MASK_OPTION)
         mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ConfigError(f"reset_mask: must be a boolean array of shape ({self.num_envs},)")
-        return mask, read_reset_options(self._spawn, rest, self.num_envs)
+        return mask, read_reset_options(self._spawn, chosen, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Do one env step of every robot.

@@ -43,28 +43,28 @@ def check_seeds(seed: Any, robots: int) -> list[int | None] | None:
         ) from error
     if not single and len(seeds) != robots:
         raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
-    for one in seeds:
-        if one is not None and (not isinstance(one, int | np.integer) or one < 0):
-            raise ConfigError(f"seed = {show_value(one)}: must be a whole number of at least 0")
+    for value in seeds:
+        if value is not None and (not isinstance(value, int | np.integer) or value < 0):
+            raise ConfigError(f"seed = {show_value(value)}: must be a whole number of at least 0")
     return [int(seed) + index for index in range(robots)] if single else seeds
 
 
 def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
     """Check the faults of a batch."""
-    asked, sound = Faults.of(faults), Faults()
+    chosen, sound = Faults.of(faults), Faults()
     for name in Faults.model_fields:
-        if name not in BATCH_FAULTS and getattr(asked, name) != getattr(sound, name):
+        if name not in BATCH_FAULTS and getattr(chosen, name) != getattr(sound, name):
             raise ConfigError(
                 f"faults: {name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
                 "make_vec with vectorization_mode='sync'"
             )
     most = WIRE_BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))
-    if asked.late_lines > 0.0 and asked.lateness > most:
+    if chosen.late_lines > 0.0 and chosen.lateness > most:
         raise ConfigError(
-            f"faults: lateness = {asked.lateness:g}: must be at most {most:.3g} s in a batch, so "
+            f"faults: lateness = {chosen.lateness:g}: must be at most {most:.3g} s in a batch, so "
             "that no lines are lost behind a late one"
         )
-    return asked
+    return chosen
 
 
 def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetOptions:
@@ -73,27 +73,28 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
     fields: ResetOptions = {}
     if given.get("goal") is not None:
         goals = _spread_option("goal", given["goal"], robots, 2)
-        asked: Array = np.asarray(~np.isnan(goals).all(axis=1))
-        for robot in np.flatnonzero(asked):
+        is_given: Array = np.asarray(~np.isnan(goals).all(axis=1))
+        for robot in np.flatnonzero(is_given):
             x, y = goals[robot].tolist()
             if not np.isfinite([x, y]).all():
                 raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
             if spawn.pool is None:
                 spawn.check_goal((x, y))
-        wanted = np.where(asked, goals.T, 0.0)
+        wanted = np.where(is_given, goals.T, 0.0)
         fields = dict(zip(("wished_x", "wished_y"), wanted, strict=True))
-        fields["wished_goal"] = asked.astype(np.float64)
+        fields["wished_goal"] = is_given.astype(np.float64)
     if spawn.pool is not None and given.get("world") is not None:
         numbers = _spread_option("world", given["world"], robots, 1)[:, 0]
-        asked, (first, last) = ~np.isnan(numbers), (spawn.pool.numbers[0], spawn.pool.numbers[-1])
+        is_given = ~np.isnan(numbers)
+        first, last = spawn.pool.numbers[0], spawn.pool.numbers[-1]
         sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
-        if (asked & ~sound).any():
-            bad = int(np.argmax(asked & ~sound))
+        if (is_given & ~sound).any():
+            bad = int(np.argmax(is_given & ~sound))
             raise ConfigError(
                 f"world of robot {bad} = {numbers[bad]:g}: must be {first} to {last} "
                 f"({spawn.pool.kind})"
             )
-        fields["wished_world"] = np.where(asked, numbers - first + 1.0, 0.0)
+        fields["wished_world"] = np.where(is_given, numbers - first + 1.0, 0.0)
     if spawn.pool is not None and given.get("difficulty") is not None:
         ranks, ranges = np.zeros((robots, 2)), given["difficulty"]
         ranges = _spread_option("difficulty", ranges, robots, 2)
@@ -123,8 +124,10 @@ def _spread_option(name: str, value: Any, robots: int, width: int) -> Array:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
         array = np.zeros(0)
-    one, each = ((), (robots,)) if width == 1 else ((width,), (robots, width))
-    if array.shape not in (one, each):
+    for_all, for_each = ((), (robots,)) if width == 1 else ((width,), (robots, width))
+    if array.shape not in (for_all, for_each):
         shapes = "a number, or" if width == 1 else "(2,), or"
-        raise ConfigError(f"{name}: must be {shapes} an array of shape {each}; NaN is not to ask")
+        raise ConfigError(
+            f"{name}: must be {shapes} an array of shape {for_each}; NaN is not to ask"
+        )
     return np.broadcast_to(array.reshape(-1, width), (robots, width))

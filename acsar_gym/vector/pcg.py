@@ -55,13 +55,16 @@ class LentGenerators(Sequence[np.random.Generator]):
             return [self[place] for place in range(*index.indices(len(self)))]
         row = self._which[index]
         if row not in self._lent:
-            own = tuple(self._rows[row].tolist())
+            numbers = tuple(self._rows[row].tolist())
             if row not in self._made:
                 self._made[row] = np.random.Generator(np.random.PCG64(0)), ()
             generator, left = self._made[row]
-            if own != left:  # compiled loops have drawn since
+            if numbers != left:  # compiled loops have drawn since
                 state: Any = generator.bit_generator.state
-                state["state"] = {"state": own[0] << 64 | own[1], "inc": own[2] << 64 | own[3]}
+                state["state"] = {
+                    "state": numbers[0] << 64 | numbers[1],
+                    "inc": numbers[2] << 64 | numbers[3],
+                }
                 generator.bit_generator.state = state
             self._lent[row] = generator
         return self._lent[row]

@@ -97,9 +97,9 @@ class BatchView:
 
     def scenes(self, robots: Robots) -> list[Scene]:
         """World, start and goal of these robots' episodes, in the frames of the worlds."""
-        own = self._read(robots, *START, "goal_x", "goal_y", "world")
+        rows = self._read(robots, *START, "goal_x", "goal_y", "world")
         scenes = []
-        for x, y, theta, ahead, left, number in own.T.tolist():
+        for x, y, theta, ahead, left, number in rows.T.tolist():
             cos, sin = math.cos(theta), math.sin(theta)
             goal = (x + cos * ahead - sin * left, y + sin * ahead + cos * left)
             world = self._worlds[int(number)] if self._worlds else None
@@ -338,8 +338,8 @@ class _Whole:
     @contextlib.contextmanager
     def _given(self, moment: Moment) -> Iterator[tuple[Any, Any, tuple[Any, ...]]]:
         """The scenes, generators and memory of some robots; what is done to the latter is kept."""
-        own = self._memory.take(moment.robots, axis=1)
-        memory = name_memory(self.kind, own)
+        kept = self._memory.take(moment.robots, axis=1)
+        memory = name_memory(self.kind, kept)
         if self._compiled:
             moment.rngs.give_back()
             rows = self._random[moment.robots]
@@ -349,7 +349,7 @@ class _Whole:
         else:
             with naming_sensor(self.kind):
                 yield moment.scenes, moment.rngs, memory
-        self._memory[:, moment.robots] = own
+        self._memory[:, moment.robots] = kept
 
     def reset(self, moment: Moment) -> None:
         """Begin episodes: the memory gets its first values, then those of `reset_batch`."""
@@ -414,8 +414,8 @@ def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | F
     check_names(compiled)
     if MAP in compiled and LIDAR not in compiled:
         raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
-    rest = [sensor for sensor in sensors if sensor not in compiled]
-    return sensor_factories(rest)
+    others = [sensor for sensor in sensors if sensor not in compiled]
+    return sensor_factories(others)
 
 
 def _group(

@@ -29,11 +29,11 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def check_threads(name: str, asked: int) -> int:
+def check_threads(name: str, wanted: int) -> int:
     """Check a number of threads that a user asked for, and return it."""
     usable, all_cores = usable_cores(), os.cpu_count() or 1
-    if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
-        return int(asked)
+    if isinstance(wanted, int | np.integer) and 1 <= wanted <= usable:
+        return int(wanted)
     which = "the cores of this machine"
     if usable < all_cores:
         which = (
@@ -41,14 +41,14 @@ def check_threads(name: str, asked: int) -> int:
             f"it from the others of this machine's {all_cores}"
         )
     most = f"1 to {usable}" if usable > 1 else "1"
-    raise ConfigError(f"{name} {show_value(asked)}: must be {most}, {which}")
+    raise ConfigError(f"{name} {show_value(wanted)}: must be {most}, {which}")
 
 
-def choose_threads(asked: int | None, robots: int) -> int:
+def choose_threads(wanted: int | None, robots: int) -> int:
     """Number of threads to use."""
-    if asked is None:
+    if wanted is None:
         return max(1, min(usable_cores(), robots // ROBOTS_PER_THREAD))
-    return min(check_threads("threads =", asked), robots)
+    return min(check_threads("threads =", wanted), robots)
 
 
 class Worker(NamedTuple):

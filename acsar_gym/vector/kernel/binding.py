@@ -45,7 +45,7 @@ def bind_methods(kind: type, template: Any, methods: Mapping[str, str]) -> Calla
     """
     check_calls(kind, methods.values())
     options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
-    bound = {name: numba.njit(**options)(getattr(kind, one)) for name, one in methods.items()}
+    bound = {name: numba.njit(**options)(getattr(kind, method)) for name, method in methods.items()}
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
     copy = FunctionType(code, template.__globals__ | bound, template.__name__)
@@ -60,16 +60,16 @@ def _cached_as(kind: type, methods: Collection[str]) -> str:
     numba itself would only notice a change of the file that has the class. Empty, for not to be
     kept, where a source isn't known, as in a notebook, and for classes made in functions.
     """
-    modules = {one.__module__ for one in kind.__mro__}
-    own = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
-    sources = hash_modules(*sorted(own)) if own else "acsar_gym"  # whose sources `jit` minds
+    modules = {base.__module__ for base in kind.__mro__}
+    theirs = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
+    sources = hash_modules(*sorted(theirs)) if theirs else "acsar_gym"  # whose sources `jit` minds
     if not sources or "<locals>" in kind.__qualname__:
         return ""
     said = hashlib.sha256(sources.encode())
     for name in methods:  # what numba compiles: code, and values of the names that it uses
         method = getattr(kind, name)
-        code, known = method.__code__, method.__globals__
-        values = [known.get(one) for one in code.co_names]
+        code, names = method.__code__, method.__globals__
+        values = [names.get(used) for used in code.co_names]
         used = [value for value in values if isinstance(value, bool | int | float | str | tuple)]
         said.update(f"{name} {code.co_code!r} {code.co_consts!r} {used!r}".encode())
     return f"{kind.__qualname__}.{said.hexdigest()[:16]}"
@@ -142,8 +142,8 @@ def _find_place(text: str, kind: type, methods: Collection[str]) -> str:
 
     Lines of the loop itself look as if they were in the class's file.
     """
-    functions = {one: inspect.unwrap(getattr(kind, one)) for one in methods if hasattr(kind, one)}
-    codes = {name: function.__code__ for name, function in functions.items()}
+    defined = [name for name in methods if hasattr(kind, name)]
+    codes = {name: inspect.unwrap(getattr(kind, name)).__code__ for name in defined}
     for match in PLACE.finditer(text):
         path = Path(match["at"] or match["file"])
         line = int(match[2] or match[4])

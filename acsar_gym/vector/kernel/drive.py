@@ -268,12 +268,12 @@ def move_set_points(robots: Robots, count: int) -> None:
 @jit
 def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
-    own, dt = robots.physics, setup.dt
+    physics, dt = robots.physics, setup.dt
     for k in range(4):
         for i in range(count):
             before, wanted = robots.wheel_speed[k, i], robots.set_point[k, i]
-            gain, blend, deadband = own.gain[k, i], own.blend[k, i], own.deadband[k, i]
-            speed = wheel_speed(before, wanted, gain, blend, deadband, own.max_speed[i])
+            gain, blend, deadband = physics.gain[k, i], physics.blend[k, i], physics.deadband[k, i]
+            speed = wheel_speed(before, wanted, gain, blend, deadband, physics.max_speed[i])
             angle = robots.wheel_angle[k, i] + speed * dt
             robots.wheel_speed[k, i] = speed
             robots.wheel_angle[k, i] = angle
@@ -305,22 +305,22 @@ def move_bodies(robots: Robots, count: int, setup: Setup) -> None:
 @jit
 def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None:
     """Advance velocity and pose by one loop, with tyres that are isotropic or not."""
-    own, wheels = robots.physics, robots.wheel_speed
+    physics, wheels = robots.physics, robots.wheel_speed
     for i in range(count):
         sin, cos = sincos(robots.theta[i])
         vx, vy, rate = robots.vx[i], robots.vy[i], robots.rate[i]
         speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
         chassis = Chassis(
-            own.left_radius[i],
-            own.right_radius[i],
-            own.half_wheelbase[i],
-            own.half_track[i],
-            own.mass[i],
-            own.yaw_inertia[i],
-            own.grip[i],
-            own.slip_speed[i],
+            physics.left_radius[i],
+            physics.right_radius[i],
+            physics.half_wheelbase[i],
+            physics.half_track[i],
+            physics.mass[i],
+            physics.yaw_inertia[i],
+            physics.grip[i],
+            physics.slip_speed[i],
         )
-        kappa = 1.0 if isotropic else own.kappa[i]
+        kappa = 1.0 if isotropic else physics.kappa[i]
         ahead, left, rate = tyre_step(
             cos * vx + sin * vy, cos * vy - sin * vx, rate, speeds, chassis, kappa, dt
         )
@@ -406,16 +406,16 @@ def read_feedback(
 @jit
 def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
-    read, dt, own = robots.read_speed, setup.period, robots.rules
+    read, dt, rules = robots.read_speed, setup.period, robots.rules
     for i in range(count):
         linear, angular = forward(
             read[0, i],
             read[1, i],
             read[2, i],
             read[3, i],
-            own.left_radius[i],
-            own.right_radius[i],
-            own.separation[i],
+            rules.left_radius[i],
+            rules.right_radius[i],
+            rules.separation[i],
         )
         x, y, theta = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
         sin, cos = sincos(theta)

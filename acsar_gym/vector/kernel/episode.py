@@ -132,14 +132,14 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                     samples[k] = uniform(random, robot)
             nominal = draws.nominal[kind : kind + 1]
             delays = draws.delays[kind, : draws.delay_counts[kind]]
-            own, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
-            for k in range(len(own)):
-                tables.numbers[block, PHYSICS_ROW + k, i] = own[k]
+            physics, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
+            for k in range(len(physics)):
+                tables.numbers[block, PHYSICS_ROW + k, i] = physics[k]
             for k in range(draws.drawn.shape[1]):
                 draws.drawn[robot, k] = drawn[k]
-            late = own.latency_loops
-            delay, every = late + whole_loops(setup.wire_time, setup.dt), own.feedback_loops
-            reaction = setup.wire_time + own.command_delay
+            late = physics.latency_loops
+            delay, every = late + whole_loops(setup.wire_time, setup.dt), physics.feedback_loops
+            reaction = setup.wire_time + physics.command_delay
             robots.command_loops[i] = late + whole_loops(reaction, setup.dt)
             robots.feedback_delay[i] = delay
             loops = count_settle_ticks(delay, every, setup.loops) * setup.loops

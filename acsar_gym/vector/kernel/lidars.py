@@ -81,17 +81,18 @@ def read_scans(
                 robots.scan_phase[i] = uniform(tables.random, robot)
                 robots.scan_key[i] = uniform(tables.random, robot)
                 mark_trails(robots, i, trails, robot, tick, setup)
-            newest, own = int(tick) % trails.shape[2], robots.physics
+            newest = int(tick) % trails.shape[2]
+            physics = robots.physics
             kind, count = int(robots.kind[i]), int(robots.rays[i])
             rays = scans.rays[kind]
             if len(beams.times) != count:
                 beams = make_beams(count)
             traits = LidarTraits(
-                own.scan_rate[i],
-                own.range_noise[i],
-                own.range_bias[i],
-                own.range_dropouts[i],
-                own.range_outliers[i],
+                physics.scan_rate[i],
+                physics.range_noise[i],
+                physics.range_bias[i],
+                physics.range_dropouts[i],
+                physics.range_outliers[i],
             )
             robots.scan_stamp[i] = measure_revolution(
                 trails[1, robot],

@@ -86,20 +86,20 @@ def run(
             memory[robot] = memory[len(memory) - 1]
         elif tables.idle[robot]:
             continue
-        state, own = state_of(tables, robot, setup, spawns), memory[robot]
+        state, remembered = state_of(tables, robot, setup, spawns), memory[robot]
         if over:
-            task_begin(task, state, own)
+            task_begin(task, state, remembered)
         else:
-            outcome = 0 + task_outcome(task, state, own)  # an Outcome, or its number
+            outcome = 0 + task_outcome(task, state, remembered)  # an Outcome, or its number
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
-            reward = task_reward(task, state, own, outcome)
+            reward = task_reward(task, state, remembered, outcome)
             robots.outcome[i] = outcome
             robots.total_reward[i] += reward
             tables.rewards[robot] = reward
             tables.ends[0, robot] = outcome != 0
             tables.ends[1, robot] = robots.steps[i] >= setup.max_steps
-        store_numbers(tables.observations, robot, 0, task_observe(task, state, own))
+        store_numbers(tables.observations, robot, 0, task_observe(task, state, remembered))
     update_info(tables.blocks, first, last, setups)
 
 
