@@ -21,7 +21,7 @@ REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested fuzz soak replug stopping identify-check licences reference pictures clean
+  firmware-tested bench fuzz soak replug stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -75,6 +75,9 @@ test-browser: $(READY)  ## HTML reports and dashboard in headless Chromium, whic
 
 test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them killed
 	$(BIN)/pytest tests/scale
+
+bench: $(READY)  ## how fast envs, batches, wire and policies are, in a table; docs/performance.md has one
+	$(BIN)/python tests/bench.py
 
 throughput: $(READY)  ## what a second Ray node is worth; needs a machine with nothing else to do
 	$(BIN)/python tests/scale/throughput.py

@@ -1,4 +1,4 @@
-"""Compilation by numba where it is installed; plain Python with the same results where it isn't.
+"""Compilation by numba: functions that Python calls, and those that only compiled code calls.
 
 Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
 recompiles when a function's own file has changed, but not when another file has changed whose
@@ -7,36 +7,35 @@ files of the package; code with another stamp is compiled anew. tools/ doesn't c
 outside of it imports it; nor does agents/, which a wheel has inside of the package. Functions of
 tools/, and of another package, such as a user's task, are stamped with its sources, too.
 
-A batch's first reset in a new installation compiles for half a minute, as does a single map's. The
-logger "acsar_gym.jit" says so before, as a warning: Python prints it to stderr by default.
+What takes long is said before by the logger "acsar_gym.jit", as a warning: Python prints it to
+stderr by default.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import importlib
 import inspect
 import logging
-import os
 import pickle
-import subprocess
-import sys
 import threading
 from collections import namedtuple
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, get_type_hints
 
+import numba
+import numba.extending
 import numpy as np
+from numba.core import errors, event
+from numba.core.caching import IndexDataCacheFile
+from numba.np.unsafe.ndarray import to_fixed_tuple
 
 P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).parent
-TOOLS = PACKAGE / "tools"
-"""Sources that have a stamp of their own."""
+TOOLS = PACKAGE / "tools"  # sources that have a stamp of their own
 SLOW_MODULES = {
     "acsar_gym.vector.kernel.": "the loops of batches",
     "acsar_gym.sensors.map.sensor": "the map",
@@ -46,19 +45,32 @@ TASK_MODULE = "acsar_gym.vector.kernel.task"
 """One of them that is compiled anew, and soon, for every task."""
 NEWLY_COMPILED: list[str] = []
 """Names of functions that this process has compiled because the cache didn't have them."""
-GIVEN_WARNINGS: set[str] = set()
-"""Warnings that this process has given: each once."""
-_NAMING = threading.Lock()
-"""Two threads may make the first batches of a class at once."""
+GIVEN_WARNINGS: set[str] = set()  # warnings that this process has given: each once
+CANNOT_CACHE = (
+    "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
+    "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
+)
+SLOW_TO_COMPILE = (
+    "acsar_gym: compiling {}, a quarter of a minute, once after each installation; "
+    "'acsar-gym warm-up' does it ahead of time"
+)
+DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
+WITHIN: dict[str, Any] = {
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+"""Options of what only compiled code calls: code for calls from Python takes most of the time that
+compiling a small function takes."""
+DIGEST_SIZE = hashlib.sha256().digest_size
+NumbaError = errors.NumbaError
+leading_numbers = to_fixed_tuple
+"""`leading_numbers(array, count)`: its first numbers as a tuple, in compiled code."""
+_NAMING = threading.Lock()  # two threads may make the first batches of a class at once
 
 
 def hash_sources(folder: Path, *without: Path) -> str:
-    """Hash of the contents of all source files in a folder.
-
-    Args:
-        folder: of a package.
-        without: folders in it that don't count.
-    """
+    """Hash of the contents of all source files in a package's folder, but for some folders."""
     digest = hashlib.sha256()
     for source in sorted(folder.rglob("*.py")):
         if not any(source.is_relative_to(other) for other in without):
@@ -67,268 +79,160 @@ def hash_sources(folder: Path, *without: Path) -> str:
     return digest.hexdigest()
 
 
+FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
+
+
 @cache
 def hash_sources_beside(folder: Path) -> str:
-    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are.
-
-    Args:
-        folder: of the source file whose functions are compiled.
-    """
+    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are."""
     if folder.is_relative_to(TOOLS):
         return hash_sources(TOOLS)
-    own = folder.is_relative_to(PACKAGE)
-    return "" if own or not (folder / "__init__.py").is_file() else hash_sources(folder)
+    is_package = (folder / "__init__.py").is_file() and not folder.is_relative_to(PACKAGE)
+    return hash_sources(folder) if is_package else ""
 
 
-try:
-    import numba
-    import numba.extending
-    from numba.core import errors, event
-    from numba.core.caching import IndexDataCacheFile
-    from numba.np.unsafe.ndarray import to_fixed_tuple
-except ImportError:
-    COMPILED = False
-    """Whether numba is installed."""
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """Let compiled functions call a function, inlined so that loops vectorize.
 
-    def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """Return the function unchanged: numba isn't installed."""
-        return function
+    In Python it stays as it is.
+    """
+    decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
+    same: Callable[P, R] = decorator(function)
+    return same
 
-    compilable = subroutine = jit
-    WITHIN: dict[str, Any] = {}
 
-    def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
-        """Return the function unchanged: numba isn't installed."""
-        return function
+def subroutine(function: Callable[P, R]) -> Callable[P, R]:
+    """As `jit`, but not inlined: for what is long, and called in several places."""
+    same: Callable[P, R] = numba.extending.register_jitable(**WITHIN)(function)
+    return same
 
-    def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-        """Decorator that changes nothing: numba isn't installed."""
-        return lambda other: other
 
-    @contextlib.contextmanager
-    def compiled_beside(function: Callable[..., Any], *arguments: Any) -> Iterator[None]:
-        """Do nothing: numba isn't installed."""
-        yield
+def compilable(function: Callable[P, R]) -> Callable[P, R]:
+    """Leave a function as it is for Python, but let compiled functions call it, too."""
+    same: Callable[P, R] = numba.extending.register_jitable(function)
+    return same
 
-    NumbaError: type[Exception] = type("NumbaError", (Exception,), {})
-    """Never raised: numba isn't installed."""
 
-    def leading_numbers(numbers: Any, count: int) -> tuple[Any, ...]:
-        """The first `count` numbers of an array as a tuple."""
-        return tuple(numbers[:count])
+def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorator of numba's replacement for `function` in compiled code."""
+    decorator: Callable[[Callable[P, R]], Callable[P, R]]
+    decorator = numba.extending.overload(function, jit_options={"error_model": "numpy"})
+    return decorator
 
-else:
-    COMPILED = True
-    NumbaError = errors.NumbaError
-    leading_numbers = to_fixed_tuple
-    FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
-    DIGEST_SIZE = hashlib.sha256().digest_size
-    CANNOT_CACHE = (
-        "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
-        "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
-    )
-    SLOW_TO_COMPILE = (
-        "acsar_gym: compiling {}, half a minute, once after each installation; "
-        "'acsar-gym warm-up' does it ahead of time"
-    )
-    DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
 
-    WITHIN = {
-        "error_model": "numpy",
-        "no_cpython_wrapper": True,
-        "no_cfunc_wrapper": True,
-    }
-    """Options of what only compiled code calls: code for calls from Python takes most of the time
-    that compiling a small function takes."""
+def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
+    """Compile a function that Python calls, and all that it calls. It releases the GIL.
 
-    def jit(function: Callable[P, R]) -> Callable[P, R]:
-        """Let compiled functions call a function, inlined so that loops vectorize.
+    Args:
+        function: the loop.
+        keep: whether to cache the compiled code on disk.
+    """
+    options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+    compiled: Any = None
+    if keep and not numba.config.DISABLE_JIT:
+        try:
+            compiled = numba.njit(cache=True, **options)(function)
+            cache = compiled._cache  # noqa: SLF001 - numba has no other way
+            beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
+            cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
+        except (RuntimeError, AttributeError) as error:
+            _warn_once(CANNOT_CACHE, error)
+            compiled = None
+    plain: Callable[P, R] = compiled or numba.njit(**options)(function)
+    return plain
 
-        In Python it stays as it is.
-        """
-        decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
-        same: Callable[P, R] = decorator(function)
-        return same
 
-    def subroutine(function: Callable[P, R]) -> Callable[P, R]:
-        """As `jit`, but not inlined: for what is long, and called in several places."""
-        same: Callable[P, R] = numba.extending.register_jitable(**WITHIN)(function)
-        return same
+def _warn_once(message: str, *why: object) -> None:
+    """Warn, once in this process."""
+    if message not in GIVEN_WARNINGS:
+        GIVEN_WARNINGS.add(message)
+        LOG.warning(message, *why)
 
-    def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
-        """Compile a function that Python calls, and all that it calls. It releases the GIL.
 
-        Args:
-            function: the loop.
-            keep: whether to cache the compiled code on disk.
-        """
-        options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-        compiled: Any = None
-        if keep and not numba.config.DISABLE_JIT:
-            try:
-                compiled = numba.njit(cache=True, **options)(function)
-                cache = compiled._cache  # noqa: SLF001 - numba has no other way
-                beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
-                cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
-            except (RuntimeError, AttributeError) as error:
-                _warn_once(CANNOT_CACHE, error)
-                compiled = None
-        plain: Callable[P, R] = compiled or numba.njit(**options)(function)
-        return plain
+class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
+    """Compiled code on disk, stamped, and with a checksum.
 
-    def _warn_once(message: str, *why: object) -> None:
-        """Warn, once in this process."""
-        if message not in GIVEN_WARNINGS:
-            GIVEN_WARNINGS.add(message)
-            LOG.warning(message, *why)
+    What a power failure has damaged is compiled anew: numba would raise whatever pickle raises, or
+    run damaged code. A full disk keeps nothing, and stops nobody.
+    """
 
-    class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
-        """Compiled code on disk, stamped, and with a checksum.
+    def __init__(self, cache: Any, stamp: str) -> None:
+        stamps = (cache._cache_file._source_stamp, stamp)  # noqa: SLF001
+        super().__init__(cache.cache_path, cache._impl.filename_base, stamps)  # noqa: SLF001
 
-        What a power failure has damaged is compiled anew: numba would raise whatever pickle
-        raises, or run damaged code. A full disk keeps nothing, and stops nobody.
-        """
+    def load(self, key: Any) -> Any:
+        kept = super().load(key)
+        return kept[1] if kept and kept[0] == self._source_stamp else None
 
-        def __init__(self, cache: Any, stamp: str) -> None:
-            stamps = (cache._cache_file._source_stamp, stamp)  # noqa: SLF001
-            super().__init__(cache.cache_path, cache._impl.filename_base, stamps)  # noqa: SLF001
+    def save(self, key: Any, data: Any) -> None:
+        try:
+            super().save(key, (self._source_stamp, data))
+        except OSError as error:
+            _warn_once(CANNOT_CACHE, error)
 
-        def load(self, key: Any) -> Any:
-            found = super().load(key)
-            return found[1] if found and found[0] == self._source_stamp else None
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
+            _warn_once(DAMAGED, f"{self._index_path}: {error!r}")
+            return {}
 
-        def save(self, key: Any, data: Any) -> None:
-            try:
-                super().save(key, (self._source_stamp, data))
-            except OSError as error:
-                _warn_once(CANNOT_CACHE, error)
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        data = path.read_bytes()
+        if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
+            _warn_once(DAMAGED, path)
+            raise FileNotFoundError(path)  # which numba takes for code that isn't there
+        return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
 
-        def _load_index(self) -> Any:
-            try:
-                return super()._load_index()
-            except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
-                _warn_once(DAMAGED, f"{self._index_path}: {error!r}")
-                return {}
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
 
-        def _load_data(self, name: str) -> Any:
-            path = Path(self._data_path(name))
-            data = path.read_bytes()
-            if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
-                _warn_once(DAMAGED, path)
-                raise FileNotFoundError(path)  # which numba takes for code that isn't there
-            return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
 
-        def _dump(self, obj: Any) -> bytes:
-            data: bytes = super()._dump(obj)
-            return data + hashlib.sha256(data).digest()
+class _Announcer(event.Listener):  # type: ignore[misc]
+    """Notes what is compiled because the cache doesn't have it; warns of what takes long."""
 
-    @contextlib.contextmanager
-    def compiled_beside(function: Any, *arguments: Any) -> Iterator[None]:
-        """Compile a loop in another process, on another core, while the block runs.
+    depth = 0
+    """How many functions are being compiled, each for the one before."""
 
-        It comes back through the cache, so this does nothing where there is none, or where the loop
-        is in it. If the other process fails, the loop is compiled at its first call.
+    def on_start(self, event: Any) -> None:
+        function = event.data["dispatcher"].py_func
+        module = function.__module__ or ""
+        NEWLY_COMPILED.append(f"{module}.{function.__qualname__}")
+        slow = [what for begin, what in SLOW_MODULES.items() if module.startswith(begin)]
+        if self.depth == 0 and slow and module != TASK_MODULE:
+            _warn_once(SLOW_TO_COMPILE.format(slow[0]))
+        self.depth += 1
 
-        Args:
-            function: decorated by `loop`, of this package.
-            arguments: as it will be called; only their types matter.
-        """
-        kept: Any = getattr(function, "_cache", None)
-        if not (hasattr(kept, "_cache_file") and sys.executable and (os.cpu_count() or 1) > 1):
-            yield
-            return
-        types = tuple(numba.typeof(argument) for argument in arguments)
-        key = kept._index_key(types, function.targetctx.codegen())  # noqa: SLF001
-        if types in function.overloads or kept._cache_file.load(key) is not None:  # noqa: SLF001
-            yield
-            return
-        code = f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r}); from {__name__} import "
-        command = [sys.executable, "-c", code + "compile_asked; compile_asked()"]
-        asked = pickle.dumps((function.__module__, function.__qualname__, types))
-        quiet = subprocess.DEVNULL
-        with subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=quiet, stderr=quiet
-        ) as process:
-            try:
-                with contextlib.suppress(OSError):  # it has ended already
-                    process.stdin.write(asked)  # type: ignore[union-attr]
-                    process.stdin.close()  # type: ignore[union-attr]
-                yield
-            except BaseException:
-                process.kill()
-                raise
+    def on_end(self, event: Any) -> None:
+        self.depth -= 1
 
-    def compile_asked() -> None:
-        """Compile the loop that `compiled_beside` names on stdin; the body of its process."""
-        module, name, types = pickle.loads(sys.stdin.buffer.read())  # noqa: S301 - our own
-        getattr(importlib.import_module(module), name).compile(types)
 
-    def compilable(function: Callable[P, R]) -> Callable[P, R]:
-        """Leave a function as it is for Python, but let compiled functions call it, too."""
-        same: Callable[P, R] = numba.extending.register_jitable(function)
-        return same
-
-    def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-        """Decorator of numba's replacement for `function` in compiled code."""
-        decorator: Callable[[Callable[P, R]], Callable[P, R]]
-        decorator = numba.extending.overload(function, jit_options={"error_model": "numpy"})
-        return decorator
-
-    class _Announcer(event.Listener):  # type: ignore[misc]
-        """Notes what is compiled because the cache doesn't have it; warns of what takes long."""
-
-        depth = 0
-        """How many functions are being compiled, each for the one before."""
-
-        def on_start(self, event: Any) -> None:
-            function = event.data["dispatcher"].py_func
-            NEWLY_COMPILED.append(f"{function.__module__}.{function.__qualname__}")
-            module = function.__module__ or ""
-            slow = [what for begin, what in SLOW_MODULES.items() if module.startswith(begin)]
-            if self.depth == 0 and slow and module != TASK_MODULE:
-                _warn_once(SLOW_TO_COMPILE.format(slow[0]))
-            self.depth += 1
-
-        def on_end(self, event: Any) -> None:
-            self.depth -= 1
-
-    announcer = _Announcer()
-    event.register("numba:compile", announcer)
+announcer = _Announcer()
+event.register("numba:compile", announcer)
 
 
 def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
-    """Make a class of named tuples as an attribute of another, where numba's cache finds it again.
-
-    Args:
-        kind: the class that gets the attribute.
-        name: of the attribute.
-        fields: of the named tuples.
-    """
+    """Make a class of named tuples as an attribute of another, where numba's cache finds it."""
     with _NAMING:
         made: Any = vars(kind).get(name)
         if made is None or made._fields != fields:
-            make: Any = namedtuple  # its fields are found at run time
+            make: Any = namedtuple  # its fields are known at run time alone
             made = make(name, fields)
             made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.{name}"
             setattr(kind, name, made)
         return made
 
 
-def record_of(values: Any, *, changes: bool = False) -> Any:
+def record_of(values: Any) -> Any:
     """Make a record, an array of one item, of a named tuple of numbers and of such tuples.
 
     Compiled functions read and write `record[0].name`. Passing a record to them takes a fifth of
-    the time of a named tuple. In plain Python a list of the tuple itself is fastest.
-
-    Args:
-        values: the named tuple.
-        changes: whether the record is written to, or must be an array.
+    the time of a named tuple.
     """
-    if not COMPILED and not changes:
-        return [values]
     kind: Any = type(values)
-    record = np.array([values], _record_type(kind))
-    return record if COMPILED else record.view(np.recarray)
+    return np.array([values], _record_type(kind))
 
 
 @cache

@@ -90,11 +90,8 @@ def register(
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
     from acsar_gym.reading import import_object  # noqa: PLC0415
-    from acsar_gym.tasks.factory import (  # noqa: PLC0415
-        check_register_options,
-        importable_task,
-        split_by_mode,
-    )
+    from acsar_gym.tasks.factory import importable_task  # noqa: PLC0415
+    from acsar_gym.tasks.options import check_register_options, split_by_mode  # noqa: PLC0415
 
     chosen = {}
     for name, given in (scenes or {}).items():
@@ -122,12 +119,11 @@ def register_all() -> None:
     """Register this package's ids. Idempotent."""
     for name, options in IDS.items():
         if f"acsar_gym/{name}" not in gymnasium.registry:
-            kind = name.partition("-")[0]
-            home = f"acsar_gym.envs.{snake_case(kind)}"
+            home = f"acsar_gym.envs.manuals:{name.partition('-')[0]}"
             gymnasium.register(
                 id=f"acsar_gym/{name}",
-                entry_point=f"{home}:{kind}Env",
-                vector_entry_point=f"{home}:{kind}VectorEnv",
+                entry_point=f"{home}Env",
+                vector_entry_point=f"{home}VectorEnv",
                 **options,
             )
 

@@ -12,9 +12,10 @@ from importlib import metadata
 import pytest
 from licence_tools import installed_by, normal
 
-LARGE = {"matplotlib", "mujoco", "numba", "onnxruntime", "pandas", "pybullet", "scipy", "torch"}
-MOST_BYTES = 100_000_000
-"""Of the installed base; two thirds of it is numpy. Its wheels together are 26 MB."""
+LARGE = {"matplotlib", "mujoco", "onnxruntime", "pandas", "pybullet", "scipy", "torch"}
+MOST_BYTES = 300_000_000
+"""Of the installed base; more than half of it is llvmlite, which numba brings. Its wheels together
+are 90 MB."""
 HIDE = """
 import sys
 class Hidden:
@@ -71,7 +72,7 @@ def test_the_base_is_small() -> None:
 
 
 def test_the_base_drives_over_a_serial_device(hidden: list[str], shared_device: str) -> None:
-    assert {"scipy", "numba", "pytest"} <= set(hidden)
+    assert {"scipy", "pytest"} <= set(hidden)
     code, out, err = run(hidden, shared_device, "doctor", shared_device)
     assert (code, err) == (0, "")
     assert "100 expected" in out
@@ -84,7 +85,6 @@ def test_the_base_drives_over_a_serial_device(hidden: list[str], shared_device: 
         ("evaluate --link planar", "running a policy: deploy"),
         ("identify DEVICE", "identification: scipy"),
         ("worlds show clutter:1-1", "a world with obstacles: scipy"),
-        ("bench", "the PyBullet robot: bullet"),
         ("drive --link mujoco --linear 0.1 --duration 0.1", "the MuJoCo robot: mujoco"),
     ],
 )

@@ -19,12 +19,9 @@ from rich.console import Console
 from serial_tools import wait_until
 
 from acsar_gym import jit as compiled
-from acsar_gym.errors import MissingExtraError
 from acsar_gym.tasks import PointGoal
 from acsar_gym.tools import warm_up
 from acsar_gym.vector.kernel import task as kernel
-
-needs_numba = pytest.mark.skipif(not compiled.COMPILED, reason="nothing is compiled")
 
 
 def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: Path) -> None:
@@ -56,21 +53,10 @@ def test_what_the_fingerprint_leaves_out_has_one_of_its_own(tmp_path: Path) -> N
     assert compiled.hash_sources_beside(package) == compiled.hash_sources(package)
 
 
-def test_folders_that_do_not_count_change_no_stamp(tmp_path: Path) -> None:
-    """So an edited tool compiles nothing anew, and a wheel uses the code of its checkout."""
-    (tmp_path / "robot.py").touch()
-    checkout = compiled.hash_sources(tmp_path)
-    (tmp_path / "agents").mkdir()
-    (tmp_path / "agents" / "train.py").touch()
-    assert compiled.hash_sources(tmp_path) != checkout
-    assert compiled.hash_sources(tmp_path, tmp_path / "agents") == checkout
-
-
 def plus_one(x: float) -> float:
     return x + 1.0
 
 
-@needs_numba
 def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,7 +84,6 @@ TOTAL = ("empty", "cut", "zeros", "garbage")
 """Damages that an index without a checksum shows, too."""
 
 
-@needs_numba
 @pytest.mark.parametrize(
     ("damage", "kind"), [*itertools.product(DAMAGES, [".nbc"]), *itertools.product(TOTAL, [".nbi"])]
 )
@@ -126,7 +111,6 @@ def test_damaged_code_is_compiled_anew(
     assert path.name in told
 
 
-@needs_numba
 def test_a_full_disk_stops_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -137,7 +121,6 @@ def test_a_full_disk_stops_nobody(
     assert "File too large" in caplog.text
 
 
-@needs_numba
 def test_where_no_cache_can_be_written_functions_are_compiled_without(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -163,7 +146,6 @@ print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
 """
 
 
-@needs_numba
 def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none(
     tmp_path: Path,
 ) -> None:
@@ -179,51 +161,6 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
     )
 
 
-COMPILE_MAP = """
-import sys
-from acsar_gym import jit as compiled
-from acsar_gym.sensors.map.sensor import log_share
-
-def double_share(value, most):
-    return 2.0 * log_share(value, most)
-
-compiled.loop(double_share, keep=False)(1.0, 2.0)
-print("within", file=sys.stderr)
-compiled.loop(log_share)(1.0, 2.0)
-"""
-
-
-@needs_numba
-def test_compiling_a_map_is_announced_but_not_as_a_part_of_a_batch(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", COMPILE_MAP]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    within, said = done.stderr.splitlines()
-    assert within == "within"
-    assert said.startswith("acsar_gym: compiling the map, half a minute")
-
-
-BESIDE = """
-from acsar_gym import jit
-from acsar_gym.physics.model import ramp_set_points as ramped
-speeds = (1.0, 2.0, 3.0, 4.0)
-with jit.compiled_beside(ramped, speeds, speeds, speeds):
-    print("meanwhile")
-print(ramped(speeds, speeds, speeds), sum(ramped.stats.cache_hits.values()), jit.NEWLY_COMPILED)
-"""
-
-
-@needs_numba
-@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is one core")
-def test_what_another_process_compiles_comes_back_through_the_cache(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    for _ in range(2):  # where it is in the cache already, there is no other process
-        command = [sys.executable, "-c", BESIDE]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        assert done.stdout.splitlines() == ["meanwhile", "(1.0, 2.0, 3.0, 4.0) 1 []"]
-
-
-@needs_numba
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)
 def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
     worlds = {"barn": "barn:1", "obstacle_goal": "open:2", "path_follow": "smooth_path:2"}.get(name)
@@ -241,7 +178,6 @@ print(warm_env("point_goal").functions)
 """
 
 
-@needs_numba
 @pytest.mark.slow
 def test_the_progress_knows_how_much_there_is_to_compile(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
@@ -258,9 +194,3 @@ def test_compilation_shows_the_time_left(monkeypatch: pytest.MonkeyPatch) -> Non
         compiled.NEWLY_COMPILED.extend(["kernel.step"] * 100)
         wait_until(lambda: "s left" in shown.getvalue(), "a time that is left")
     assert re.search(r"compiling, once after each installation.*about \d+ s left", shown.getvalue())
-
-
-def test_without_numba_there_is_nothing_to_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "COMPILED", False)
-    with pytest.raises(MissingExtraError, match="fast"):
-        warm_up.warm_env("point_goal")

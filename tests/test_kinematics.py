@@ -52,15 +52,6 @@ def test_forward_of_inverse_is_the_twist(
     assert close(back[1], angular)
 
 
-@given(left=wheel_speed, right=wheel_speed, radius=length, separation=length)
-def test_inverse_of_forward_is_the_speeds_where_each_side_turns_as_one(
-    left: float, right: float, radius: float, separation: float
-) -> None:
-    speeds = (right, left, left, right)
-    twist = kinematics.forward(speeds, radius, separation)
-    assert kinematics.inverse(*twist, radius, separation) == pytest.approx(speeds, abs=1e-9)
-
-
 @given(linear=linear_speed, angular=angular_speed, limit=st.floats(0.01, 99.99))
 def test_wheels_beyond_the_limit_shrink_together(
     linear: float, angular: float, limit: float

@@ -1,9 +1,15 @@
 """The registered environments; the docstring of each class is the manual of its id."""
 
-from acsar_gym.envs.barn import BarnEnv, BarnVectorEnv
-from acsar_gym.envs.obstacle_goal import ObstacleGoalEnv, ObstacleGoalVectorEnv
-from acsar_gym.envs.path_follow import PathFollowEnv, PathFollowVectorEnv
-from acsar_gym.envs.point_goal import PointGoalEnv, PointGoalVectorEnv
+from acsar_gym.envs.manuals import (
+    BarnEnv,
+    BarnVectorEnv,
+    ObstacleGoalEnv,
+    ObstacleGoalVectorEnv,
+    PathFollowEnv,
+    PathFollowVectorEnv,
+    PointGoalEnv,
+    PointGoalVectorEnv,
+)
 
 __all__ = [
     "BarnEnv",

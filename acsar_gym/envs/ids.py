@@ -25,7 +25,7 @@ def full_id(name: str) -> str:
     if not name or "/" in name or ":" in name:
         return name
     kind = name.title().replace("_", "")
-    return f"acsar_gym/{next((own for own in IDS if own.startswith(f'{kind}-')), kind)}"
+    return f"acsar_gym/{next((env_id for env_id in IDS if env_id.startswith(f'{kind}-')), kind)}"
 
 
 def strip_module(env_id: str) -> str:
@@ -37,15 +37,6 @@ def find_id(name: str) -> str:
     """Find the full id of a registered environment; imports its module first, where one is named.
 
     Modules are also looked for in the current folder, as Python does for a script there.
-
-    Args:
-        name: as in the table above.
-
-    Returns:
-        The id, with its module, as `gymnasium.make` takes it.
-
-    Raises:
-        ConfigError: the module can't be imported, or nothing has registered the id.
     """
     env_id = full_id(name)
     module = env_id.rpartition(":")[0]
@@ -72,16 +63,7 @@ def find_id(name: str) -> str:
 
 
 def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
-    """Make a batch of planar robots of a registered id.
-
-    Args:
-        env_id: as `find_id` returns it.
-        num_envs: number of robots.
-        **options: of the env and of `RobotVectorEnv`.
-
-    Raises:
-        ConfigError: the id has no such batch, or it doesn't take these options.
-    """
+    """Make a batch of planar robots of a registered id."""
     mode = "vector_entry_point"
     try:
         batch = gymnasium.make_vec(env_id, num_envs, vectorization_mode=mode, **options)

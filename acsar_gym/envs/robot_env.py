@@ -7,6 +7,7 @@ import copy
 import math
 import os
 import sys
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, Self
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, RobotSource, whole_ratio
-from acsar_gym.envs.time_limit import StepLimit
+from acsar_gym.envs.time_limit import find_limits, is_last_step
 from acsar_gym.errors import (
     AcsarError,
     BoardGarbledError,
@@ -45,17 +46,10 @@ from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.tasks import Observation, Outcome, State, Task
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.episode import Assignment, ObservationCheck, RunningEpisode, Spawn
-from acsar_gym.tasks.factory import (
-    PlainSpec,
-    SharedOptions,
-    make_task,
-    read_step_limit,
-    task_name,
-    task_spaces,
-    validate_task,
-)
-from acsar_gym.tasks.task import NO_PATH, NO_RANGES, NOTHING_SENSED
-from acsar_gym.truth import GroundTruth
+from acsar_gym.tasks.factory import make_task, task_name, validate_task
+from acsar_gym.tasks.options import SharedOptions, read_step_limit
+from acsar_gym.tasks.spec import PlainSpec, task_spaces
+from acsar_gym.tasks.state import INFO, NO_PATH, NO_RANGES, NOTHING_SENSED, write_maker
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.world import point_in_world, to_odometry
 
@@ -69,10 +63,11 @@ FAULT_CODES = (
     (LinkError, 5),
 )
 """Numbers of errors in info's `fault`; subclasses come first."""
-LARGEST = float(np.finfo(np.float32).max)
-"""Largest number of an action in a recording."""
-UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)
-"""The true pose on links without ground truth."""
+LARGEST = float(np.finfo(np.float32).max)  # largest number of an action in a recording
+UNKNOWN_POSE: Pose = (math.nan, math.nan, math.nan)  # the true pose on links without ground truth
+Numbers = dict[str, Any]
+"""Numbers of the robot, by the names that State and info have in `tasks.state`."""
+make_state = write_maker(lambda name: f'{"*" * (name == "read_speed")}numbers["{name}"]')
 
 
 class EnvOptions(SharedOptions):
@@ -121,12 +116,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
-        self._options, rest = EnvOptions.split(options)
+        self._options, task_options = EnvOptions.split(options)
         rate = self._options.policy_rate
         self.render_mode = self._options.render_mode
         self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
         self.metadata = {**type(self).metadata, "render_fps": rate}
-        self.task = make_task(task, rest, EnvOptions.names())
+        self.task = make_task(task, task_options, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
         self._connect(link, config)
@@ -134,48 +129,51 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.action_space: Any
         self.observation_space: Any
         self.action_space, self.observation_space = task_spaces(self.task, self.sensors)
-        self._limit = StepLimit(read_step_limit(self._options.max_episode_steps))
+        self._max_steps = read_step_limit(self._options.max_episode_steps) or math.inf
+        self._limits: list[weakref.ref[Any]] = []
         self._observed = ObservationCheck(self.task)
         self._episode: RunningEpisode | None = None
         self._has_ended = False
         self._sensed: Observation = NOTHING_SENSED
-        self._truth: GroundTruth | None = None
         self._last_step: tuple[Observation, Info] | None = None
 
     def _connect(self, link: Any, config: RobotConfig) -> None:
         """Make the robot with its link and sensors, and the screen; opens nothing."""
-        asked, human = self._options, self.render_mode == "human"
+        chosen = self._options
+        human = self.render_mode == "human"
         simulator = BODIES.get(link) if isinstance(link, str) else None
         has_camera = simulator.has_camera if simulator else not isinstance(link, str)
-        if asked.view == "camera" and not has_camera:
+        if chosen.view == "camera" and not has_camera:
             raise RenderError(
                 f"link {link!r} has no camera; view='camera' needs link {LINKS_WITH_CAMERA}"
             )
-        sensors = (*self.task.sensors, *asked.sensors)
-        if asked.lidar is not None and LIDAR not in sensors:
+        sensors = (*self.task.sensors, *chosen.sensors)
+        if chosen.lidar is not None and LIDAR not in sensors:
             raise ConfigError(
-                f"lidar = {show_value(asked.lidar)}: {task_name(self.task)} uses none"
+                f"lidar = {show_value(chosen.lidar)}: {task_name(self.task)} uses none"
             )
         has_own_window = simulator is not None and simulator.has_window
         own_window = human and has_own_window and body.has_display()
         if isinstance(link, str | os.PathLike) or not hasattr(link, "advance"):
             link = open_link(link, config, window=own_window, realtime=human)
-        step, simulated = self.ticks_per_step * config.period, link.truth is not None
+        step = self.ticks_per_step * config.period
+        simulated = link.truth is not None
         unused = simulator.unused if simulator else ()
         self._randomizer = Randomizer(
-            asked.randomization, config, step, simulated=simulated, unused=unused
+            chosen.randomization, config, step, simulated=simulated, unused=unused
         )
-        faults = Faults.of(asked.faults)
+        faults = Faults.of(chosen.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
-        self._recorder = Recorder.of(asked.record)
-        if isinstance(asked.record, str | os.PathLike):
+        self._tells_faults = faults.possible or not simulated
+        self._recorder = Recorder.of(chosen.record)
+        if isinstance(chosen.record, str | os.PathLike):
             check_extra("recording", "record", "mcap", "rosbags")
-        if self.render_mode is not None and asked.view == "top" and not own_window:
+        if self.render_mode is not None and chosen.view == "top" and not own_window:
             check_extra("pictures", "pictures", "PIL")
-        factories = sensor_factories(sensors, asked.lidar, step)
+        factories = sensor_factories(sensors, chosen.lidar, step)
         self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
-        self._screen = Screen(config, None if own_window else self.render_mode, asked.view)
+        self._screen = Screen(config, None if own_window else self.render_mode, chosen.view)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -197,7 +195,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._halt()
         self._last_step = None
         super().reset(seed=int(seed) if isinstance(seed, np.integer) else seed)
-        self._limit.find_wrappers(self)
+        self._limits = find_limits(self)
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
         assignment = self._spawn.draw(self.np_random, {} if options is None else options)
@@ -210,9 +208,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
         try:
-            state = self._state(episode, (0.0, 0.0))
+            numbers, state = self._observe(episode, (0.0, 0.0))
             episode.begin(state)
-            observation, info = self._describe_step(episode, state)
+            observation, info = self._describe_step(episode, state, numbers)
             self._record_step(0, observation)
         except BaseException as error:
             self.robot.deactivate(error)
@@ -267,14 +265,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             return observation, 0.0, False, True, info | self._randomizer.info() | why
         episode.steps += 1
         try:
-            state = self._state(episode, (linear, angular))
+            numbers, state = self._observe(episode, (linear, angular))
             reward, outcome = episode.step(state)
-            observation, info = self._describe_step(episode, state)
+            observation, info = self._describe_step(episode, state, numbers)
         except BaseException as error:
             self.robot.deactivate(error)
             raise
         terminated = outcome is not Outcome.GOING
-        truncated = self._limit.is_last(episode.steps)
+        truncated = episode.steps >= self._max_steps or any(map(is_last_step, self._limits))
         if terminated or truncated:
             self._has_ended = True
             self._halt()
@@ -296,15 +294,22 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Tell the recorder, if there is one, about the env, and the episode that begins."""
         if self._recorder is None:
             return
-        spec, about = self.spec, {}
-        if spec is not None:
-            own = {k: v for k, v in spec.kwargs.items() if k not in ("link", "record")}
-            about = {"id": spec.id, "kwargs": own}
-        world = None if assignment.world is None else assignment.number
-        info = {"seed": seed, "goal": list(assignment.goal), "start": list(assignment.start)}
-        names = list(self.task.observation)
-        more = {"env": about, "task": task_name(self.task), "observation": names}
-        self._recorder.describe(info | {"world": world}, **more)
+        about = {}
+        if self.spec is not None:
+            kwargs = {k: v for k, v in self.spec.kwargs.items() if k not in ("link", "record")}
+            about = {"id": self.spec.id, "kwargs": kwargs}
+        episode = {
+            "seed": seed,
+            "goal": list(assignment.goal),
+            "start": list(assignment.start),
+            "world": None if assignment.world is None else assignment.number,
+        }
+        self._recorder.describe(
+            episode,
+            env=about,
+            task=task_name(self.task),
+            observation=list(self.task.observation),
+        )
 
     def _record_step(
         self,
@@ -321,62 +326,69 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
                 action = np.clip(action, -LARGEST, LARGEST).astype(np.float32)
             self._recorder.add(Stepped(step, now, seen, action, reward, *ends))
 
-    def _state(self, episode: RunningEpisode, action: tuple[float, float]) -> State:
-        """The State that the task is given."""
+    def _observe(
+        self, episode: RunningEpisode, action: tuple[float, float]
+    ) -> tuple[Numbers, State]:
+        """The numbers of which State and info are made, and the State; also shown on the screen."""
         robot, assignment, config = self.robot, episode.assignment, self.robot.config
-        self._truth = robot.link.truth
-        scan = newest_scan(robot.sensors)
-        return State(
-            pose=robot.odometry.pose,
-            twist=robot.odometry.twist,
-            wheel_speeds=robot.speeds,
-            action=action,
-            sent=robot.safety.sent,
-            reason=int(robot.safety.reason),
-            ranges=NO_RANGES if scan is None else scan.ranges,
-            edges=NO_RANGES if scan is None else footprint_edges(config),
-            sensed=self._sensed,
-            time=episode.steps * self.ticks_per_step * config.period,
-            feedback_age=robot.feedback_age,
-            contact=self._truth is not None and self._truth.contact,
-            goal=assignment.goal,
-            path=NO_PATH if assignment.path is None else assignment.path,
-            length=assignment.length,
-            max_twist=self._top,
-            period=self.ticks_per_step * config.period,
-        )
-
-    def _describe_step(self, episode: RunningEpisode, state: State) -> tuple[Observation, Info]:
-        """Observation and info after a reset or step; also updates the screen."""
-        truth = self._truth
-        self._screen.show(state, truth, newest_scan(self.robot.sensors))
-        numbers = episode.observe(state)
-        x, y, theta = state.pose
-        start = episode.assignment.start
-        true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else UNKNOWN_POSE
-        info = {
-            "is_success": float(episode.outcome is Outcome.SUCCESS),
+        truth, scan = robot.link.truth, newest_scan(robot.sensors)
+        x, y, theta = robot.odometry.pose
+        linear, angular = robot.odometry.twist
+        sent_linear, sent_angular = robot.safety.sent
+        goal_x, goal_y = assignment.goal
+        pose = to_odometry(assignment.start, truth.pose) if truth else UNKNOWN_POSE
+        true_x, true_y, true_theta = pose
+        numbers = {
             "odom_x": x,
             "odom_y": y,
             "odom_theta": theta,
-            "feedback_age": state.feedback_age,
-            "sent_linear": state.sent[0],
-            "sent_angular": state.sent[1],
-            "sent_reason": float(state.reason),
-            "true_x": true_x,
-            "true_y": true_y,
+            "linear": linear,
+            "angular": angular,
+            "read_speed": robot.speeds,
+            "action_linear": action[0],
+            "action_angular": action[1],
+            "sent_linear": sent_linear,
+            "sent_angular": sent_angular,
+            "reason": float(robot.safety.reason),
+            "age": robot.feedback_age,
+            "contact": float(truth.contact) if truth else math.nan,
+            "goal_x": goal_x,
+            "goal_y": goal_y,
+            "max_linear": self._top[0],
+            "max_angular": self._top[1],
+            "x": true_x,
+            "y": true_y,
             "true_theta": true_theta,
-            "true_contact": float(truth.contact) if truth else math.nan,
-            "true_goal_distance": math.hypot(state.goal[0] - true_x, state.goal[1] - true_y),
-            "odometry_error": math.hypot(true_x - x, true_y - y),
+            "goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
+            "odom_error": math.hypot(true_x - x, true_y - y),
         }
+        state = make_state(
+            numbers,
+            0,
+            NO_RANGES if scan is None else scan.ranges,
+            NO_RANGES if scan is None else footprint_edges(config),
+            self._sensed,
+            episode.steps * self.ticks_per_step * config.period,
+            NO_PATH if assignment.path is None else assignment.path,
+            assignment.length,
+            self.ticks_per_step * config.period,
+        )
+        self._screen.show(state, truth, scan)
+        return numbers, state
+
+    def _describe_step(
+        self, episode: RunningEpisode, state: State, numbers: Numbers
+    ) -> tuple[Observation, Info]:
+        """Observation and info after a reset or step."""
+        observation = np.concatenate([episode.observe(state), state.sensed])
+        numbers["success"] = float(episode.outcome is Outcome.SUCCESS)
+        info = {key: numbers[name] for key, name in INFO.items()}
         info |= episode.info() | self._randomizer.info()
-        if self._faulty is not None or truth is None:
+        if self._tells_faults:
             info["fault"] = 0.0
         self.robot.tell(info)
-        told = np.concatenate([numbers, state.sensed]), info
-        self._last_step = told[0].copy(), info.copy()  # a caller may change its own
-        return told
+        self._last_step = observation.copy(), info.copy()  # a caller may change its own
+        return observation, info
 
     @property
     def sensors(self) -> Sequence[Sensor]:
@@ -416,7 +428,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles have a robot of their own and must be reset first."""
-        return self.__dict__ | {"_episode": None, "_last_step": None}
+        return self.__dict__ | {"_episode": None, "_last_step": None, "_limits": []}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy of a recorded env is recorded, too: copies of robots aren't."""

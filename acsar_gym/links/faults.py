@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value
-from acsar_gym.jit import COMPILED, loop
+from acsar_gym.jit import loop
 from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -86,15 +86,6 @@ def hash_sample(key: float, number: int) -> float:
     word = (word ^ (word >> _S27)) * _SECOND
     word ^= word >> _S31
     return float(word >> _S11) * (1.0 / _BITS)
-
-
-if not COMPILED:
-    _wrapping = hash_sample
-
-    def hash_sample(key: float, number: int) -> float:
-        """Return the same number without numba, ignoring NumPy's overflow warnings."""
-        with np.errstate(over="ignore"):
-            return _wrapping(key, number)
 
 
 @loop

@@ -72,14 +72,12 @@ Motion = tuple[Point3, tuple[float, float, float, float], Point3, Point3]
 _pose_of, _velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
 _apply_force, _apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
 _simulate, _WORLD = pybullet.stepSimulation, pybullet.WORLD_FRAME
-MAX_SHAPES = 16
-"""Shapes of a compound, at most; PyBullet's limit."""
+_push_robot = model.push_robot
+MAX_SHAPES = 16  # shapes of a compound, at most; PyBullet's limit
 FRAME_KEYS = ("Positions", "Orientations")
 """Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
-FOOT_PLACES = 100
-"""Places between a hub and the middle of the robot that are tried for a foot."""
-LEAST_FOOT = 1e-3
-"""Radius of the smallest foot [m]."""
+FOOT_PLACES = 100  # places between a hub and the middle of the robot that are tried for a foot
+LEAST_FOOT = 1e-3  # radius of the smallest foot [m]
 CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
 WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
@@ -137,13 +135,13 @@ class BulletBody:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
-        own, client, (x, y, theta) = scene.physics or self._configured, self._client, scene.start
-        inertia = (own.yaw_inertia, own.yaw_inertia, own.yaw_inertia)
+        physics, client = scene.physics or self._configured, self._client
+        x, y, theta = scene.start
+        inertia = (physics.yaw_inertia, physics.yaw_inertia, physics.yaw_inertia)
         pybullet.changeDynamics(
-            self._robot, -1, mass=own.mass, localInertiaDiagonal=inertia, physicsClientId=client
+            self._robot, -1, mass=physics.mass, localInertiaDiagonal=inertia, physicsClientId=client
         )
-        self._physics = record_of(own)
-        self._push, self._twist = own.mass / self._dt, own.yaw_inertia / self._dt
+        self._physics = record_of(physics)
         upright = (0.0, 0.0, math.sin(theta / 2.0), math.cos(theta / 2.0))
         pybullet.resetBasePositionAndOrientation(
             self._robot, (x, y, self._config.wheel_radius), upright, physicsClientId=client
@@ -171,19 +169,18 @@ class BulletBody:
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
-        position, (qx, qy, qz, qw), (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
-        (nx, ny, new_rate), self.wheel_speeds, self.wheel_angles = model.robot_step(
-            1.0 - 2.0 * (qy * qy + qz * qz),
-            2.0 * (qw * qz + qx * qy),
-            (vx, vy, rate),
+        position, orientation = _pose_of(robot, client)
+        velocity, spin = _velocity_of(robot, client)
+        force, torque, self.wheel_speeds, self.wheel_angles = _push_robot(
+            orientation,
+            velocity,
+            spin,
             self.wheel_speeds,
             self.wheel_angles,
             set_points,
             self._physics,
             self._dt,
         )
-        force = (self._push * (nx - vx), self._push * (ny - vy), 0.0)
-        torque = (0.0, 0.0, self._twist * (new_rate - rate))
         _apply_force(robot, -1, force, position, _WORLD, client)
         _apply_torque(robot, -1, torque, _WORLD, client)
         _simulate(client)
@@ -211,22 +208,14 @@ class BulletBody:
         """Measure ranges with PyBullet's own rays, for tests and benchmarks.
 
         A ray may stop up to a millimetre beside a cylinder's surface; environments don't use it.
-
-        Args:
-            place: x, y in the frame of the world [m].
-            bearings: (rays,) in the frame of the world [rad].
-            reach: longest range [m].
-
-        Returns:
-            (rays,) [m].
         """
         (x, y), height = place, self._config.lidar_z_offset
         ends = np.column_stack([x + reach * np.cos(bearings), y + reach * np.sin(bearings)])
         starts = [(x, y, height)] * len(ends)
-        found = pybullet.rayTestBatch(
+        hits = pybullet.rayTestBatch(
             starts, [(*end, height) for end in ends.tolist()], physicsClientId=self._client
         )
-        return np.array([hit[2] * reach for hit in found])
+        return np.array([hit[2] * reach for hit in hits])
 
     @property
     def truth(self) -> GroundTruth:
@@ -407,14 +396,6 @@ def write_mesh(outline: Outline, low: float, high: float) -> Iterator[str]:
     PyBullet reads shapes of many corners from files only. It uses the convex hull of each object
     in a file, so each piece is an object, and notches stay open. Its hulls are 1 mm larger on
     every side. The file is deleted after the block.
-
-    Args:
-        outline: corners in the base frame [m].
-        low: least height [m].
-        high: largest height [m].
-
-    Yields:
-        Name of the file.
     """
     lines, first = [], 1  # of corners, which count from 1
     for number, piece in enumerate(convex_pieces(outline)):

@@ -16,8 +16,7 @@ from acsar_gym.physics.body import Body
 from acsar_gym.physics.model import loop_period, ramp_set_points, round_printed
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 
-TIME_EPSILON = 1e-9
-"""Slack for comparing times that are sums of periods [s]."""
+TIME_EPSILON = 1e-9  # slack for comparing times that are sums of periods [s]
 
 
 class Firmware:
@@ -51,16 +50,12 @@ class Firmware:
         self.decoder = Decoder()
         self.reset()
 
-    def reset(self, own: Physics | None = None) -> None:
-        """Reset to the state after power-up: nothing on the wire, set points and encoders zero.
-
-        Args:
-            own: physics with the delays and the feedback rate of this robot; None: as configured.
-        """
-        own = own or self._configured
-        self._latency = own.latency_loops * self._dt
-        self._reaction = self._processing + own.command_delay + self._latency
-        self._feedback_every = own.feedback_loops
+    def reset(self, physics: Physics | None = None) -> None:
+        """Reset to the state after power-up: nothing on the wire, set points and encoders zero."""
+        physics = physics or self._configured
+        self._latency = physics.latency_loops * self._dt
+        self._reaction = self._processing + physics.command_delay + self._latency
+        self._feedback_every = physics.feedback_loops
         self._loops = 0
         self._lines = 0
         self._line_due = self._feedback_every - TIME_EPSILON
@@ -87,9 +82,6 @@ class Firmware:
         """Let time pass, and return the feedback bytes that reach the host meanwhile.
 
         Time that is left after whole firmware loops is added to the next period.
-
-        Args:
-            period: [s].
         """
         self._elapsed += period
         now = self._elapsed + TIME_EPSILON

@@ -26,8 +26,7 @@ GRAVITY = 9.81
 FRICTION_ROUNDS = 3
 """Fixed-point iterations for the secant friction."""
 
-Velocity = tuple[float, float, float]
-"""vx, vy [m/s] and yaw rate [rad/s]."""
+Velocity = tuple[float, float, float]  # vx, vy [m/s] and yaw rate [rad/s]
 
 
 def loop_period(config: RobotConfig) -> float:
@@ -182,16 +181,7 @@ def compute_physics(config: RobotConfig) -> Physics:
 def wheel_speed(
     speed: float, set_point: float, gain: float, blend: float, deadband: float, top: float
 ) -> float:
-    """Compute a wheel's speed one substep later: gain, deadband, saturation, first-order lag.
-
-    Args:
-        speed: of the wheel [rad/s].
-        set_point: of the firmware [rad/s].
-        gain: of this wheel.
-        blend: of this wheel.
-        deadband: of this wheel [rad/s].
-        top: top speed of a motor [rad/s].
-    """
+    """Compute a wheel's speed one substep later: gain, deadband, saturation, first-order lag."""
     set_point *= gain
     if abs(set_point) < deadband:
         set_point = 0.0
@@ -284,6 +274,32 @@ def robot_step(
     )
 
 
+@loop
+def push_robot(
+    orientation: tuple[float, float, float, float],
+    velocity: Velocity,
+    spin: Velocity,
+    wheels: Speeds,
+    angles: Speeds,
+    set_points: Speeds,
+    physics: Any,
+    dt: float,
+) -> tuple[Velocity, Velocity, Speeds, Speeds]:
+    """`robot_step` for an engine that moves the chassis itself, by a force [N] and a torque [Nm].
+
+    Orientation (x, y, z, w), velocity [m/s], spin [rad/s], force and torque are in the world frame.
+    """
+    qx, qy, qz, qw = orientation
+    cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
+    vx, vy, rate = velocity[0], velocity[1], spin[2]
+    (new_vx, new_vy, new_rate), wheels, angles = robot_step(
+        cos, sin, (vx, vy, rate), wheels, angles, set_points, physics, dt
+    )
+    push, twist = physics[0].mass / dt, physics[0].yaw_inertia / dt
+    force = push * (new_vx - vx), push * (new_vy - vy), 0.0
+    return force, (0.0, 0.0, twist * (new_rate - rate)), wheels, angles
+
+
 def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
     """Yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s], neglecting inertia."""
     right, left = (speeds[0] + speeds[3]) / 2.0, (speeds[1] + speeds[2]) / 2.0
@@ -297,22 +313,12 @@ def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
 
 @loop
 def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, physics: Any) -> float:
-    """Compute the power that the motors give to the ground at this moment.
+    """Compute the power that the motors give to the ground at this moment [W].
 
     P = sum over wheels of max(0, F_i r_i w_i), in which r_i w_i is the speed of the wheel's
     surface and F_i = -D_i s_x the force of its tyre along the rolling direction, with D_i and the
     slip (s_x, s_y) of this file. A wheel that is pushed by the ground brakes; its motor
     recovers nothing. Losses inside the motors are not known.
-
-    Args:
-        cos: of the heading.
-        sin: of the heading.
-        velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
-        wheels: speeds of the four wheels [rad/s].
-        physics: of the robot, a record of `Physics`.
-
-    Returns:
-        The power [W].
     """
     own = physics[0]
     vx, vy, rate = velocity

@@ -53,14 +53,11 @@ MAX_TIME_STEP = 0.002
 """Longest step of the engine, MuJoCo's default [s]; a firmware loop has a whole number of them."""
 IMPEDANCE_RATIO = 10.0
 """How much harder friction is than the contact's normal; with 1, wheels at rest creep."""
-SERVO_TIME = 0.005
-"""Time constant of the speed controller of a motor [s]."""
-SETTLING_TIME = 0.3
-"""After which a robot that was put on the floor stands still [s]."""
+SERVO_TIME = 0.005  # time constant of the speed controller of a motor [s]
+SETTLING_TIME = 0.3  # after which a robot that was put on the floor stands still [s]
 ANGLE_DECIMALS = 6
 """Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
-FLOOR, OBSTACLES = 1, 2
-"""Bits of what a shape may touch."""
+FLOOR, OBSTACLES = 1, 2  # bits of what a shape may touch
 HIDDEN = 3
 """A group of shapes that MuJoCo doesn't draw by default."""
 FLOOR_COLOUR = (0.8, 0.82, 0.84, 1.0)
@@ -214,13 +211,6 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
     wheel its rotor is as heavy as the load, as gears are chosen for. This matters: MuJoCo solves
     friction with the inertia that it finds at each contact, and lets the robot turn the slower the
     lighter its rotors are and the better its tyres grip.
-
-    Args:
-        config: of the robot.
-        own: its physics.
-
-    Returns:
-        A `mujoco.MjSpec`, to be compiled.
     """
     spec, shape = mujoco.MjSpec.from_file(str(URDF)), mujoco.mjtGeom
     spec.compiler.discardvisual = False
@@ -302,12 +292,7 @@ def make_robot(config: RobotConfig, own: Physics) -> Any:
 
 
 def add_obstacles(spec: Any, world: World | None) -> None:
-    """Add the circles and segments of a world, as cylinders and thin boxes.
-
-    Args:
-        spec: a `mujoco.MjSpec`.
-        world: None for an open floor.
-    """
+    """Add the circles and segments of a world, as cylinders and thin boxes."""
     shape, middle = mujoco.mjtGeom, OBSTACLE_HEIGHT / 2.0
     common = {"contype": 0, "conaffinity": OBSTACLES, "rgba": OBSTACLE_PAINT}
     for x, y, radius in () if world is None else world.circles.tolist():

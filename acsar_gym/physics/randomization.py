@@ -59,12 +59,10 @@ WHEEL_FIELDS = {
 """Parameters of single wheels, and the field of `motor` that they are about."""
 LEAST_TURN = 1.001
 """Least turn factor of a range; one of 1 would be a tyre without sideways friction."""
-MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3
-"""Factors that a range can have."""
+MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3  # factors that a range can have
 LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
 """Widths of the levels of randomization, relative to what `acsar-gym train` randomizes."""
-MIN_LEVEL_FACTOR = 0.05
-"""Least factor of a range that is widened for a level."""
+MIN_LEVEL_FACTOR = 0.05  # least factor of a range that is widened for a level
 
 
 def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
@@ -74,27 +72,27 @@ def measured_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     the configured value. Where wheels have intervals of their own, the range holds all of them, and
     the default width for wheels without one.
     """
-    measured, found = config.measured, dict[str, tuple[float, ...]]()
+    measured, ranges = config.measured, dict[str, tuple[float, ...]]()
     for name, path in FACTOR_FIELDS.items():
         if path in measured:
             value: Any = functools.reduce(getattr, path.split("."), config)
-            found[name] = _relative_range(measured[path], value)
+            ranges[name] = _relative_range(measured[path], value)
     turning = next((measured[path] for path in TURNING_FIELDS if path in measured), None)
     if turning is not None:
         factor = turn_factor(config)
-        found["turn_factor"] = (
+        ranges["turn_factor"] = (
             max(turning.low, LEAST_TURN) / factor,
             max(turning.high, LEAST_TURN) / factor,
         )
     for name, field in WHEEL_FIELDS.items():
         ends = _wheel_ends(config, name, field)
         if ends:
-            found[name] = (min(ends), max(ends))
+            ranges[name] = (min(ends), max(ends))
     if delay := measured.get("firmware.command_delay"):
-        found["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
+        ranges["command_delay"] = (max(delay.low, 0.0), max(delay.high, 0.0))
     if config.firmware.delay_samples:
-        found["delay_samples"] = config.firmware.delay_samples
-    return found
+        ranges["delay_samples"] = config.firmware.delay_samples
+    return ranges
 
 
 def _wheel_ends(config: RobotConfig, name: str, field: str) -> list[float]:
@@ -118,12 +116,12 @@ def _relative_range(interval: Measured, value: float) -> Range:
 
 def choose_ranges(config: RobotConfig) -> dict[str, tuple[float, ...]]:
     """Return the measured ranges of a robot, and the default ones of what wasn't measured."""
-    found, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
+    from_robot, usual, factor = measured_ranges(config), dict(DEFAULT_RANGES), turn_factor(config)
     low, high = usual["turn_factor"]
     usual["turn_factor"] = (max(low, (1.0 + factor) / 2.0 / factor), high)  # stays above 1
-    if "command_delay" in found or "delay_samples" in found:
+    if "command_delay" in from_robot or "delay_samples" in from_robot:
         del usual["latency"]
-    return usual | found
+    return usual | from_robot
 
 
 def describe_ranges(config: RobotConfig) -> str:
@@ -131,27 +129,20 @@ def describe_ranges(config: RobotConfig) -> str:
     measured = measured_ranges(config)
     if not measured:
         return ""
-    told = [
+    texts = [
         f"delay_samples ({len(width)} delays up to {max(width):.3g} s)"
         if name == "delay_samples"
         else f"{name} {width[0]:.3g} to {width[1]:.3g}"
         for name, width in measured.items()
     ]
     usual = [name for name in choose_ranges(config) if name not in measured]
-    return f"randomized as measured: {', '.join(told)}; by default widths: {', '.join(usual)}"
+    return f"randomized as measured: {', '.join(texts)}; by default widths: {', '.join(usual)}"
 
 
 def randomization_level(config: RobotConfig, number: int) -> Randomization:
     """Return the randomization of a level: half, all, or twice of what a robot is trained with.
 
     Measured delays (`command_delay`, `delay_samples`) are the same on all levels.
-
-    Args:
-        config: the robot.
-        number: 1, 2 or 3.
-
-    Raises:
-        ConfigError: there is no such level.
     """
     if number not in LEVEL_WIDTHS:
         raise ConfigError(f"randomization level {show_value(number)}: must be 1, 2 or 3")
@@ -420,13 +411,7 @@ def scale_kappa(nominal: Physics, factor: float) -> float:
 
 @jit
 def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
-    """Apply what was drawn to a robot's physics.
-
-    Args:
-        nominal: physics of the configured robot.
-        drawn: numbers of the episode.
-        dt: firmware loop period [s].
-    """
+    """Apply what was drawn to a robot's physics."""
     return Physics(
         left_radius=nominal.left_radius * drawn.wheel_radius * drawn.left_wheel_radius,
         right_radius=nominal.right_radius * drawn.wheel_radius * drawn.right_wheel_radius,
@@ -465,19 +450,7 @@ def vary_physics(nominal: Physics, drawn: Drawn, dt: float) -> Physics:
 def draw_robot(
     nominal: Any, low: Floats, high: Floats, delays: Floats, samples: Floats, dt: float
 ) -> tuple[Physics, Drawn]:
-    """Draw a robot's physics for one episode.
-
-    Args:
-        nominal: the configured robot's, a record of `Physics`.
-        low: Least value of each number of `Drawn`.
-        high: Largest value of each.
-        delays: What `delay_samples` is drawn from [s].
-        samples: A uniform sample of [0, 1) for each; ignored where low == high.
-        dt: The firmware's loop period [s].
-
-    Returns:
-        The physics, and the numbers that were drawn, as applied.
-    """
+    """Draw a robot's physics for one episode."""
     numbers = np.empty(DRAWN_SIZE)
     for k in range(DRAWN_SIZE):
         numbers[k] = low[k] + (high[k] - low[k]) * samples[k] if high[k] > low[k] else low[k]
@@ -537,23 +510,16 @@ class Randomizer:
         self._drawn = Drawn()
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Draw the physics of an episode.
-
-        Args:
-            rng: the env's generator; one sample is taken for each number that varies.
-
-        Returns:
-            The physics; None where nothing varies.
-        """
+        """Draw the physics of an episode."""
         if not self._names:
             return None
         samples, varies = np.zeros(DRAWN_SIZE), self._high > self._low
         samples[varies] = rng.random(int(varies.sum()))
-        own, drawn = draw_robot(
+        physics, drawn = draw_robot(
             self._nominal, self._low, self._high, self._delays, samples, self._dt
         )
         self._drawn = Drawn(*map(float, drawn))
-        return Physics(*map(float, own))
+        return Physics(*map(float, physics))
 
     def info(self) -> dict[str, Any]:
         """What was drawn last, as applied: a float, or an array of four in the order of wheels."""

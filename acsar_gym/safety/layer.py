@@ -27,7 +27,7 @@ class Safety:
     def __init__(self, config: RobotConfig) -> None:
         self._rules = rules.make_rules(config)
         self._numbers = record_of(self._rules)
-        self._memory = record_of(SafetyMemory(), changes=True)
+        self._memory = record_of(SafetyMemory())
         self._speeds: Speeds = ZERO
         self.reset()
 

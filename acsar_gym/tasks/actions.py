@@ -7,23 +7,14 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.errors import CommandError, shorten_text, show_value
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 
 NUMBER_KINDS = "fiub"
 """Kinds of numpy's types that are numbers: no text, complex numbers or objects."""
 
 
 def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
-    """Convert an action, or those of a batch, to a new array.
-
-    Args:
-        actions: anything.
-        shape: (2,), or (robots, 2) for a batch.
-
-    Raises:
-        CommandError: for another shape, NaN, infinity, what isn't numbers, and whatever the
-            conversion raises, as for a tensor that requires grad.
-    """
+    """Convert an action, or those of a batch, to a new array."""
     is_single = len(shape) == 1
     must = "two finite numbers (linear, angular) in [-1, 1]" if is_single else f"numbers {shape}"
     problem = f"action{'' if is_single else 's'} = {{}}: must be {must}"

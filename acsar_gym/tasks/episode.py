@@ -20,20 +20,11 @@ from acsar_gym.errors import (
     translate_errors,
 )
 from acsar_gym.jit import jit
-from acsar_gym.tasks.factory import (
-    ask_outcome,
-    ask_reward,
-    check_distances,
-    check_reset_options,
-    method_place,
-    task_name,
-)
+from acsar_gym.tasks.factory import ask_outcome, ask_reward, method_place, task_name
+from acsar_gym.tasks.options import check_distances, check_reset_options
+from acsar_gym.tasks.state import Goal, Info, Observation, State
 from acsar_gym.tasks.task import (
-    Goal,
-    Info,
-    Observation,
     Outcome,
-    State,
     Task,
     info_names,
     new_memory,
@@ -92,17 +83,7 @@ class Spawn:
     def __init__(
         self, task: Task, worlds: Source | None, difficulty: Level, config: RobotConfig
     ) -> None:
-        """Make the pool of worlds.
-
-        Args:
-            task: its worlds and difficulty are used where none are given here.
-            worlds: see `Pool.of`; None for the task's own.
-            difficulty: of generated worlds; None for the task's own.
-            config: of the robot, whose footprint must fit into the worlds.
-
-        Raises:
-            ConfigError, WorldError: for unknown worlds, or a difficulty where there are no worlds.
-        """
+        """Make the pool of worlds; the task's own where none are given."""
         self._task = task
         source = task.worlds if worlds is None else worlds
         level = task.difficulty if difficulty is None else difficulty
@@ -142,14 +123,7 @@ class Spawn:
         return Assignment(goal_at(distance, rng.uniform(-math.pi, math.pi)))
 
     def check_goal(self, goal: Goal) -> Goal:
-        """Return a goal on an open floor once its distance is checked.
-
-        Args:
-            goal: x, y in the odometry frame [m].
-
-        Raises:
-            ConfigError: where it is nearer or farther than the task's `goal_distance`.
-        """
+        """Return a goal on an open floor [m]; ConfigError where it isn't within `goal_distance`."""
         nearest, farthest = self._task.goal_distance
         if not nearest <= math.hypot(*goal) <= farthest:
             raise ConfigError(
@@ -188,35 +162,26 @@ def goal_at(distance: float, bearing: float) -> Goal:
 
 
 def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
-    """Choose the world of an episode.
+    """Choose the world of an episode, and return its number, -1 for a World object, and the world.
 
-    Args:
-        worlds: to choose from.
-        share: a uniform sample of [0, 1), used where the options name no world.
-        options: of the reset; "world" and "difficulty" are used.
-
-    Returns:
-        Number of the world (-1 for a World object) and the world.
-
-    Raises:
-        ConfigError, WorldError: for a world that isn't in the pool, or isn't one.
+    `share` is a uniform sample of [0, 1), used where the options name no world.
     """
-    asked, difficulty = options.get("world"), options.get("difficulty")
-    if isinstance(asked, World):
-        return -1, check_world(asked, worlds.radius)
-    if asked is None and difficulty is None:
+    wanted, difficulty = options.get("world"), options.get("difficulty")
+    if isinstance(wanted, World):
+        return -1, check_world(wanted, worlds.radius)
+    if wanted is None and difficulty is None:
         number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
-    elif asked is None:
+    elif wanted is None:
         ranks = worlds.ranks(difficulty)
         rank = ranks[min(int(share * len(ranks)), len(ranks) - 1)]
         number = worlds.numbers[int(worlds.by_difficulty[0][rank])]
-    elif isinstance(asked, int | np.integer) or (
-        isinstance(asked, float | np.floating) and float(asked).is_integer()  # as in info
+    elif isinstance(wanted, int | np.integer) or (
+        isinstance(wanted, float | np.floating) and float(wanted).is_integer()  # as in info
     ):
-        number = int(asked)
+        number = int(wanted)
     else:
         raise ConfigError(
-            f"world = {show_value(asked)}: must be a number of the env's worlds, or a World"
+            f"world = {show_value(wanted)}: must be a number of the env's worlds, or a World"
         )
     return number, worlds[number]
 
@@ -224,17 +189,7 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
 def draw_in_world(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
-    """Draw a world, the start in it and the goal.
-
-    Args:
-        worlds: to draw from.
-        rng: the env's generator; WORLD_DRAWS numbers are taken.
-        options: of the reset: "world", "difficulty" and "goal", see `Spawn.draw`.
-        follow: whether the assignment gets the world's path, and starts at one of its ends.
-
-    Raises:
-        ConfigError, WorldError: for options out of range, and for a world without a path to follow.
-    """
+    """Draw a world, the start in it and the goal; takes WORLD_DRAWS numbers."""
     u = rng.random(WORLD_DRAWS).tolist()
     number, world = choose_world(worlds, u[0], options)
     ends = align_with_path(world) if follow else world
@@ -260,17 +215,7 @@ def assign_path(path: Any) -> Assignment:
 
 
 def path_from_start(world: World) -> Floats:
-    """Transform a world's path from the frame of the world into that of its start.
-
-    Args:
-        world: whose start is at the path's beginning.
-
-    Returns:
-        (samples, 3): x [m], y [m], direction [rad].
-
-    Raises:
-        WorldError: where the world has no path.
-    """
+    """A world's path in the frame of its start, (samples, 3): x [m], y [m], direction [rad]."""
     if world.path is None or world.start.theta is None:
         raise WorldError(f"{world.name or 'the world'}: has no path to follow")
     samples, start, theta = sample_path(world.path), world.start, world.start.theta
@@ -282,11 +227,7 @@ def path_from_start(world: World) -> Floats:
 
 
 class ObservationCheck:
-    """Checks a task's own numbers of observations; warns once where they leave their bounds.
-
-    Args:
-        task: that returns them.
-    """
+    """Checks a task's own numbers of observations; warns once where they leave their bounds."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
@@ -299,12 +240,6 @@ class ObservationCheck:
         """Check an observation.
 
         Warns (TaskWarning) of the first number beyond its bounds.
-
-        Args:
-            numbers: (numbers,), or (robots, numbers) of a batch.
-
-        Raises:
-            TaskError: for NaN and infinity; names the numbers.
         """
         if self._warns:
             if self._low.shape != numbers.shape:  # arrays of one shape are compared much faster
@@ -379,23 +314,14 @@ class RunningEpisode:
             self.task.begin(state, self.memory)
 
     def step(self, state: State) -> tuple[float, Outcome]:
-        """Return the reward and the outcome of the step that led to this state.
-
-        Raises:
-            TaskError: the task raises an error, or returns what can't be used.
-        """
+        """Return the reward and the outcome of the step that led to this state."""
         self.state = state
         with translate_errors(TaskError, lambda: task_name(self.task)):
             self.outcome = ask_outcome(self.task, state, self.memory)
             return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
 
     def observe(self, state: State) -> Observation:
-        """Return the task's own part of the observation, (numbers,).
-
-        Raises:
-            TaskError: the task raises an error, or returns something else than so many finite
-                numbers.
-        """
+        """Return the task's own part of the observation, (numbers,)."""
         name, size = task_name(self.task), len(self.task.observation)
         with translate_errors(TaskError, lambda: name):
             given = self.task.observe(state, self.memory)
@@ -415,17 +341,7 @@ class RunningEpisode:
         return numbers
 
     def shortest_path(self, pose: Pose) -> Floats | float | None:
-        """Ask the task for the shortest way from a pose to success; see `Task.shortest_path`.
-
-        Args:
-            pose: of the robot, in place of that by odometry.
-
-        Returns:
-            Places (n, 2) to pass [m], or the length [m]; None where the task doesn't say it.
-
-        Raises:
-            TaskError: the task raises an error, or returns something else.
-        """
+        """Ask the task for the shortest way from a pose to success; see `Task.shortest_path`."""
         if not says_shortest_path(self.task):
             return None
         name = task_name(self.task)

@@ -1,23 +1,15 @@
-"""Make tasks from what users pass, and what single environments and batches share."""
+"""Make tasks from what users pass, and find mistakes in them before the first episode."""
 
 from __future__ import annotations
 
-import copy
 import inspect
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from enum import Enum
-from pathlib import Path
-from types import FunctionType
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.spaces import Box
-from pydantic import BaseModel, field_validator
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.section import Section
 from acsar_gym.errors import (
     ConfigError,
     TaskError,
@@ -29,16 +21,8 @@ from acsar_gym.errors import (
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
-from acsar_gym.tasks.task import (
-    RESERVED_INFO,
-    Memory,
-    Outcome,
-    State,
-    Task,
-    info_names,
-    is_compiled,
-    new_memory,
-)
+from acsar_gym.tasks.state import INFO, OPTIONAL_INFO, State
+from acsar_gym.tasks.task import Memory, Outcome, Task, info_names, is_compiled, new_memory
 
 NUMBER = (float, int, np.floating, np.integer)
 CLASS_ATTRIBUTES = ("compiled", "follows", "id", "memory", "observation", "told")
@@ -53,26 +37,16 @@ METHOD_ARGUMENTS = {
 
 
 def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ()) -> Task:
-    """Make a task from what a user passes as `task`, and check its class; see `validate_task`, too.
-
-    Args:
-        task: a Task, a subclass of it, or "module:Class".
-        options: fields of the class.
-        others: names of the env's own options, for messages.
-
-    Raises:
-        ConfigError: for anything else, for options that the class doesn't know, and for methods
-            that are missing.
-    """
+    """Make a task from what a user passes, and check its class; `others`: the env's own options."""
     if isinstance(task, str):
         task = import_object("task", task)
     if isinstance(task, type) and issubclass(task, Task):
-        known = list(inspect.signature(task).parameters)
+        names_of_task = list(inspect.signature(task).parameters)
         for name in options:
-            if name not in known:
+            if name not in names_of_task:
                 raise ConfigError(
                     f"unknown option {show_value(name)} of {task_name(task)}"
-                    f"{_explain_option(task, str(name)[:40], [*known, *others])}"
+                    f"{explain_option(task, str(name)[:40], [*names_of_task, *others])}"
                 )
         with translate_errors(TaskError, lambda: task_name(task)):
             try:
@@ -90,7 +64,7 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
     return task
 
 
-def _explain_option(task: type[Task], name: str, known: Sequence[str]) -> str:
+def explain_option(task: type[Task], name: str, known: Sequence[str]) -> str:
     """End of the message for an option that a task's class doesn't take."""
     classes = [kind for kind in task.__mro__ if not kind.__module__.startswith("acsar_gym.")]
     is_declared = any(
@@ -122,31 +96,9 @@ def method_place(task: Task, name: str) -> str:
     return "" if code is None else f" ({code.co_filename}:{code.co_firstlineno})"
 
 
-def check_register_options(
-    name: str, task: Any, options: Iterable[str], others: Iterable[str]
-) -> None:
-    """Check the options with which an id is registered.
-
-    Args:
-        name: of the id.
-        task: its class.
-        options: their names.
-        others: names of what `acsar_gym.register` itself takes, for messages.
-
-    Raises:
-        ConfigError: neither the env, a batch nor the task has such an option.
-    """
-    known = [*inspect.signature(task).parameters, *SharedOptions.names(), *ONE_MODE_OPTIONS]
-    known += ["link", "robot"]
-    for option in options:
-        if option not in known:
-            hint = _explain_option(task, option[:40], [*known, *others])
-            raise ConfigError(f"{name}: unknown option {show_value(option)}{hint}")
-
-
 def _tupled(value: Any) -> Any:
     """Lists of numbers as tuples: JSON, as in an env's spec, has no tuples."""
-    numbers = isinstance(value, list) and all(isinstance(one, int | float) for one in value)
+    numbers = isinstance(value, list) and all(isinstance(number, int | float) for number in value)
     return tuple(value) if numbers else value
 
 
@@ -187,17 +139,7 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
 
 
 def importable_task(task: Any) -> Any:
-    """Name a class of tasks in a way that can be stored in a spec.
-
-    Args:
-        task: a subclass of Task, or "module:Class".
-
-    Returns:
-        "module:Class" where other processes can import it so, otherwise the class.
-
-    Raises:
-        ConfigError: for anything else.
-    """
+    """Name a class of tasks in a way that can be stored in a spec."""
     kind = import_object("task", task) if isinstance(task, str) else task
     if not (isinstance(kind, type) and issubclass(kind, Task)):
         raise ConfigError(f"task = {show_value(task)}: must be a subclass of acsar_gym.Task")
@@ -212,17 +154,7 @@ def task_name(task: Task | type[Task]) -> str:
 
 
 def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) -> None:
-    """Call all methods of a task once with an example state, to find mistakes early.
-
-    Args:
-        task: to try.
-        config: of the robot.
-        sensors: that the robot has.
-
-    Raises:
-        ConfigError: where a method returns something of the wrong type or shape.
-        TaskError: where a method raises an error.
-    """
+    """Call all methods of a task once with an example state, to find mistakes early."""
     most = np.concatenate([np.zeros(0), *(sensor.bounds[1] for sensor in sensors)])
     path = np.column_stack([np.linspace(0.0, 1.0, 21), np.zeros((21, 2))])
     rays = sum(sensor.size for sensor in sensors if sensor.name == LIDAR)
@@ -264,7 +196,7 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
                 f"{name}: memory {key!r} = {show_value(value)}: is told in info, so must be a "
                 "number; list those that are to be told in `told`"
             )
-        if key in RESERVED_INFO or key.startswith("drawn_"):
+        if key in (*INFO, *OPTIONAL_INFO) or key.startswith("drawn_"):
             raise ConfigError(f"{name}: memory {key!r}: info has that already; rename it")
 
 
@@ -312,201 +244,3 @@ def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> fl
             f"{method_place(task, 'reward')}"
         )
     return number
-
-
-ONE_MODE_OPTIONS = ("autoreset_mode", "lidar", "on_fault", "record", "threads", "view")
-"""Options that only batches or only single envs have."""
-MODE_DEFAULTS = "defaults"
-"""The argument of both in which an id's registered defaults of such options are."""
-
-
-def split_by_mode(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Move an id's defaults that only one mode has to MODE_DEFAULTS; see `SharedOptions.split`."""
-    own = {name: value for name, value in options.items() if name in ONE_MODE_OPTIONS}
-    shared = {name: value for name, value in options.items() if name not in own}
-    return shared | ({MODE_DEFAULTS: own} if own else {})
-
-
-class SharedOptions(Section):
-    """The options that single environments and batches share; each has a subclass of it."""
-
-    worlds: Any = None
-    difficulty: Any = None
-    sensors: Any = ()
-    policy_rate: Any = 10.0
-    max_episode_steps: Any = None
-    faults: Any = None
-    randomization: Any = None
-    render_mode: Any = None
-
-    @field_validator("sensors")
-    @classmethod
-    def _is_list(cls, value: Any) -> Any:
-        if isinstance(value, list | tuple):
-            return value
-        raise ValueError("must be a list, such as [ThreeRays]")
-
-    @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """Names of all options."""
-        return tuple(cls.model_fields)
-
-    @classmethod
-    def split(cls, given: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """Separate these options from those of the task.
-
-        Args:
-            given: all options, by name; "defaults" has those that `acsar_gym.register` was given
-                and only one mode knows.
-
-        Returns:
-            These options, and the others.
-
-        Raises:
-            ConfigError: for values that are unknown or out of range.
-        """
-        own, asked = cls.names(), dict(given)
-        defaults = asked.pop(MODE_DEFAULTS, {})
-        asked = {name: value for name, value in defaults.items() if name in own} | asked
-        rest = {name: value for name, value in asked.items() if name not in own}
-        return cls(**{name: value for name, value in asked.items() if name in own}), rest
-
-
-def check_reset_options(options: Any, names: Sequence[str]) -> Mapping[str, Any]:
-    """Return a reset's options once their names are checked.
-
-    Args:
-        options: as passed to `reset`.
-        names: that the task knows.
-
-    Raises:
-        ConfigError: for an unknown name, or where `options` is no mapping.
-    """
-    if not isinstance(options, Mapping):
-        raise ConfigError(f"options = {show_value(options)}: must be a mapping of names to values")
-    for name in options:
-        if name not in names:
-            raise ConfigError(
-                f"unknown reset option {show_value(name)}{suggest_name(str(name)[:40], names)}"
-            )
-    return options
-
-
-MAX_STEPS = 10**9
-"""Largest time limit of an episode [steps]."""
-NO_LIMIT = -1
-"""What Gymnasium's `make` takes for no time limit, beside None."""
-
-
-def check_count(name: str, value: int, most: int) -> int:
-    """Check that an option is a whole number from 1 to `most`, and return it.
-
-    Args:
-        name: of the option, for the message.
-        value: of the option.
-        most: largest allowed value.
-
-    Raises:
-        ConfigError: for anything else.
-    """
-    if not isinstance(value, int | np.integer) or not 1 <= value <= most:
-        raise ConfigError(
-            f"{name} = {show_value(value)}: must be a whole number from 1 to {most:,}"
-        )
-    return int(value)
-
-
-def read_step_limit(value: Any) -> int | None:
-    """Return `max_episode_steps` [steps]; None for no limit. ConfigError where it is no number."""
-    if value is None or (isinstance(value, int | np.integer) and value == NO_LIMIT):
-        return None
-    return check_count("max_episode_steps", value, MAX_STEPS)
-
-
-def check_positive(name: str, value: Any) -> float:
-    """Return an option that must be a positive, finite number; ConfigError where it isn't."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if not 0.0 < number < math.inf:
-        raise ConfigError(f"{name} = {show_value(value)}: must be a positive number")
-    return number
-
-
-def check_distances(value: Any) -> tuple[float, float]:
-    """Return a `goal_distance`, which must be 0 < nearest <= farthest; ConfigError otherwise."""
-    try:
-        nearest, farthest = (float(distance) for distance in value)
-    except (TypeError, ValueError, OverflowError):
-        nearest, farthest = math.nan, math.nan
-    if not 0.0 < nearest <= farthest < math.inf:
-        raise ConfigError(
-            f"goal_distance = {show_value(value)}: must be (nearest, farthest) [m], with "
-            "0 < nearest <= farthest"
-        )
-    return nearest, farthest
-
-
-def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
-    """Make the action and the observation space of a task, for one robot.
-
-    Args:
-        task: whose numbers come first in an observation.
-        sensors: whose numbers follow, in this order.
-
-    Returns:
-        The action space, shape (2,) in [-1, 1], and the observation space, shape (numbers,).
-    """
-    own = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
-    bounds = np.hstack([own, *(np.array(sensor.bounds) for sensor in sensors)])
-    low, high = bounds.astype(np.float32)
-    return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
-
-
-class PlainSpec:
-    """Mixin of environments: keeps the arguments in Gymnasium's `spec` as plain data.
-
-    So `spec.to_json()` works, and makes an equal env.
-    """
-
-    task: Task
-    _spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made this environment; None where it was made directly."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec = copy.copy(spec)
-            sensors = [
-                (isinstance(one, FunctionType) and object_name(one)) or one
-                for one in spec.kwargs.get("sensors", ())
-            ]
-            named = {**spec.kwargs, "sensors": sensors}
-            spec.kwargs = {name: to_plain(named[name]) for name in spec.kwargs}
-            object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
-        self._spec = spec
-
-
-def to_plain(value: Any) -> Any:
-    """Convert configs, faults, sensors, arrays, paths and containers of them for JSON.
-
-    Other objects are returned unchanged.
-    """
-    if isinstance(value, BaseModel):
-        value = value.model_dump(mode="json")
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {key: to_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, type) and issubclass(value, Sensor):
-        return object_name(value) or value
-    return str(value.absolute()) if isinstance(value, Path) else value

@@ -13,17 +13,9 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.factory import check_distances, check_positive
-from acsar_gym.tasks.task import (
-    OBSERVATION_LIMIT,
-    Goal,
-    Outcome,
-    Pose,
-    State,
-    Task,
-    clip_to,
-    relative_point,
-)
+from acsar_gym.tasks.options import check_distances, check_positive
+from acsar_gym.tasks.state import Goal, Pose, State
+from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
 from acsar_gym.trigonometry import cos_sin
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
@@ -129,15 +121,7 @@ def goal_numbers(
     scales: tuple[float, float, float],
     action: tuple[float, float],
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Compute the numbers that GOAL_OBSERVATION names.
-
-    Args:
-        pose: x [m], y [m], theta [rad] by odometry.
-        twist: linear [m/s] and angular [rad/s] velocity by odometry.
-        goal: x, y in the odometry frame [m].
-        scales: of distance [m], linear [m/s] and angular velocity [rad/s].
-        action: the last one, in [-1, 1].
-    """
+    """Compute the numbers that GOAL_OBSERVATION names."""
     x, y, theta = pose
     cos, sin = cos_sin(theta)
     ahead, left = relative_point(x, y, cos, sin, goal[0], goal[1])

@@ -30,14 +30,13 @@ from acsar_gym.sensors.map.sensor import (
     STALLED,
     log_share,
 )
-from acsar_gym.tasks.factory import check_positive
 from acsar_gym.tasks.goal import GoalTask, goal_distance
-from acsar_gym.tasks.task import Outcome, State
+from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.state import State
+from acsar_gym.tasks.task import Outcome
 
-BARN_TOLERANCE = 1.0
-"""The run is a success once odometry is this close to the goal [m]."""
-CHALLENGE_SPEED = 2.0
-"""The reference speed of the challenge [m/s]."""
+BARN_TOLERANCE = 1.0  # the run is a success once odometry is this close to the goal [m]
+CHALLENGE_SPEED = 2.0  # the reference speed of the challenge [m/s]
 BARN_SCORES = ("barn_score", "barn_score_k4", "barn_score_own", "barn_score_own_k4")
 """Names of the four scores in info: k = 2 (since 2024) and k = 4 (2022), each with the
 challenge's reference speed of 2 m/s and with the robot's own top speed."""

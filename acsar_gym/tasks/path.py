@@ -8,16 +8,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.factory import check_positive
-from acsar_gym.tasks.task import (
-    OBSERVATION_LIMIT,
-    Floats,
-    Outcome,
-    State,
-    Task,
-    clip_to,
-    relative_point,
-)
+from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.state import Floats, State
+from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds.search import PATH_SPACING
 
@@ -37,19 +30,15 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "max_linear": (0.0, OBSERVATION_LIMIT),
     "max_angular": (0.0, OBSERVATION_LIMIT),
 }
-POINT_TIME = 0.5
-"""Between two observed points of the path, at the robot's top speed [s]."""
-TURN_SCALE = 4.0
-"""The observed greatest yaw rate is divided by this [rad/s]."""
+POINT_TIME = 0.5  # between two observed points of the path, at the robot's top speed [s]
+TURN_SCALE = 4.0  # the observed greatest yaw rate is divided by this [rad/s]
 SEARCH_BACK, SEARCH_AHEAD = 10, 20
 """How many samples of the path behind and ahead of the last position on it are searched."""
 TIE_DISTANCE = 1e-12
 """Squared distances that differ by less count as equal, as at a corner; the first piece is taken
 [m^2]."""
-LENGTH_SCALE = 10.0
-"""The observed remaining length is divided by this [m]."""
-PATH_TOLERANCE = 0.15
-"""Success once odometry is this close to the end of the path [m]."""
+LENGTH_SCALE = 10.0  # the observed remaining length is divided by this [m]
+PATH_TOLERANCE = 0.15  # success once odometry is this close to the end of the path [m]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The base class of all tasks, the state that they see, and functions that they share.
+"""The base class of all tasks, and functions that they share.
 
 A task is written once. The single environment calls its methods in Python. A batch calls them for
 every robot: in Python, too, or compiled by numba where the task sets `compiled = True`.
@@ -11,29 +11,17 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, ClassVar
 
 from acsar_gym.jit import compilable
+from acsar_gym.tasks.state import Goal, State
 
-Observation = NDArray[np.float32]
-Floats = NDArray[np.float64]
-Pose = tuple[float, float, float]
-Goal = tuple[float, float]
-Info = dict[str, float]
 Memory = SimpleNamespace
 """What a task remembers in one episode, as attributes; a record of floats where it is compiled."""
 
 OBSERVATION_LIMIT = 2.0
 """Scaled distances and speeds in observations are clipped to -2 to 2, so that spaces are
 bounded."""
-
-
-NO_RANGES: Floats = np.zeros(0)
-NO_PATH: Floats = np.zeros((0, 3))
-NOTHING_SENSED: Observation = np.zeros(0, np.float32)
 
 
 class Outcome(IntEnum):
@@ -43,49 +31,6 @@ class Outcome(IntEnum):
     SUCCESS = 1
     OUT_OF_BOUNDS = 2
     COLLISION = 3
-
-
-class State(NamedTuple):
-    """What a task knows after every step. On a real robot all of it is known except `contact`.
-
-    Poses and points are in the odometry frame, in which the robot starts at the origin.
-    """
-
-    pose: Pose = (0.0, 0.0, 0.0)
-    """Pose by odometry: x [m], y [m], theta [rad]."""
-    twist: tuple[float, float] = (0.0, 0.0)
-    """Velocity by odometry: linear [m/s], angular [rad/s]."""
-    wheel_speeds: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    """Wheel speeds by the encoders, in the order of the wheels a to d [rad/s]."""
-    action: tuple[float, float] = (0.0, 0.0)
-    """The last action (linear, angular), in [-1, 1]; zeros at a reset."""
-    sent: tuple[float, float] = (0.0, 0.0)
-    """The velocity command of the last tick, after all limits: linear [m/s], angular [rad/s]."""
-    reason: int = 0
-    """Why `sent` differs from the action: a `safety.layer.Reason`; 0 where it doesn't."""
-    ranges: Floats = NO_RANGES
-    """(rays,): the LiDAR's newest scan [m]; empty where the task uses none."""
-    edges: Floats = NO_RANGES
-    """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
-    sensed: Observation = NOTHING_SENSED
-    """(numbers,): what all sensors add to the observation, scaled as it is there."""
-    time: float = 0.0
-    """Time since the reset, a whole number of env steps [s]."""
-    feedback_age: float = 0.0
-    """Time since the last feedback line of the board [s]."""
-    contact: bool = False
-    """Whether a simulated robot has touched an obstacle; always False on hardware."""
-    goal: Goal = (1.0, 0.0)
-    """The goal: x, y [m]."""
-    path: Floats = NO_PATH
-    """(samples, 3): x [m], y [m] and direction [rad] every 0.05 m along the path to follow;
-    empty unless the task sets `follows`."""
-    length: float = math.nan
-    """Length of the world's own path from start to goal [m]; NaN where there is none."""
-    max_twist: tuple[float, float] = (1.0, 1.0)
-    """The velocity of a full action: linear [m/s], angular [rad/s]."""
-    period: float = 0.1
-    """Duration of an env step [s]."""
 
 
 class Task:
@@ -190,58 +135,25 @@ class Task:
         return None
 
 
-RESERVED_INFO = frozenset(
-    {
-        "is_success",
-        "odom_x",
-        "odom_y",
-        "odom_theta",
-        "feedback_age",
-        "sent_linear",
-        "sent_angular",
-        "sent_reason",
-        "true_x",
-        "true_y",
-        "true_theta",
-        "true_contact",
-        "true_goal_distance",
-        "odometry_error",
-        "fault",
-        "fault_reason",
-        "world",
-        "scan_age",
-        "scan_stale",
-    }
-)
-"""Keys of info that a task's memory can't have."""
 TASK_METHODS = ("begin", "outcome", "reward", "observe")
 """The methods of a task that a batch calls, and compiles where the task is compiled."""
 
 
 def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
-    """Whether a batch compiles these methods; not where a subclass overrides compiled ones.
-
-    Args:
-        instance: a task, or a sensor.
-        methods: their names.
-    """
-    for one in type(instance).__mro__:
-        if "compiled" in vars(one):
-            return bool(vars(one)["compiled"])
-        if any(name in vars(one) for name in methods):
+    """Whether a batch compiles these methods; not where a subclass overrides compiled ones."""
+    for kind in type(instance).__mro__:
+        if "compiled" in vars(kind):
+            return bool(vars(kind)["compiled"])
+        if any(name in vars(kind) for name in methods):
             return False
     return False
 
 
 def says_shortest_path(task: Task) -> bool:
-    """Whether a task has a `shortest_path` that belongs to its `outcome`.
-
-    Args:
-        task: of any class.
-    """
-    for one in type(task).__mro__:
-        if "shortest_path" in vars(one) or "outcome" in vars(one):
-            return "shortest_path" in vars(one) and one is not Task
+    """Whether a task has a `shortest_path` that belongs to its `outcome`."""
+    for kind in type(task).__mro__:
+        if "shortest_path" in vars(kind) or "outcome" in vars(kind):
+            return "shortest_path" in vars(kind) and kind is not Task
     return False
 
 

@@ -30,7 +30,7 @@ def run_demo(
         MissingExtraError: a library is missing; checked before the training starts.
         SystemExit: a signal ended the training.
     """
-    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy"), ("numba", "fast")):
+    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
     require_training()

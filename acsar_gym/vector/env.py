@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import warnings
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,89 +11,28 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from acsar_gym import jit
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
 from acsar_gym.errors import ConfigError, RenderError, show_value
-from acsar_gym.physics import Randomization
-from acsar_gym.sensors import LIDAR, MAP
+from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.episode import Spawn
-from acsar_gym.tasks.factory import (
-    PlainSpec,
-    SharedOptions,
-    check_count,
-    check_reset_options,
-    make_task,
-    read_step_limit,
-    task_spaces,
-    validate_task,
-)
+from acsar_gym.tasks.factory import make_task, validate_task
+from acsar_gym.tasks.options import check_count, check_reset_options, read_step_limit
+from acsar_gym.tasks.spec import PlainSpec, task_spaces
 from acsar_gym.tasks.task import Task
 from acsar_gym.vector.batch import Batch
+from acsar_gym.vector.options import (
+    MAX_ROBOTS,
+    BatchOptions,
+    ResetOptions,
+    check_faults,
+    check_seeds,
+    read_reset_options,
+)
 from acsar_gym.vector.screen import BatchScreen, Image, check_render_mode
-from acsar_gym.vector.setup import ResetOptions, check_faults, make_setup, read_reset_options
-from acsar_gym.vector.threads import Threads
+from acsar_gym.vector.threads import Threads, choose_threads
 from acsar_gym.worlds.search import footprint_radius
-
-MAX_ROBOTS = 1_000_000
-"""Robots of a batch, at most; so many take about 2 GB."""
-ROBOTS_PER_THREAD = 256
-"""A thread more is used for so many robots; with fewer its start costs more than it saves."""
-
-
-class BatchOptions(SharedOptions):
-    """The options of a batch; `RobotVectorEnv` describes them."""
-
-    autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP
-    threads: Any = None
-    link: Any = "planar"
-
-
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def check_threads(name: str, asked: int) -> int:
-    """Check a number of threads that a user asked for, and return it.
-
-    Args:
-        name: of the option, for the message.
-        asked: by the user.
-
-    Raises:
-        ConfigError: for fewer than 1, or more than the cores that this process may use.
-    """
-    usable, all_cores = usable_cores(), os.cpu_count() or 1
-    if isinstance(asked, int | np.integer) and 1 <= asked <= usable:
-        return int(asked)
-    which = "the cores of this machine"
-    if usable < all_cores:
-        which = (
-            f"the cores that this process may use: taskset, a batch system or a container keeps "
-            f"it from the others of this machine's {all_cores}"
-        )
-    most = f"1 to {usable}" if usable > 1 else "1"
-    raise ConfigError(f"{name} {show_value(asked)}: must be {most}, {which}")
-
-
-def choose_threads(asked: int | None, robots: int) -> int:
-    """Number of threads to use.
-
-    Args:
-        asked: by the user; None uses all cores, but gives each at least ROBOTS_PER_THREAD robots.
-        robots: of the batch.
-
-    Raises:
-        ConfigError: as `check_threads`.
-    """
-    if asked is None:
-        return max(1, min(usable_cores(), robots // ROBOTS_PER_THREAD))
-    return min(check_threads("threads =", asked), robots)
-
 
 MASK_OPTION = "reset_mask"
 Array = NDArray[Any]
@@ -182,56 +120,47 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
         """
-        asked, rest = BatchOptions.split(options)
-        if asked.link != "planar":
+        chosen, task_options = BatchOptions.split(options)
+        if chosen.link != "planar":
             raise ConfigError(
-                f"link = {show_value(asked.link)}: a batch has planar robots; for others make_vec "
+                f"link = {show_value(chosen.link)}: a batch has planar robots; for others make_vec "
                 "with vectorization_mode='sync' or 'async'"
             )
-        self.render_mode = check_render_mode(asked.render_mode)
-        if not jit.COMPILED:
-            said = "numba isn't installed, so batches are slow: pip install 'acsar_gym[fast]'"
-            warnings.warn(said, RuntimeWarning, stacklevel=3)
+        self.render_mode = check_render_mode(chosen.render_mode)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
         fleet = make_fleet(robot, self.num_envs)
         self.fleet, self.config = fleet.robots, fleet.robots[0]
-        limit = read_step_limit(asked.max_episode_steps)
-        self.autoreset_mode = asked.autoreset_mode
-        rate = asked.policy_rate
+        limit, rate = read_step_limit(chosen.max_episode_steps), chosen.policy_rate
+        self.autoreset_mode = chosen.autoreset_mode
         modes = {"autoreset_mode": self.autoreset_mode, "render_fps": rate}
         self.metadata = type(self).metadata | modes
-        self.task = make_task(task, rest, BatchOptions.names())
-        given = self.task, asked.worlds, asked.difficulty
+        self.task = make_task(task, task_options, BatchOptions.names())
         by_radius: dict[float, Spawn] = {}
-        for one in self.fleet:
-            radius = footprint_radius(one)
-            by_radius[radius] = by_radius.get(radius) or Spawn(*given, one)
-        spawns = [by_radius[footprint_radius(one)] for one in self.fleet]
+        for config in self.fleet:
+            radius = footprint_radius(config)
+            if radius not in by_radius:
+                by_radius[radius] = Spawn(self.task, chosen.worlds, chosen.difficulty, config)
+        spawns = [by_radius[footprint_radius(config)] for config in self.fleet]
         self._spawn = spawns[0]
         self.pool = self._spawn.pool
-        ticks = whole_ratio("control_rate", self.config.control_rate, "policy_rate", rate)
-        self.ticks_per_step, step = ticks, ticks * self.config.period
-        sensors = (*self.task.sensors, *asked.sensors)
-        sees = LIDAR in sensors
-        for place in range(1, len(self.fleet) if sees else 0):
-            check_equal(fleet, place, "lidar.rays")  # each is a column of the observation
-        faults, *_ = (check_faults(asked.faults, one) for one in self.fleet)
-        varied = [Randomization.of(asked.randomization, one) for one in self.fleet]
-        each = zip(self.fleet, varied, strict=True)
-        ranges = [drawn.ranges(one, step) for one, drawn in each]
-        setup = make_setup(
-            self.fleet,
-            ranges,
-            ticks,
-            limit,
-            len(self.task.observation),
-            faults,
-            sees=sees,
-            maps=MAP in sensors,
-            turns_vary=any(drawn.turn_factor is not None for drawn in varied),
+        self.ticks_per_step = whole_ratio(
+            "control_rate", self.config.control_rate, "policy_rate", rate
         )
-        robots = self.num_envs, self.fleet
-        self.batch = Batch(*robots, self.task, spawns, sensors, setup, varied, ranges)
+        sensors = (*self.task.sensors, *chosen.sensors)
+        for place in range(1, len(self.fleet) if LIDAR in sensors else 0):
+            check_equal(fleet, place, "lidar.rays")  # each is a column of the observation
+        faults, *_ = (check_faults(chosen.faults, config) for config in self.fleet)
+        self.batch = Batch(
+            self.num_envs,
+            self.fleet,
+            self.task,
+            spawns,
+            sensors,
+            ticks=self.ticks_per_step,
+            max_steps=math.inf if limit is None else float(limit),
+            faults=faults,
+            randomization=chosen.randomization,
+        )
         self.sensors = self.batch.sensors
         validate_task(self.task, self.config, self.sensors)
         spaces = task_spaces(self.task, self.sensors)
@@ -240,7 +169,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         drawn = self.fleet, self.num_envs, self.task.goal_tolerance
         self._screen = BatchScreen(*drawn) if self.render_mode is not None else None
-        self._threads = Threads(choose_threads(asked.threads, self.num_envs))
+        self._threads = Threads(choose_threads(chosen.threads, self.num_envs))
         self.closed = False
         self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
@@ -268,16 +197,16 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError, WorldError: for unknown options, or values that are malformed.
             TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
-        mask, asked = self._read_options(options)
+        mask, fields = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
             raise ConfigError(
                 "reset_mask: the first reset, and the next one after an interrupt, must be of all "
                 "robots"
             )
-        seeds = _check_seeds(seed, self.num_envs)
+        seeds = check_seeds(seed, self.num_envs)
         self._whole = False
         self.batch.seed(seeds, mask)
-        self.batch.set_reset_options(asked, mask)
+        self.batch.set_reset_options(fields, mask)
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._whole = True
@@ -294,8 +223,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
         """
-        mask, asked = self._read_options(options)
-        self.batch.set_reset_options(asked, mask)
+        mask, fields = self._read_options(options)
+        self.batch.set_reset_options(fields, mask)
 
     def _read_options(self, options: Mapping[str, Any] | None) -> tuple[Array, ResetOptions]:
         """Which robots a reset's options are for, and the options as fields of the robots.
@@ -303,13 +232,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        asked = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
-        rest = {name: value for name, value in asked.items() if name != MASK_OPTION}
-        mask = asked.get(MASK_OPTION)
+        given = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        chosen = {name: value for name, value in given.items() if name != MASK_OPTION}
+        mask = given.get(MASK_OPTION)
         mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ConfigError(f"reset_mask: must be a boolean array of shape ({self.num_envs},)")
-        return mask, read_reset_options(self._spawn, rest, self.num_envs)
+        return mask, read_reset_options(self._spawn, chosen, self.num_envs)
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, Info]:
         """Do one env step of every robot.
@@ -366,10 +295,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             raise RenderError("there is nothing to see before reset(): call it first")
         return self._screen.pictures(self.batch)
 
-    def go_on(self) -> None:
-        """Allow steps without a reset, after all arrays of the batch have been set."""
-        self._whole = self.batch.seeded = True
-
     def _final_info(self, done: Array) -> Info:
         """The keys that Gymnasium asks for where an episode ends and is reset in the same step."""
         final = np.full(self.num_envs, None, object)
@@ -391,58 +316,3 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._threads.close()
-
-
-def _check_seeds(seed: Any, robots: int) -> list[int | None] | None:
-    """A seed for each robot; None where nothing is seeded."""
-    if seed is None:
-        return None
-    single = isinstance(seed, int | np.integer)
-    try:
-        seeds = [seed] if single else list(seed)
-    except TypeError as error:
-        raise ConfigError(
-            f"seed = {show_value(seed)}: must be a whole number, or a list"
-        ) from error
-    if not single and len(seeds) != robots:
-        raise ConfigError(f"{len(seeds)} seeds for {robots} robots: give one each")
-    for one in seeds:
-        if one is not None and (not isinstance(one, int | np.integer) or one < 0):
-            raise ConfigError(f"seed = {show_value(one)}: must be a whole number of at least 0")
-    return [int(seed) + index for index in range(robots)] if single else seeds
-
-
-def copy_state(env: RobotVectorEnv) -> dict[str, NDArray[Any]] | None:
-    """Copy all arrays of a batch, those of its generators included.
-
-    Args:
-        env: a batch that has been reset, with autoreset in the same step.
-
-    Returns:
-        Arrays by name; None where the batch has tasks or sensors written in Python, whose state
-        isn't known.
-    """
-    arrays = env.batch.changing_arrays()
-    return None if arrays is None else {name: array.copy() for name, array in arrays.items()}
-
-
-def restore_state(env: RobotVectorEnv, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Bring a batch to where another one was; it needn't be reset then.
-
-    Args:
-        env: a batch of the same task, robot, worlds and options.
-        arrays: what `copy_state` has returned.
-
-    Raises:
-        ConfigError: they are of another batch.
-    """
-    own = env.batch.changing_arrays() or {}
-    wanted, given = (
-        {name: (array.shape, array.dtype) for name, array in each.items()} for each in (own, arrays)
-    )
-    if wanted != given:
-        other = sorted(n for n in wanted | given if wanted.get(n) != given.get(n))
-        raise ConfigError(f"the state of another batch: other {', '.join(other[:3])}")
-    for name, array in own.items():
-        array[...] = arrays[name]
-    env.go_on()

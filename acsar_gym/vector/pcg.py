@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.jit import COMPILED, jit
+from acsar_gym.jit import jit
 
-Generators = NDArray[np.uint64]
-"""(n, 4): one generator a row."""
+Generators = NDArray[np.uint64]  # (n, 4): one generator a row
 
 _MULTIPLIER_HIGH = np.uint64(2549297995355413924)
 _MULTIPLIER_LOW = np.uint64(4865540595714422341)
@@ -44,13 +43,7 @@ class LentGenerators(Sequence[np.random.Generator]):
     """NumPy generators that go on where some rows are, until `give_back` stores their states."""
 
     def __init__(self, rows: Generators, which: Sequence[int], made: dict[int, Lent]) -> None:
-        """Make no generator yet; each is made when it is first used.
-
-        Args:
-            rows: (n, 4): generators of all robots.
-            which: rows to lend, in order.
-            made: NumPy generators by row, reused because half of a 64-bit number may be buffered.
-        """
+        """Make no generator yet; each is made when it is first used."""
         self._rows, self._which, self._made = rows, which, made
         self._lent: dict[int, np.random.Generator] = {}
 
@@ -62,13 +55,16 @@ class LentGenerators(Sequence[np.random.Generator]):
             return [self[place] for place in range(*index.indices(len(self)))]
         row = self._which[index]
         if row not in self._lent:
-            own = tuple(self._rows[row].tolist())
+            numbers = tuple(self._rows[row].tolist())
             if row not in self._made:
                 self._made[row] = np.random.Generator(np.random.PCG64(0)), ()
             generator, left = self._made[row]
-            if own != left:  # compiled loops have drawn since
+            if numbers != left:  # compiled loops have drawn since
                 state: Any = generator.bit_generator.state
-                state["state"] = {"state": own[0] << 64 | own[1], "inc": own[2] << 64 | own[3]}
+                state["state"] = {
+                    "state": numbers[0] << 64 | numbers[1],
+                    "inc": numbers[2] << 64 | numbers[3],
+                }
                 generator.bit_generator.state = state
             self._lent[row] = generator
         return self._lent[row]
@@ -107,12 +103,3 @@ def uniform(generators: Generators, i: int) -> float:
     turn = high >> np.uint64(58)
     word = (word >> turn) | (word << ((np.uint64(64) - turn) & np.uint64(63)))
     return float(word >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
-if not COMPILED:
-    _wrapping = uniform
-
-    def uniform(generators: Generators, i: int) -> float:
-        """The next double in [0, 1) of generator i; NumPy's overflow warnings are expected here."""
-        with np.errstate(over="ignore"):
-            return _wrapping(generators, i)

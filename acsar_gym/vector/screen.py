@@ -15,10 +15,8 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.vector.batch import Batch
 from acsar_gym.worlds.world import to_world
 
-MAX_PICTURES = 16
-"""Robots that are drawn, at most; the pictures of the others are empty."""
-TILE_SIDE = 240
-"""Width and height of a robot's picture [pixels]."""
+MAX_PICTURES = 16  # robots that are drawn, at most; the pictures of the others are empty
+TILE_SIDE = 240  # width and height of a robot's picture [pixels]
 LARGEST_SIDE = 1920
 """Of all pictures as a square, which Gymnasium's recorder makes of them [pixels]."""
 SMALLEST_SIDE = 64
@@ -27,21 +25,12 @@ FIELDS = (
     *("steps", "start_x", "start_y", "start_theta", "goal_x", "goal_y", "world", "kind"),
     *("odom_x", "odom_y", "odom_theta", "x", "y", "theta"),
 )
-Image = NDArray[np.uint8]
-"""(height, width, 3), RGB."""
+Image = NDArray[np.uint8]  # (height, width, 3), RGB
 Point = tuple[float, float]
 
 
 def check_render_mode(mode: Any) -> str | None:
-    """Return a batch's render mode.
-
-    Args:
-        mode: as given.
-
-    Raises:
-        ConfigError: it is another one than None and "rgb_array".
-        MissingExtraError: Pillow isn't installed.
-    """
+    """Return a batch's render mode."""
     if mode not in (None, "rgb_array"):
         raise ConfigError(
             f"render_mode = {show_value(mode)}: a batch draws pictures for 'rgb_array'; a window "
@@ -53,13 +42,7 @@ def check_render_mode(mode: Any) -> str | None:
 
 
 class BatchScreen:
-    """Records the paths of a batch's first robots and draws them on request.
-
-    Args:
-        fleet: the kinds of robots.
-        robots: how many the batch has.
-        tolerance: radius of the goal [m].
-    """
+    """Records the paths of a batch's first robots and draws them on request."""
 
     def __init__(self, fleet: Sequence[RobotConfig], robots: int, tolerance: float) -> None:
         self._fleet, self._robots, self._tolerance = fleet, robots, tolerance
@@ -76,11 +59,7 @@ class BatchScreen:
         return BatchScreen, (self._fleet, self._robots, self._tolerance)
 
     def show(self, batch: Batch) -> None:
-        """Record the robots' new states.
-
-        Args:
-            batch: after a reset or step.
-        """
+        """Record the robots' new states."""
         self._state = batch.read(*FIELDS)[:, : self._drawn]
         for robot, (odom_path, true_path) in enumerate(self._paths):
             state = dict(zip(FIELDS, self._state[:, robot].tolist(), strict=True))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
-from acsar_gym.jit import COMPILED, overloads
+from acsar_gym.jit import overloads
 from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.sensor import name_memory
@@ -45,8 +45,7 @@ from acsar_gym.worlds import Scene, World
 Floats = NDArray[np.float64]
 Observations = NDArray[np.float32]
 """(robots, numbers): the columns of the observations that these sensors fill."""
-Robots = NDArray[np.int64]
-"""Indices of robots in the batch."""
+Robots = NDArray[np.int64]  # indices of robots in the batch
 START = ("start_x", "start_y", "start_theta")
 DIRECTION = ("start_cos", "start_sin")
 BATCH_METHODS = ("reset_batch", "read_batch")
@@ -98,9 +97,9 @@ class BatchView:
 
     def scenes(self, robots: Robots) -> list[Scene]:
         """World, start and goal of these robots' episodes, in the frames of the worlds."""
-        own = self._read(robots, *START, "goal_x", "goal_y", "world")
+        rows = self._read(robots, *START, "goal_x", "goal_y", "world")
         scenes = []
-        for x, y, theta, ahead, left, number in own.T.tolist():
+        for x, y, theta, ahead, left, number in rows.T.tolist():
             cos, sin = math.cos(theta), math.sin(theta)
             goal = (x + cos * ahead - sin * left, y + sin * ahead + cos * left)
             world = self._worlds[int(number)] if self._worlds else None
@@ -203,12 +202,7 @@ class BatchSensors:
         self._generators.pop(robot, None)
 
     def reset(self, robots: Robots, observations: Observations) -> None:
-        """Reset the sensors of robots that begin an episode, and read them.
-
-        Args:
-            robots: indices of the robots.
-            observations: (all robots, numbers): their rows are written.
-        """
+        """Reset the sensors of robots that begin an episode, and read them."""
         if len(robots) == 0:
             return
         for robot, scene in zip(robots.tolist(), self._view.scenes(robots), strict=True):
@@ -331,7 +325,7 @@ class _Whole:
         self._first = first.reshape(-1, 1)
         self._memory = self._first.repeat(robots, axis=1)
         """(names, robots)."""
-        self._compiled = COMPILED and is_compiled(sensor, BATCH_METHODS)
+        self._compiled = is_compiled(sensor, BATCH_METHODS)
         self._reset: Any = getattr(sensor, "reset_batch", None)
         self._read: Any = sensor.read_batch
         if self._compiled:
@@ -344,8 +338,8 @@ class _Whole:
     @contextlib.contextmanager
     def _given(self, moment: Moment) -> Iterator[tuple[Any, Any, tuple[Any, ...]]]:
         """The scenes, generators and memory of some robots; what is done to the latter is kept."""
-        own = self._memory.take(moment.robots, axis=1)
-        memory = name_memory(self.kind, own)
+        kept = self._memory.take(moment.robots, axis=1)
+        memory = name_memory(self.kind, kept)
         if self._compiled:
             moment.rngs.give_back()
             rows = self._random[moment.robots]
@@ -355,7 +349,7 @@ class _Whole:
         else:
             with naming_sensor(self.kind):
                 yield moment.scenes, moment.rngs, memory
-        self._memory[:, moment.robots] = own
+        self._memory[:, moment.robots] = kept
 
     def reset(self, moment: Moment) -> None:
         """Begin episodes: the memory gets its first values, then those of `reset_batch`."""
@@ -415,17 +409,13 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
 
 
 def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
-    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR.
-
-    Raises:
-        ConfigError: A name is unknown, or the LiDAR is named twice.
-    """
+    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR."""
     compiled = [sensor for sensor in sensors if isinstance(sensor, str) and sensor in (LIDAR, MAP)]
     check_names(compiled)
     if MAP in compiled and LIDAR not in compiled:
         raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
-    rest = [sensor for sensor in sensors if sensor not in compiled]
-    return sensor_factories(rest)
+    others = [sensor for sensor in sensors if sensor not in compiled]
+    return sensor_factories(others)
 
 
 def _group(

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, TaskError, translate_errors
-from acsar_gym.jit import COMPILED
+from acsar_gym.jit import record_of
 from acsar_gym.tasks.factory import ask_outcome, ask_reward, task_name
+from acsar_gym.tasks.state import STATE_NUMBERS, State, write_maker
 from acsar_gym.tasks.task import (
     TASK_METHODS,
     Memory,
     Outcome,
-    State,
     Task,
     info_names,
     is_compiled,
@@ -25,76 +26,52 @@ from acsar_gym.vector.kernel.binding import explain_error, is_compile_error, num
 from acsar_gym.vector.kernel.episode import update_info
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
-    Records,
+    ROWS,
     Setup,
     Spawns,
     Tables,
-    TaskTables,
     read_fields,
-    view_numbers,
 )
 
-STATE_FIELDS = (
-    *("odom_x", "odom_y", "odom_theta", "linear", "angular", "read_speed"),
-    *("action_linear", "action_angular", "sent_linear", "sent_angular", "reason"),
-    *("steps", "age", "contact", "goal_x", "goal_y", "world", "goal_given"),
-    *("max_linear", "max_angular", "kind", "rays"),
-)
-"""The fields that a State is made of."""
+OTHER_NUMBERS = ("steps", "world", "goal_given", "kind", "rays")
+"""Numbers of a robot that decide on the other fields of a State."""
+_columns = count()
+_COLUMNS = {name: [next(_columns) for _ in ROWS[name]] for name in STATE_NUMBERS}
+make_state = write_maker(lambda name: ", ".join(f"numbers[{k}]" for k in _COLUMNS[name]))
 
 
-class TaskLoops(Protocol):
-    """The loops over robots that call a task."""
+def make_loops(
+    task: Task, tables: Tables, setup: Setup, spawns: Spawns
+) -> CompiledLoops | PythonLoops:
+    """Make compiled loops where the task is compiled, otherwise Python loops."""
+    kind = CompiledLoops if is_compiled(task) else PythonLoops
+    return kind(task, tables, setup, spawns)
 
-    compiled: bool
-    """Whether `run` releases the GIL, so that threads can run it for slices of robots."""
 
-    @property
-    def memory(self) -> NDArray[Any] | None:
-        """What the task remembers of all robots; None where Python objects hold it."""
+class CompiledLoops:
+    """A loop that numba compiles together with the methods of the task's class.
+
+    It releases the GIL, so that threads can run it for slices of robots.
+    """
+
+    compiled = True
+
+    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
+        self._task, self._tables, self._others = task, tables, (record_of(setup), spawns)
+        self._numbers = numbers_of(task)
+        kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
+        self._memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
+        for name, value in task.memory.items():
+            self._memory[name][-1] = value
+        self._loop = kernel.bind_task(task)
 
     def run(self, first: int, last: int) -> None:
         """Write rewards, ends and observations of blocks first to last, after their physics.
 
-        Robots in `over` begin anew.
+        Robots in `over` begin anew. ConfigError where numba can't compile the task.
         """
-
-    def info(self) -> dict[str, NDArray[np.float64]]:
-        """The task's part of info, an array for each key."""
-
-
-def make_loops(
-    task: Task, tables: Tables, setup: Setup, setups: Records, spawns: Spawns
-) -> TaskLoops:
-    """Choose compiled loops where task and installation allow it, otherwise Python loops."""
-    own = TaskTables(*(getattr(tables, name) for name in TaskTables._fields))
-    if COMPILED and is_compiled(task):
-        return CompiledLoops(task, own, setups, spawns)
-    return PythonLoops(task, own, setup, setups, spawns)
-
-
-class CompiledLoops:
-    """A loop that numba compiles together with the methods of the task's class."""
-
-    compiled = True
-
-    def __init__(self, task: Task, tables: TaskTables, setups: Records, spawns: Spawns) -> None:
-        self._task, self._arguments = task, (tables, setups, spawns)
-        self._numbers = numbers_of(task)
-        kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
-        self.memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
-        for name, value in task.memory.items():
-            self.memory[name][-1] = value
-        self._loop = kernel.bind_task(task)
-
-    def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of blocks first to last.
-
-        ConfigError where numba can't compile the task.
-        """
-        tables, setups, spawns = self._arguments
         try:
-            self._loop(self._numbers, self.memory, tables, first, last, setups, spawns)
+            self._loop(self._numbers, self._memory, self._tables, first, last, *self._others)
         except KeyError as error:  # of numba, for a field that the record doesn't have
             name = error.args[0]
             raise ConfigError(
@@ -111,27 +88,24 @@ class CompiledLoops:
             ) from error
 
     def info(self) -> dict[str, NDArray[np.float64]]:
-        """The task's part of info: what it remembers."""
-        return {name: self.memory[name][:-1].copy() for name in info_names(self._task)}
+        """The task's part of info, an array for each key: what it remembers."""
+        return {name: self._memory[name][:-1].copy() for name in info_names(self._task)}
 
 
 class PythonLoops:
     """Loops that call the task's methods in Python, for one robot after the other."""
 
     compiled = False
-    memory: NDArray[Any] | None = None
 
-    def __init__(
-        self, task: Task, tables: TaskTables, setup: Setup, setups: Records, spawns: Spawns
-    ) -> None:
+    def __init__(self, task: Task, tables: Tables, setup: Setup, spawns: Spawns) -> None:
         self._task, self._tables, self._setup, self._spawns = task, tables, setup, spawns
-        self._setups = setups
+        self._setups = record_of(setup)
         self._paths = spawns.paths.view()
         self._paths.setflags(write=False)  # all robots share them
         self._memory: list[Memory] = [new_memory(task) for _ in tables.rewards]
 
     def run(self, first: int, last: int) -> None:
-        """Write rewards, ends and observations of blocks first to last."""
+        """Write rewards, ends and observations of blocks first to last, as `CompiledLoops.run`."""
         task, tables, setup = self._task, self._tables, self._setup
         here = slice(first * BLOCK_ROBOTS, last * BLOCK_ROBOTS)
         tables.rewards[here], tables.ends[0, here] = 0.0, False
@@ -139,21 +113,21 @@ class PythonLoops:
         driven = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + here.start
         observed = []
         with translate_errors(TaskError, lambda: task_name(task)):
-            for robot, seen in zip(driven.tolist(), self._states(driven), strict=True):
+            for robot, state in zip(driven.tolist(), self._states(driven), strict=True):
                 if tables.over[robot]:
                     self._memory[robot] = memory = new_memory(task)
-                    task.begin(seen, memory)
+                    task.begin(state, memory)
                 else:
                     memory = self._memory[robot]
-                    outcome = ask_outcome(task, seen, memory)
-                    reward = ask_reward(task, seen, memory, outcome)
+                    outcome = ask_outcome(task, state, memory)
+                    reward = ask_reward(task, state, memory, outcome)
                     tables.rewards[robot] = reward
                     robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
                     robots["total_reward"][i] += reward
                     robots["outcome"][i] = outcome
                     tables.ends[0, robot] = outcome != Outcome.GOING
                     tables.ends[1, robot] = robots["steps"][i] >= setup.max_steps
-                observed.append(task.observe(seen, memory))
+                observed.append(task.observe(state, memory))
         if observed and setup.numbers:
             try:
                 tables.observations[driven, : setup.numbers] = observed
@@ -163,44 +137,32 @@ class PythonLoops:
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:
         """The State of each of these robots."""
-        tables, setup = self._tables, self._setup
-        numbers = read_fields(view_numbers(tables.blocks), STATE_FIELDS, robots).T.tolist()
+        tables, setup, spawns = self._tables, self._setup, self._spawns
+        numbers = read_fields(tables.numbers, (*STATE_NUMBERS, *OTHER_NUMBERS), robots)
         ranges, sensed = tables.ranges[robots], tables.observations[robots, setup.numbers :]
         period = setup.ticks * setup.period
-        return [
-            State(
-                (x, y, theta),
-                (linear, angular),
-                (a, b, c, d),
-                (ahead, turn),
-                (sent_linear, sent_angular),
-                int(reason),
-                ranges[place, : int(rays)],
-                tables.edges[int(kind), : int(rays)],
-                sensed[place],
-                steps * setup.ticks * setup.period,
-                age,
-                contact > 0.0,
-                (goal_x, goal_y),
-                *self._way(int(world), given > 0.0),
-                (max_linear, max_angular),
-                period,
+        states = []
+        for place, row in enumerate(numbers.T.tolist()):
+            steps, world, given, kind, rays = row[-len(OTHER_NUMBERS) :]
+            path, length = self._paths[0, :0], np.nan
+            if len(spawns.samples):
+                path = self._paths[int(world), : spawns.samples[int(world)]]
+            if len(spawns.lengths) and not given:
+                length = float(spawns.lengths[int(world)])
+            states.append(
+                make_state(
+                    row,
+                    0,
+                    ranges[place, : int(rays)],
+                    tables.edges[int(kind), : int(rays)],
+                    sensed[place],
+                    steps * setup.ticks * setup.period,
+                    path,
+                    length,
+                    period,
+                )
             )
-            for place, (
-                x, y, theta, linear, angular, a, b, c, d, ahead, turn, sent_linear, sent_angular,
-                reason, steps, age, contact, goal_x, goal_y, world, given, max_linear, max_angular,
-                kind, rays,
-            ) in enumerate(numbers)
-        ]  # fmt: skip
-
-    def _way(self, world: int, given: bool) -> tuple[NDArray[np.float64], float]:
-        """Samples of a world's path and its length [m]; NaN where it doesn't lead to the goal."""
-        spawns = self._spawns
-        known = len(spawns.lengths) > 0 and not given
-        length = float(spawns.lengths[world]) if known else float("nan")
-        if len(spawns.samples) == 0:
-            return self._paths[0, :0], length
-        return self._paths[world, : spawns.samples[world]], length
+        return states
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """The task's part of info: what it remembers."""

@@ -12,13 +12,12 @@ import psutil
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs import PointGoalVectorEnv
 from acsar_gym.errors import RenderError
-from acsar_gym.physics.body import Body, Camera
+from acsar_gym.physics.body import Body
 from acsar_gym.physics.bullet import (
     BulletBody,
 )
-from acsar_gym.physics.model import closed_form_yaw_rate, turn_factor
+from acsar_gym.physics.model import closed_form_yaw_rate
 from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World
@@ -124,19 +123,6 @@ def test_steady_turns_are_slower_by_the_factor(make: type[Body], factor: float) 
     body.close()
 
 
-@pytest.mark.parametrize("factor", FACTORS)
-def test_a_batch_turns_as_commanded_where_its_multiplier_is_the_factor(factor: float) -> None:
-    config = on(factor, wheel_separation_multiplier=factor, max_angular=1.2)
-    env = PointGoalVectorEnv(5, robot=config, max_episode_steps=1000)
-    env.reset(seed=0)
-    actions = np.array([[0.0, 1.0], [0.0, -0.4], [0.3, 1.0], [0.6, 0.4], [0.2, -1.0]])
-    for _ in range(15):
-        env.step(actions)
-    (rates,) = env.batch.read("rate")
-    assert rates == pytest.approx(actions[:, 1] * config.max_angular, rel=0.01)
-    env.close()
-
-
 @pytest.mark.parametrize("make", [PlanarBody, BulletBody])
 def test_wheels_of_different_radii_turn_a_robot_that_is_sent_straight(make: type[Body]) -> None:
     config = on(1.6, left_wheel_radius_multiplier=0.96, right_wheel_radius_multiplier=1.02)
@@ -147,15 +133,6 @@ def test_wheels_of_different_radii_turn_a_robot_that_is_sent_straight(make: type
     assert mean_yaw_rate(body, straight) == pytest.approx(expected, rel=0.01)
     assert body.truth.twist[0] == pytest.approx(8.0 * 0.05 * 0.99, rel=0.01)
     body.close()
-
-
-def test_without_a_factor_the_geometry_gives_it() -> None:
-    assert turn_factor(on(None)) == pytest.approx(1.5378, abs=1e-4)
-    own = on(None, wheelbase=0.3)
-    assert turn_factor(own) == 2.0
-    for turn in TURNS:
-        with_factor = mean_yaw_rate(PlanarBody(on(2.0, wheelbase=0.3)), turn)
-        assert mean_yaw_rate(PlanarBody(own), turn) == pytest.approx(with_factor, rel=1e-9)
 
 
 @pytest.mark.parametrize("heading", HEADINGS)
@@ -190,23 +167,6 @@ def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
     return poses
 
 
-def test_motion_that_was_read_lasts_until_the_next_step_or_reset(body: BulletBody) -> None:
-    """Reading changes nothing, and what is told is always of now."""
-    seen = [body.truth.pose[0]]
-    for driven in (True, False, True):
-        for _ in range(20):
-            if driven:
-                body.step(AHEAD)
-            else:
-                body.engine_step()
-            seen.append(body.truth.pose[0])
-    assert seen == sorted(set(seen))
-    assert body.power > 0.0
-    body.reset(Scene((1.0, 2.0, 0.5)))
-    assert body.truth.pose == pytest.approx((1.0, 2.0, 0.5))
-    assert body.power == 0.0
-
-
 def test_a_reset_body_repeats_a_fresh_one_bit_for_bit(body: BulletBody) -> None:
     start = Scene(start=(0.3, 0.1, 1.0))
     body.reset(start)
@@ -215,13 +175,6 @@ def test_a_reset_body_repeats_a_fresh_one_bit_for_bit(body: BulletBody) -> None:
     steps(body, (9.0, 2.0, 2.0, 9.0), 333)
     body.reset(start)
     assert drive_some(body) == fresh
-
-
-def test_two_bodies_share_nothing(body: BulletBody) -> None:
-    other = BulletBody(RobotConfig())
-    steps(other, (10.0, 10.0, 10.0, 10.0), SECOND)
-    other.close()
-    assert body.truth.pose == (0.0, 0.0, 0.0)
 
 
 def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
@@ -239,16 +192,6 @@ def test_a_window_without_a_display_says_what_to_use(monkeypatch: pytest.MonkeyP
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(RenderError, match="needs a display; drive without a window"):
         BulletBody(RobotConfig(), window=True)
-
-
-def test_the_planar_robot_is_reset_to_its_start_and_has_no_camera() -> None:
-    body = PlanarBody(RobotConfig())
-    steps(body, (5.0, 9.0, 9.0, 5.0), SECOND)
-    body.reset(Scene(start=(1.0, 2.0, 4.0)))
-    assert body.truth.pose == pytest.approx((1.0, 2.0, 4.0 - 2.0 * math.pi))
-    assert body.truth.twist == (0.0, 0.0)
-    assert body.wheel_angles == ZERO
-    assert not isinstance(body, Camera)
 
 
 @pytest.mark.parametrize(
@@ -274,25 +217,6 @@ def test_a_wall_stops_the_robot() -> None:
     body.close()
 
 
-def test_a_near_miss_is_no_contact() -> None:
-    """A pillar 5 mm beside the footprint."""
-    beside = ACSAR.body.width / 2.0 + 0.1 + 0.005
-    for body in (BulletBody(ACSAR), PlanarBody(ACSAR)):
-        assert math.isnan(touches_at(body, World(np.array([[1.0, beside, 0.1]]))))
-        assert body.truth.pose[0] > 1.5
-        assert body.truth.pose[1:] == pytest.approx((0.0, 0.0), abs=1e-9)
-        body.close()
-
-
-def test_contact_is_forgotten_with_the_next_reset() -> None:
-    body = BulletBody(ACSAR)
-    touches_at(body, OBSTACLES["pillar ahead"])
-    body.reset(Scene())
-    body.feel()
-    assert not body.truth.contact
-    body.close()
-
-
 MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
     "one world": lambda rng: Scene(goal=(1.0, 1.0)),
     "changing worlds": lambda rng: Scene(
@@ -314,21 +238,3 @@ def test_memory_is_flat_over_resets(name: str, body: BulletBody) -> None:
 
     before = some_resets(100)
     assert some_resets(400) - before < 1_000_000
-
-
-def test_a_notch_is_open() -> None:
-    config = ACSAR.with_(footprint=FORK)
-    place = {name: touches_at(PlanarBody(config), world) for name, world in SMALL.items()}
-    assert place["pillar ahead"] > place["wall across"] + 0.1
-
-
-def test_a_polygon_drives_as_the_box_does() -> None:
-    ends = []
-    for config in (ACSAR, ACSAR.with_(footprint=WEDGE), ACSAR.with_(footprint=FORK)):
-        body = BulletBody(config)
-        for _ in range(200):
-            body.step((6.0, 8.0, 8.0, 6.0))
-        ends.append(body.truth.pose)
-        body.close()
-    assert ends[1] == pytest.approx(ends[0], abs=1e-6)
-    assert ends[2] == pytest.approx(ends[0], abs=1e-6)

@@ -6,8 +6,6 @@ import itertools
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym.config import BodyConfig, EncoderConfig, FirmwareConfig, MotorConfig, RobotConfig
 from acsar_gym.physics.firmware import Firmware
@@ -94,12 +92,6 @@ def test_every_wheel_has_its_own_motor() -> None:
     assert d == pytest.approx(8.0 * (1.0 - math.exp(-2.0)), abs=0.05)
 
 
-def test_a_deadband_holds_its_own_wheel() -> None:
-    firmware, body = board(RobotConfig(motor=MotorConfig(deadband=(0.0, 1.0, 0.0, 3.0))))
-    drive(firmware, encode((2.0, 2.0, 2.0, 2.0)), 50)
-    assert [speed > 0.0 for speed in body.wheel_speeds] == [True, True, True, False]
-
-
 @pytest.mark.parametrize("quantum", [0.025, 0.1, 0.25, 1.0])
 def test_printed_speeds_are_multiples_of_the_quantum(quantum: float) -> None:
     firmware, body = board(RobotConfig(encoder=EncoderConfig(quantum=quantum, window=0.2)))
@@ -141,13 +133,6 @@ def test_motors_stop_when_commands_stop() -> None:
     assert body.wheel_speeds == ZERO
 
 
-def test_without_a_time_out_they_go_on_for_ever() -> None:
-    firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=None)))
-    drive(firmware, encode(FORWARD), 100)
-    firmware.advance(20.0)
-    assert body.wheel_speeds[0] == pytest.approx(8.0)
-
-
 def test_a_motor_that_a_line_does_not_name_keeps_its_target() -> None:
     firmware, body = board()
     drive(firmware, encode(FORWARD), 100)
@@ -163,17 +148,6 @@ def test_garbage_is_no_command_and_keeps_nobody_alive() -> None:
     assert firmware.decoder.refused["unknown motor"] == 300
 
 
-def test_encoders_count_in_whole_steps() -> None:
-    """360 counts over a window of 50 ms: 2 pi / 360 / 0.05 = 0.349 rad/s a count."""
-    config = RobotConfig(encoder=EncoderConfig(counts_per_revolution=360, window=0.05))
-    firmware, _ = board(config)
-    quantum = 2.0 * math.pi / 360 / 0.05
-    for speeds in speeds_of(drive(firmware, encode((5.0, 4.0, 3.0, 2.0)), 300)):
-        for speed in speeds:
-            assert speed is not None
-            assert abs(speed / quantum - round(speed / quantum)) < 0.005 / quantum + 1e-9
-
-
 def test_no_count_is_lost() -> None:
     """The mean of what the encoders report is the mean of what the wheels did."""
     config = RobotConfig(encoder=EncoderConfig(counts_per_revolution=100, window=0.01))
@@ -186,21 +160,6 @@ def test_no_count_is_lost() -> None:
     assert mean == pytest.approx(driven, abs=0.02)
 
 
-@given(st.lists(st.integers(1, 40), min_size=1, max_size=8))
-def test_a_command_may_arrive_in_any_pieces(cuts: list[int]) -> None:
-    whole, pieces = board()[0], board()[0]
-    stream = encode(FORWARD) * 3
-    whole.receive(stream)
-    rest = stream
-    for cut in cuts:
-        pieces.receive(rest[:cut])
-        rest = rest[cut:]
-    pieces.receive(rest)
-    whole.advance(0.5)
-    pieces.advance(0.5)
-    assert pieces.decoder.lines == whole.decoder.lines == 3
-
-
 def test_a_reset_forgets_everything() -> None:
     config = RobotConfig(body=BodyConfig(mass=5.0))
     firmware, body = board(config)
@@ -209,16 +168,3 @@ def test_a_reset_forgets_everything() -> None:
     body.__init__(config)  # type: ignore[misc]
     firmware.reset()
     assert drive(firmware, encode(FORWARD), 50) == fresh
-
-
-@pytest.mark.parametrize("period", [0.001, 0.0125, 0.0033])
-def test_no_time_is_lost_between_periods(period: float) -> None:
-    """Periods that aren't whole loops of the firmware add up."""
-    firmware, body = board()
-    firmware.receive(encode(FORWARD))
-    for _ in range(round(0.4 / period)):
-        firmware.advance(period)
-    other, reference = board()
-    other.receive(encode(FORWARD))
-    other.advance(round(0.4 / period) * period)
-    assert body.wheel_angles == reference.wheel_angles

@@ -1,9 +1,8 @@
-"""The tyre and motor model against closed forms and its own plain-Python source."""
+"""The tyre and motor model against closed forms."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pytest
 from hypothesis import given
@@ -19,11 +18,6 @@ SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
 DT = loop_period(RobotConfig())
 speed = st.floats(-20.0, 20.0)
 slow = st.floats(-2.0, 2.0)
-
-
-def plain(function: Any) -> Any:
-    """The Python source of a compiled function."""
-    return getattr(function, "py_func", function)
 
 
 def steady_yaw_rate(wheels: Speeds, config: RobotConfig) -> float:
@@ -59,17 +53,6 @@ def test_mirrored_robots_move_as_mirror_images(
     x1, y1, w1 = tyre_step(vx, vy, rate, (right, left, left, right), p, p.kappa, DT)
     x2, y2, w2 = tyre_step(vx, -vy, -rate, (left, right, right, left), p, p.kappa, DT)
     assert (x1, y1, w1) == pytest.approx((x2, -y2, -w2), abs=1e-9)
-
-
-@given(speed, speed, speed, speed, slow, slow, slow)
-def test_compiled_and_plain_python_agree(
-    a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
-) -> None:
-    p = compute_physics(RobotConfig())
-    wheels = (a, b, c, d)
-    assert tyre_step(vx, vy, rate, wheels, p, p.kappa, DT) == pytest.approx(
-        plain(tyre_step)(vx, vy, rate, wheels, p, p.kappa, DT), abs=1e-9
-    )
 
 
 @given(st.floats(0.05, 9.0), speed, speed, slow, slow, slow)
@@ -126,14 +109,6 @@ def test_a_wheel_without_lag(
     own = {"max_speed": 30.0, "time_constant": 0.0, **motor}
     p = compute_physics(RobotConfig(motor=MotorConfig(**own)))
     assert wheel_speed(speed, set_point, gain, p.blend_a, p.deadband_a, p.max_speed) == expected
-
-
-def test_set_points_in_the_deadband_stop_the_wheel() -> None:
-    p = compute_physics(RobotConfig(motor=MotorConfig(deadband=1.0)))
-    value = 3.0
-    for _ in range(300):
-        value = wheel_speed(value, 0.9, 1.0, 0.1, p.deadband_a, p.max_speed)
-    assert value == 0.0
 
 
 @given(st.floats(-math.pi, math.pi), slow, slow, slow)

@@ -124,20 +124,6 @@ def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
     assert rng.random() == other.random()
 
 
-def test_a_range_of_one_value_takes_no_sample() -> None:
-    own, info = drawn({"mass": (1.5, 1.5), "friction": (0.5, 1.0)}, 3)
-    assert info["drawn_mass"] == 1.5
-    assert info["drawn_friction"] == 0.5 + 0.5 * np.random.default_rng(3).random()
-    assert own.mass == 1.5 * compute_physics(CONFIG).mass
-
-
-def test_motors_without_lag_have_none_to_vary() -> None:
-    config = CONFIG.with_(motor={"time_constant": [0.0, 0.1, 0.0, 0.1]})
-    own, info = drawn({"motor_lag": (0.5, 0.9)}, config=config)
-    assert (wheels(own, "blend")[0], wheels(own, "blend")[2]) == (1.0, 1.0)
-    assert (info["drawn_motor_lag"] == 1.0).tolist() == [True, False, True, False]
-
-
 @pytest.mark.parametrize(
     ("ranges", "field"),
     [
@@ -162,22 +148,6 @@ def test_bad_ranges_are_one_clear_error(ranges: Any, field: str) -> None:
     with pytest.raises(ConfigError, match=rf"^(unknown field ')?randomization.*{field}") as raised:
         Randomization.of(ranges).ranges(config, STEP)
     assert "\n" not in str(raised.value)
-
-
-def test_every_measured_delay_is_drawn_as_often_as_the_others() -> None:
-    delays = (0.002, 0.003, 0.005, 0.009)
-    config = CONFIG.with_(firmware={"command_delay": 0.004})
-    randomizer = Randomizer({"delay_samples": delays}, config, STEP, simulated=True)
-    rng = np.random.default_rng(0)
-    drawn = [randomizer.draw(rng) for _ in range(4000)]
-    told = [own.command_delay for own in drawn if own is not None]
-    for delay in delays:
-        assert told.count(0.004 + delay) == pytest.approx(1000, abs=120)
-
-
-def test_a_deadband_is_never_negative() -> None:
-    own, _ = drawn({"deadband_offset": (-0.5, -0.5)}, config=CONFIG.with_(motor={"deadband": 0.2}))
-    assert wheels(own, "deadband") == [0.0] * 4
 
 
 ACSAR = RobotConfig.preset("acsar")
@@ -225,18 +195,6 @@ def test_measured_intervals_become_ranges() -> None:
     assert "randomized as measured: " in line
     assert "motor_lag 0.95 to 1.05" in line
     assert line.endswith("by default widths: friction")
-
-
-def test_wheels_that_were_not_measured_have_the_default_width() -> None:
-    own = ACSAR.with_(measured={"motor.time_constant.a": between(0.0796, 0.0804)})
-    assert Randomization.measured(own).motor_lag == pytest.approx(DEFAULT_RANGES["motor_lag"])
-
-
-def test_a_calibrated_multiplier_is_a_turn_factor() -> None:
-    found = {"wheel_separation_multiplier": between(1.7, 1.8)}
-    own = ACSAR.with_(wheel_separation_multiplier=1.75, measured=found)
-    factor = 1.0 + (0.22 / 0.3) ** 2
-    assert Randomization.measured(own).turn_factor == pytest.approx((1.7 / factor, 1.8 / factor))
 
 
 def test_measured_delays_are_replayed_in_single_envs_and_batches() -> None:
@@ -288,14 +246,3 @@ def test_levels_are_nested() -> None:
         assert ends[2][0] <= ends[1][0] <= ends[0][0] <= ends[0][1] < ends[1][1] < ends[2][1]
     assert wide.latency == (0.0, 0.04)
     assert wide.friction == pytest.approx((0.4, 1.4))
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_every_level_suits_a_robot_that_hardly_skids(number: int) -> None:
-    robot = ACSAR.with_(body={"turn_factor": 1.02})
-    randomization_level(robot, number).ranges(robot, 0.1)
-
-
-def test_there_are_three() -> None:
-    with pytest.raises(ConfigError, match="must be 1, 2 or 3"):
-        randomization_level(ACSAR, 4)

@@ -82,7 +82,7 @@ def test_without_limits_a_twist_is_sent_as_it_is_up_to_full_speed() -> None:
 
 @pytest.mark.parametrize("own", [FENCED, FREE], ids=["fenced", "free"])
 def test_one_robot_with_its_memory_in_place_follows_the_same_rules(own: SafetyRules) -> None:
-    memory, kept, numbers = SafetyMemory(), record_of(SafetyMemory(), changes=True), record_of(own)
+    memory, kept, numbers = SafetyMemory(), record_of(SafetyMemory()), record_of(own)
     for linear, angular, x, y, age in np.random.default_rng(0).uniform(-0.1, 1.1, (50, 5)).tolist():
         memory = rules.limit_twist(linear, angular, x, y, age / 10.0, memory, own)
         sides = rules.compute_wheels(memory.linear, memory.angular, own)

@@ -89,12 +89,6 @@ def test_limits_that_make_no_sense_are_refused(fields: dict[str, object], named:
         PointGoal(**fields)  # type: ignore[arg-type]
 
 
-def test_goals_may_be_farther_than_what_distances_are_divided_by() -> None:
-    assert PointGoal(goal_distance=(0.5, 8.0)).scale == 8.0
-    far = PointGoal(goal_distance=(0.5, 8.0), distance_scale=3.0)
-    assert (far.scale, far.boundary) == (3.0, 16.0)
-
-
 @pytest.mark.parametrize(
     ("x", "contact", "outcome"),
     [

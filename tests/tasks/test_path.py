@@ -7,19 +7,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from task_tools import Played
 
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.tasks import Outcome, PathFollow
-from acsar_gym.tasks.path import nearest_on_path, path_reward
+from acsar_gym.tasks.path import path_reward
 from acsar_gym.worlds import Pose
-from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import sample_path
 
 TASK = PathFollow()
-POOL = Pool.of("smooth_path:20")
 L_SHAPE = [(0.0, 0.0), (2.0, 0.0), (2.0, 2.0)]
 
 
@@ -90,27 +86,6 @@ def test_reward_pays_for_progress_along_the_path() -> None:
     assert path_reward(1.0, 0.0, -1.0, 0) == pytest.approx(0.03)
     assert path_reward(0.0, 0.0, 1.0, 1) == pytest.approx(1.98)
     assert path_reward(0.0, 0.0, 1.0, 2) == pytest.approx(-2.02)
-
-
-@given(st.integers(0, 19), st.floats(0.0, 1.0), st.floats(-0.2, 0.2))
-def test_beside_a_smooth_path_the_distance_is_found(
-    number: int, share: float, beside: float
-) -> None:
-    """A point off the path at right angles, nearer than the path's curvature allows doubt."""
-    world = POOL[number]
-    assert world.path is not None
-    path = sample_path(world.path)
-    k = 1 + int(share * (len(path) - 3))
-    x, y = (path[k, :2] + path[k + 1, :2]) / 2.0
-    dx, dy = path[k + 1, :2] - path[k, :2]
-    normal = math.atan2(dy, dx) + math.pi / 2.0  # there, and not at the sample before it
-    x, y = x + beside * math.cos(normal), y + beside * math.sin(normal)
-    place, cross, _ = nearest_on_path(path, len(path) - 1, float(k), float(x), float(y))
-    brute = np.hypot(path[:, 0] - x, path[:, 1] - y).min()
-    assert abs(cross) <= brute + 1e-9
-    assert abs(cross) == pytest.approx(abs(beside), abs=5e-3)
-    assert place == pytest.approx(k + 0.5, abs=0.6)
-    assert cross * beside >= -1e-12
 
 
 @pytest.mark.parametrize("path", [[], [(0.0, 0.0)], [(1.0, 1.0)] * 3, "path", [(0.0, math.nan)]])

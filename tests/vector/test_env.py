@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import threading
 import warnings
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -22,7 +19,7 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PathFollowVectorEnv, PointGoal
 from acsar_gym.errors import CommandError, ConfigError, WorldError
 from acsar_gym.physics import Randomization
 from acsar_gym.tasks import PointGoal
-from acsar_gym.vector.env import RobotVectorEnv, copy_state, restore_state
+from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.kernel import drive, episode, layout
 from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds import Region, generators
@@ -257,44 +254,6 @@ def test_bad_actions_and_seeds_are_one_clear_error_and_change_nothing() -> None:
     env.close()
 
 
-def test_a_robot_takes_less_than_two_kilobytes() -> None:
-    tables = batch(64).batch.tables
-    used = sum(array.nbytes for array in tables) - tables.numbers.nbytes  # `blocks` in other words
-    assert used / 64 < 2048
-
-
-PLAIN = """
-import sys, warnings
-sys.modules["numba"] = None
-import numpy as np
-from acsar_gym.envs import ObstacleGoalVectorEnv
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    env = ObstacleGoalVectorEnv(2, **{options})
-    seen = [env.reset(seed=1)[0]]
-    seen += [env.step(np.full((2, 2), 0.5))[0] for _ in range(9)]
-print(*(warning.message for warning in caught), sep="\\n")
-np.save(sys.argv[1], np.array(seen))
-"""
-
-
-def test_without_numba_everything_is_the_same_with_one_warning(tmp_path: Path) -> None:
-    options: dict[str, Any] = {
-        "max_episode_steps": 6,
-        "worlds": "clutter:2",
-        "randomization": {"motor_lag": (0.5, 2.0), "latency": (0.0, 0.02)},
-    }
-    file = tmp_path / "plain.npy"
-    command = [sys.executable, "-c", PLAIN.format(options=options), str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    assert done.stdout.startswith("numba isn't installed")
-    assert done.stdout.count("\n") == 1
-    env = ObstacleGoalVectorEnv(2, **options)
-    seen = [env.reset(seed=1)[0]]
-    seen += [env.step(np.full((2, 2), 0.5))[0] for _ in range(9)]
-    assert np.load(file) == pytest.approx(np.array(seen), abs=1e-6)
-
-
 @pytest.mark.parametrize("kind", [RobotVectorEnv, RobotEnv])
 def test_randomization_true_is_that_of_a_training(kind: Any) -> None:
     told = []
@@ -401,18 +360,6 @@ def test_worlds_that_a_batch_cannot_use_are_refused() -> None:
 # Fleets
 
 
-def test_a_fleets_robots_keep_their_places() -> None:
-    env = batch(7, robot=["acsar", "jackal", "husky"])
-    assert [one.max_linear for one in env.fleet] == [0.5, 2.0, 1.0]
-    env.reset(seed=0)
-    tops = env.batch.read("max_linear")[0]
-    assert tops.tolist() == [0.5, 2.0, 1.0, 0.5, 2.0, 1.0, 0.5]
-    env.step(np.ones((7, 2)))
-    env.reset(options={"reset_mask": np.arange(7) < 3})
-    assert (env.batch.read("max_linear")[0] == tops).all()
-    env.close()
-
-
 def test_robots_of_one_size_share_their_worlds() -> None:
     wide = RobotConfig().with_(wheelbase=0.3, wheel_separation=0.31)
     same, other = RobotConfig().with_(max_linear=0.7), "husky"
@@ -421,32 +368,6 @@ def test_robots_of_one_size_share_their_worlds() -> None:
     assert env.batch.places[0] == env.batch.places[1] == env.batch.places[3]
     assert len(env.batch.worlds) == 10
     env.close()
-
-
-def test_a_fleet_goes_on_where_another_one_was() -> None:
-    options: dict[str, Any] = {
-        "robot": ["acsar", "husky", "drawn:1"],
-        "worlds": "clutter:3",
-        "autoreset_mode": "SameStep",
-        "max_episode_steps": 8,
-        "randomization": True,
-    }
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1.0, 1.0, (20, 5, 2))
-    one = ObstacleGoalVectorEnv(5, **options)
-    one.reset(seed=0)
-    for action in actions[:10]:
-        one.step(action)
-    kept = copy_state(one)
-    assert kept is not None
-    other = ObstacleGoalVectorEnv(5, **options)
-    restore_state(other, kept)
-    for action in actions[10:]:
-        expected, found = one.step(action), other.step(action)
-        for a, b in zip(expected[:4], found[:4], strict=True):
-            assert (a == b).all()
-    one.close()
-    other.close()
 
 
 @pytest.mark.parametrize(

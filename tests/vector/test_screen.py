@@ -40,16 +40,6 @@ def test_each_robot_has_a_picture_like_the_single_env_s(env_id: str) -> None:
     env.close()
 
 
-def test_a_new_episode_has_a_new_path() -> None:
-    env = make(max_episode_steps=2, autoreset_mode="SameStep")
-    env.reset(seed=0)
-    env.step(np.ones((3, 2)))
-    env.step(np.ones((3, 2)))
-    paths = env.unwrapped._screen._paths
-    assert [(len(odom), len(true)) for odom, true in paths] == [(1, 1)] * 3
-    env.close()
-
-
 def test_the_first_robots_of_a_large_batch_are_drawn() -> None:
     env = make(robots=300)
     env.reset(seed=0)
@@ -61,12 +51,11 @@ def test_the_first_robots_of_a_large_batch_are_drawn() -> None:
     env.close()
 
 
-@pytest.mark.parametrize("robots", [1, 4, 20])
-def test_gymnasiums_recorder_writes_a_video(robots: int, tmp_path: Path) -> None:
-    env = RecordVideo(make(robots=robots), str(tmp_path / "video"), video_length=3)
+def test_gymnasiums_recorder_writes_a_video(tmp_path: Path) -> None:
+    env = RecordVideo(make(robots=4), str(tmp_path / "video"), video_length=3)
     env.reset(seed=0)
     for _ in range(4):
-        env.step(np.zeros((robots, 2), np.float32))
+        env.step(np.zeros((4, 2), np.float32))
     env.close()
     (video,) = (tmp_path / "video").iterdir()
     assert video.stat().st_size > 1000

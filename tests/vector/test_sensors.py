@@ -12,7 +12,6 @@ import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
 from acsar_gym.errors import ConfigError, SensorError
-from acsar_gym.jit import COMPILED
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
@@ -320,7 +319,6 @@ class OutOfBounds(Wrong):
         out[0, len(rngs)] = 0.0
 
 
-@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 @pytest.mark.parametrize(
     ("kind", "error", "said"),
     [
@@ -336,39 +334,6 @@ def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said:
     with pytest.raises(error, match=f"^sensor 'wrong': .*{said}") as caught:
         env.reset(seed=0)
     assert "\n" not in str(caught.value)
-    env.close()
-
-
-class RaisesInProperty(Wrong):
-    compiled = True
-
-    @property
-    def span(self) -> float:
-        return self.scene.start[0]
-
-
-@pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
-def test_a_property_of_a_compiled_sensor_that_raises_is_named() -> None:
-    with pytest.raises(
-        SensorError, match=r"^sensor 'wrong': span\(\) raised AttributeError"
-    ) as caught:
-        batch(RaisesInProperty, robots=2)
-    assert "\n" not in str(caught.value)
-
-
-class Halved(Gyro):
-    """Overrides half of a compiled sensor, in Python: its generators are NumPy's."""
-
-    name = "halved"
-
-    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
-        memory.bias[:] = [rng.normal() for rng in rngs]
-
-
-def test_a_subclass_of_a_compiled_sensor_is_plain_unless_it_says_otherwise() -> None:
-    env = batch(Halved, robots=2)
-    env.reset(seed=0)
-    env.step(np.zeros((2, 2)))
     env.close()
 
 

@@ -13,13 +13,11 @@ import pytest
 
 from acsar_gym import RobotEnv, Task
 from acsar_gym.errors import ConfigError, TaskError
-from acsar_gym.jit import COMPILED
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Outcome, PointGoal, State
 from acsar_gym.tasks.task import is_compiled
 from acsar_gym.vector.env import RobotVectorEnv
 
-needs_numba = pytest.mark.skipif(not COMPILED, reason="numba isn't installed")
 ACTIONS = np.random.default_rng(0).uniform(-1.0, 1.0, (12, 3, 2)).astype(np.float32)
 
 
@@ -113,7 +111,6 @@ print(batch.step(np.zeros((2, 2)))[1][0], flush=True)
 """
 
 
-@needs_numba
 def test_a_task_whose_helper_was_edited_is_compiled_anew(tmp_path: Path) -> None:
     said = []
     (tmp_path / "mine.py").write_text(USER.format(helper="helper", own="10.0"))
@@ -183,11 +180,7 @@ COMPILED_MISTAKES: list[Any] = [
 @pytest.mark.parametrize(
     ("base", "attributes", "said", "mode"),
     [(*mistake, mode) for mistake in MISTAKES for mode in ("single", "NextStep", "SameStep")]
-    + [
-        pytest.param(*mistake, mode, marks=needs_numba)
-        for mistake in COMPILED_MISTAKES
-        for mode in ("NextStep", "SameStep")
-    ],
+    + [(*mistake, mode) for mistake in COMPILED_MISTAKES for mode in ("NextStep", "SameStep")],
 )
 def test_what_a_step_cannot_use_is_named_and_a_reset_recovers(
     base: type[Task], attributes: dict[str, Any], said: str, mode: str
@@ -255,7 +248,6 @@ class Reading(Unsound):
         return float(memory.turns) if state.time > 0.15 else 0.0
 
 
-@needs_numba
 @pytest.mark.parametrize("task", [Writing, Reading])
 def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
     batch = RobotVectorEnv(task)

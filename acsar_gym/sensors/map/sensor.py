@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline, border_distance, outline_radius, outline_reach
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, jit, loop, subroutine
+from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import FULL_TURN, Rays, make_rays
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
@@ -451,10 +451,9 @@ class MapSensor(Sensor):
 
     def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
         self.config = config
-        made = make_record(config, period)
-        self._record = made.view(np.recarray)[0]
-        self._records = made if COMPILED else made.view(np.recarray)
-        """The same memory, as compiled loops take it."""
+        self._records = make_record(config, period)
+        self._record = self._records.view(np.recarray)[0]
+        """The same memory, as Python reads it."""
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
         self._odometry = Odometry.of(config)

@@ -20,7 +20,7 @@ import numpy as np
 
 from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.map.way import length_left, next_corner
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, points_clearance
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 

@@ -12,7 +12,7 @@ from acsar_gym.jit import loop
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.sensors.map.seen import CELLS, LAST_CELL
 from acsar_gym.sensors.map.sensor import MapSensor
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import is_inside

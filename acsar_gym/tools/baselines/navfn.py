@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, points_clearance
 from acsar_gym.tools.policies.policy import DecodedObservation
 

@@ -28,7 +28,7 @@ from acsar_gym.recording.types import Episode, Floats, begin_at_part
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.goal import PointGoal
-from acsar_gym.tasks.task import Goal
+from acsar_gym.tasks.state import Goal
 from acsar_gym.worlds import Scene
 
 DEFAULT_ENV = "point_goal"

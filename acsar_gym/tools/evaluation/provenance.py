@@ -40,7 +40,7 @@ import numpy as np
 
 import acsar_gym
 from acsar_gym.config.robot import hash_config
-from acsar_gym.tasks.factory import to_plain
+from acsar_gym.tasks.spec import to_plain
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds.cache import hash_source
 from acsar_gym.worlds.pool import Pool

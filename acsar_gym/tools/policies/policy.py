@@ -29,7 +29,7 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD, POINT_TIME
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.policies import describe
 from acsar_gym.tools.policies.bundle import Bundle
 from acsar_gym.tools.policies.describe import observation_scale

@@ -20,7 +20,8 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError, PolicyError, require_extra, shorten_text
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
-from acsar_gym.tasks.factory import task_name, task_spaces
+from acsar_gym.tasks.factory import task_name
+from acsar_gym.tasks.spec import task_spaces
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
 from acsar_gym.tools.policies.kinds import describe_other_zip
 from acsar_gym.tools.policies.policy import FilePolicy, format_error, resolve

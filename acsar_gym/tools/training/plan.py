@@ -21,12 +21,8 @@ from acsar_gym.errors import ConfigError, require_extra, suggest_name
 from acsar_gym.physics import Randomization, randomization
 from acsar_gym.tools.training import held_out, recipes
 from acsar_gym.tools.training.recipes import Algorithm, Recipe, find_algorithm
-from acsar_gym.vector.env import (
-    ROBOTS_PER_THREAD,
-    RobotVectorEnv,
-    check_threads,
-    usable_cores,
-)
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.threads import ROBOTS_PER_THREAD, check_threads, usable_cores
 from acsar_gym.worlds.pool import place_worlds
 
 MAX_STEPS = 10**10

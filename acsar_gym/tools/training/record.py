@@ -31,7 +31,7 @@ from acsar_gym.tools.training.folder import (
     describe_content,
 )
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
-from acsar_gym.vector.env import usable_cores
+from acsar_gym.vector.threads import usable_cores
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm

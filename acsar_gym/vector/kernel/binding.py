@@ -15,19 +15,15 @@ from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numba
 import numpy as np
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED, PACKAGE, WITHIN, NumbaError, named_tuple
+from acsar_gym.jit import PACKAGE, WITHIN, NumbaError, named_tuple
 from acsar_gym.jit import loop as compiled
 from acsar_gym.worlds.registry import hash_modules
 
-OWN_FOLDERS = [PACKAGE]
-"""Of files that aren't a user's."""
-if COMPILED:
-    import numba
-
-    OWN_FOLDERS.append(Path(numba.__file__).parent)
+OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]  # of files that aren't a user's
 
 
 def numbers_of(instance: Any) -> Any:
@@ -46,18 +42,10 @@ def bind_methods(kind: type, template: Any, methods: Mapping[str, str]) -> Calla
     """Make a copy of a loop that calls the methods of one class, compiled.
 
     Compilation happens at the first call; `explain_error` makes a message of numba's errors.
-
-    Args:
-        kind: the class.
-        template: the loop, in whose globals there are placeholders for the methods.
-        methods: names of the methods by placeholder.
-
-    Raises:
-        ConfigError: as `check_calls`.
     """
     check_calls(kind, methods.values())
     options = WITHIN | {"error_model": "python", "boundscheck": True, "forceinline": True}
-    bound = {name: numba.njit(**options)(getattr(kind, one)) for name, one in methods.items()}
+    bound = {name: numba.njit(**options)(getattr(kind, method)) for name, method in methods.items()}
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
     copy = FunctionType(code, template.__globals__ | bound, template.__name__)
@@ -72,31 +60,23 @@ def _cached_as(kind: type, methods: Collection[str]) -> str:
     numba itself would only notice a change of the file that has the class. Empty, for not to be
     kept, where a source isn't known, as in a notebook, and for classes made in functions.
     """
-    modules = {one.__module__ for one in kind.__mro__}
-    own = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
-    sources = hash_modules(*sorted(own)) if own else "acsar_gym"  # whose sources `jit` minds
+    modules = {base.__module__ for base in kind.__mro__}
+    theirs = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
+    sources = hash_modules(*sorted(theirs)) if theirs else "acsar_gym"  # whose sources `jit` minds
     if not sources or "<locals>" in kind.__qualname__:
         return ""
     said = hashlib.sha256(sources.encode())
     for name in methods:  # what numba compiles: code, and values of the names that it uses
         method = getattr(kind, name)
-        code, known = method.__code__, method.__globals__
-        values = [known.get(one) for one in code.co_names]
+        code, names = method.__code__, method.__globals__
+        values = [names.get(used) for used in code.co_names]
         used = [value for value in values if isinstance(value, bool | int | float | str | tuple)]
         said.update(f"{name} {code.co_code!r} {code.co_consts!r} {used!r}".encode())
     return f"{kind.__qualname__}.{said.hexdigest()[:16]}"
 
 
 def check_calls(kind: type, methods: Collection[str]) -> None:
-    """Check that compiled methods call no others of their object, which numba can't compile.
-
-    Args:
-        kind: the class.
-        methods: names of its compiled methods.
-
-    Raises:
-        ConfigError: one does; names both, and the line.
-    """
+    """Check that compiled methods call no others of their object, which numba can't compile."""
     for method in methods:
         function = inspect.unwrap(getattr(kind, method))
         before: Any = None
@@ -146,15 +126,7 @@ GENERAL = ("Failed in ", "During: ", "File ", "Raised from ")
 def explain_error(
     name: str, kind: type, methods: Collection[str], error: Exception, rules: str = ""
 ) -> ConfigError:
-    """Make a ConfigError of one line from numba's error about a class that it can't compile.
-
-    Args:
-        name: of the task or sensor.
-        kind: its class.
-        methods: names of its compiled methods.
-        error: of numba.
-        rules: what compiled methods must keep to.
-    """
+    """Make a ConfigError of one line from numba's error about a class that it can't compile."""
     text = COLOURS.sub("", str(error))
     lines = [" ".join(line.split()).partition(" Raised from ")[0] for line in text.splitlines()]
     reasons = [line for line in lines if line and not line.startswith(GENERAL)]
@@ -170,8 +142,8 @@ def _find_place(text: str, kind: type, methods: Collection[str]) -> str:
 
     Lines of the loop itself look as if they were in the class's file.
     """
-    functions = {one: inspect.unwrap(getattr(kind, one)) for one in methods if hasattr(kind, one)}
-    codes = {name: function.__code__ for name, function in functions.items()}
+    defined = [name for name in methods if hasattr(kind, name)]
+    codes = {name: inspect.unwrap(getattr(kind, name)).__code__ for name in defined}
     for match in PLACE.finditer(text):
         path = Path(match["at"] or match["file"])
         line = int(match[2] or match[4])

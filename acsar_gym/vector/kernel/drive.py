@@ -1,8 +1,8 @@
 """One env step of many planar robots, tick by tick: commands, board, motors, tyres and odometry.
 
 Without limits, geofence, faults or late commands all commands of a step are the same, and
-`command_once` and `hear_newest` are fastest. Otherwise (`setup.guarded`) every tick's command is
-kept in a ring until the board uses it.
+`command_once` and `hear_newest` are fastest. Otherwise every tick's command is kept in a ring until
+the board uses it, see `layout.Commands`.
 
 Lines that are lost or late are the same as in `links.faults`: a hash of the episode's key
 and the line's number decides which. Lines keep their order: none overtakes a late one. They are
@@ -41,22 +41,23 @@ from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
     EPISODE_ROWS,
     TURN,
+    Commands,
     Floats,
     LineFaults,
+    Lines,
     Records,
     Robots,
+    Scans,
     Setup,
     Tables,
     robots_of_block,
     rules_of,
 )
-from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails, read_scans
-from acsar_gym.worlds.geometry import Surroundings
+from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails
 
 forward = jit(kinematics.compute_twist)
 integrate = jit(odometry.integrate_twist)
-SILENCE = 1.0
-"""The code of BoardSilentError in info's `fault`, see `FAULT_CODES`."""
+SILENCE = 1.0  # the code of BoardSilentError in info's `fault`, see `FAULT_CODES`
 
 
 @jit
@@ -131,16 +132,7 @@ def explain_commands(robots: Robots, count: int, setup: Setup) -> None:
 def release_time(
     key: float, whose: int, number: float, arrived: float, before: float, faults: LineFaults
 ) -> float:
-    """Time at which the wire passes a line on [s]; NaN where the line is lost.
-
-    Args:
-        key: of the episode; negative where it has no faults.
-        whose: COMMAND_LINE or FEEDBACK_LINE.
-        number: of the line.
-        arrived: when it would arrive without faults [s].
-        before: when the line before it was passed on [s].
-        faults: of the batch.
-    """
+    """Time at which the wire passes a line on [s]; NaN where the line is lost."""
     suffers = faults.feedback if whose == FEEDBACK_LINE else faults.commands
     if key < 0.0 or not suffers:
         return arrived
@@ -276,12 +268,12 @@ def move_set_points(robots: Robots, count: int) -> None:
 @jit
 def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
-    own, dt = robots.physics, setup.dt
+    physics, dt = robots.physics, setup.dt
     for k in range(4):
         for i in range(count):
             before, wanted = robots.wheel_speed[k, i], robots.set_point[k, i]
-            gain, blend, deadband = own.gain[k, i], own.blend[k, i], own.deadband[k, i]
-            speed = wheel_speed(before, wanted, gain, blend, deadband, own.max_speed[i])
+            gain, blend, deadband = physics.gain[k, i], physics.blend[k, i], physics.deadband[k, i]
+            speed = wheel_speed(before, wanted, gain, blend, deadband, physics.max_speed[i])
             angle = robots.wheel_angle[k, i] + speed * dt
             robots.wheel_speed[k, i] = speed
             robots.wheel_angle[k, i] = angle
@@ -313,22 +305,22 @@ def move_bodies(robots: Robots, count: int, setup: Setup) -> None:
 @jit
 def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None:
     """Advance velocity and pose by one loop, with tyres that are isotropic or not."""
-    own, wheels = robots.physics, robots.wheel_speed
+    physics, wheels = robots.physics, robots.wheel_speed
     for i in range(count):
         sin, cos = sincos(robots.theta[i])
         vx, vy, rate = robots.vx[i], robots.vy[i], robots.rate[i]
         speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
         chassis = Chassis(
-            own.left_radius[i],
-            own.right_radius[i],
-            own.half_wheelbase[i],
-            own.half_track[i],
-            own.mass[i],
-            own.yaw_inertia[i],
-            own.grip[i],
-            own.slip_speed[i],
+            physics.left_radius[i],
+            physics.right_radius[i],
+            physics.half_wheelbase[i],
+            physics.half_track[i],
+            physics.mass[i],
+            physics.yaw_inertia[i],
+            physics.grip[i],
+            physics.slip_speed[i],
         )
-        kappa = 1.0 if isotropic else own.kappa[i]
+        kappa = 1.0 if isotropic else physics.kappa[i]
         ahead, left, rate = tyre_step(
             cos * vx + sin * vy, cos * vy - sin * vx, rate, speeds, chassis, kappa, dt
         )
@@ -372,7 +364,7 @@ def receive_line(robots: Robots, i: int, setup: Setup) -> float:
     """
     loops, every = robots.loops[i], robots.physics.feedback_loops[i]
     delay = robots.feedback_delay[i]
-    now, found, newest = loops * setup.dt, 0.0, newest_line(loops, delay, every)
+    now, received, newest = loops * setup.dt, 0.0, newest_line(loops, delay, every)
     while robots.last_line[i] < newest:
         line = robots.last_line[i] + 1.0
         made = np.ceil(line * every - 1e-9)
@@ -384,19 +376,20 @@ def receive_line(robots: Robots, i: int, setup: Setup) -> float:
         robots.last_line[i] = line
         if not math.isnan(when):
             robots.feedback_release[i] = when
-            found = line
-    return found
+            received = line
+    return received
 
 
 @jit
-def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
+def read_feedback(
+    robots: Robots, counts: Floats, lines: Lines | None, count: int, slot: int, setup: Setup
+) -> None:
     """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
     every, delays = robots.physics.feedback_loops, robots.feedback_delay
-    faulty, period, turns = setup.faults.possible, setup.period, setup.loops
-    window = setup.window
+    period, turns, window = setup.period, setup.loops, setup.window
     for i in range(count):
         robots.loops[i] += turns
-        if faulty:
+        if lines is not None:
             line = receive_line(robots, i, setup)
         else:
             line = newest_line(robots.loops[i], delays[i], every[i])
@@ -413,16 +406,16 @@ def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: 
 @jit
 def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
-    read, dt, own = robots.read_speed, setup.period, robots.rules
+    read, dt, rules = robots.read_speed, setup.period, robots.rules
     for i in range(count):
         linear, angular = forward(
             read[0, i],
             read[1, i],
             read[2, i],
             read[3, i],
-            own.left_radius[i],
-            own.right_radius[i],
-            own.separation[i],
+            rules.left_radius[i],
+            rules.right_radius[i],
+            rules.separation[i],
         )
         x, y, theta = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
         sin, cos = sincos(theta)
@@ -435,85 +428,82 @@ def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
 @loop
 def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables compiles for longer
     tables: Tables,
+    commands: Commands | None,
+    lines: Lines | None,
+    scans: Scans | None,
     first: int,
     last: int,
     setups: Records,
-    around: Surroundings,
 ) -> None:
     """Run physics and driver of these blocks over the ticks that `tables.ring` says.
 
     The step ends with its last tick. `episode.reset` of the robots in `tables.over` comes after
-    this, then the task's loop. Robots whose board falls silent during a step end it as they were
-    before it, but for their fault.
+    this, then `lidars.read_scans` and the task's loop. Robots whose board falls silent during a
+    step end it as they were before it, but for their fault.
     """
     setup, start, stop = setups[0], tables.ring[2], tables.ring[3]
-    slots, lines = tables.counts.shape[1], max(tables.commands.shape[1], 1)
-    crowded = around.circles.shape[1] + around.segments.shape[1] > 0
+    slots, line = tables.counts.shape[1], 0
     for block in range(first, last):
         robots, counts, begin = tables.blocks[block], tables.counts[block], block * BLOCK_ROBOTS
-        commands, arrivals = tables.commands[block], tables.arrivals[block]
         count = robots_of_block(block, len(tables.over))
         if start == 0:
             for i in range(count):
                 robots.action_linear[i] = min(max(tables.actions[begin + i, 0], -1.0), 1.0)
                 robots.action_angular[i] = min(max(tables.actions[begin + i, 1], -1.0), 1.0)
                 tables.idle[begin + i] = tables.over[begin + i]
-            if not setup.guarded:
+            if commands is None:
                 command_once(robots, count, setup)
-            if setup.falls_silent:
+            if lines is not None:
                 for i in range(count):
-                    robot = begin + i
-                    tables.idle[robot] |= robots.silent[i] > 0.0
-                    for row in range(EPISODE_ROWS):
-                        tables.kept[block, row, i] = tables.numbers[block, row, i]
-                    for k in range(tables.ranges.shape[1]):
-                        ray = tables.observations[robot, setup.first_ray + k]
-                        tables.kept_rays[robot, k] = ray
+                    tables.idle[begin + i] |= robots.silent[i] > 0.0
+                    for row in range(lines.kept.shape[1]):
+                        lines.kept[block, row, i] = tables.numbers[block, row, i]
         slot = (tables.ring[0] + start * setup.loops) % slots
-        line = (tables.ring[1] + start) % lines
+        if commands is not None:
+            line = (tables.ring[1] + start) % commands.shape[1]
+            sent = commands[block]
+        if lines is not None:
+            arrivals = lines.arrivals[block]
         for tick in range(start, stop):
-            line = (line + 1) % lines
-            if setup.guarded:
-                store_commands(robots, commands, count, line, setup)
-            if setup.faults.possible:
-                dispatch_commands(robots, commands, arrivals, count, line, setup)
+            if commands is not None:
+                line = (line + 1) % commands.shape[1]
+                store_commands(robots, sent, count, line, setup)
+                if lines is not None:
+                    dispatch_commands(robots, sent, arrivals, count, line, setup)
             for turn in range(setup.loops):
-                if setup.faults.possible:
+                if lines is not None:
                     obey_commands(robots, arrivals, count, line, turn, setup)
-                elif setup.guarded:
-                    follow_commands(robots, commands, count, line, turn, setup.loops)
+                elif commands is not None:
+                    follow_commands(robots, sent, count, line, turn, setup.loops)
                 else:
                     hear_newest(robots, count, tick * setup.loops + turn)
                 move_set_points(robots, count)
                 turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
                 move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots
-            if crowded:
-                check_contacts(robots, count, around)
-            read_feedback(robots, counts, count, slot, setup)
-            if setup.faults.possible:
+            if scans is not None:
+                check_contacts(robots, count, scans.around)
+            read_feedback(robots, counts, lines, count, slot, setup)
+            if lines is not None:
                 for i in range(count):
                     silent = is_silent(robots.age[i], rules_of(robots, i, setup.period))
                     tables.idle[begin + i] |= silent
             update_odometry(robots, count, setup)
-            if setup.sees:
-                for i in range(count):
-                    mark_trails(tables, block, i, robots.steps[i] * setup.ticks + tick + 1.0, setup)
-        if setup.guarded:
+            if scans is not None:
+                for i in range(count if setup.sees else 0):
+                    now = robots.steps[i] * setup.ticks + tick + 1.0
+                    mark_trails(robots, i, scans.trails, begin + i, now, setup)
+        if commands is not None:
             explain_commands(robots, count, setup)
         if stop < setup.ticks:
             continue
-        if setup.sees:
-            read_scans(tables, block, count, setup, around, False)
         for i in range(count):
-            robot = begin + i
-            if setup.falls_silent and tables.idle[robot] and not tables.over[robot]:
-                for row in range(EPISODE_ROWS):
-                    tables.numbers[block, row, i] = tables.kept[block, row, i]
-                robots.fault[i] = SILENCE
-                for k in range(tables.ranges.shape[1]):
-                    ray = tables.kept_rays[robot, k]
-                    tables.observations[robot, setup.first_ray + k] = ray
+            if lines is not None:
+                is_cut = tables.idle[begin + i] and not tables.over[begin + i]
+                if is_cut and lines.kept.shape[1] > 0:
+                    for row in range(EPISODE_ROWS):
+                        tables.numbers[block, row, i] = lines.kept[block, row, i]
+                    robots.fault[i] = SILENCE
             robots.steps[i] += 1.0
 
 
@@ -523,15 +513,16 @@ def settle_with_faults(robots: Robots, i: int, setup: Setup) -> None:
 
     Where the single env would raise BoardSilentError, `silent` is set.
     """
-    ticks, fresh, age, rules = 0.0, 0, 0.0, rules_of(robots, i, setup.period)
-    robots.last_command[i] = -1.0
+    ticks, fresh, age = 0.0, 0, 0.0
+    rules = rules_of(robots, i, setup.period)
+    robots.last_command[i], robots.last_line[i] = -1.0, 0.0
     while fresh < 2:
         send_command(robots, i, ticks, setup)
         ticks += 1.0
         robots.loops[i] = ticks * setup.loops
-        found = receive_line(robots, i, setup) > 0.0
-        age = 0.0 if found else age + setup.period
-        fresh += found
+        is_fresh = receive_line(robots, i, setup) > 0.0
+        age = 0.0 if is_fresh else age + setup.period
+        fresh += is_fresh
         if is_silent(age, rules) or (fresh < 2 and ticks >= setup.faults.patience):
             robots.silent[i] = 1.0
             break

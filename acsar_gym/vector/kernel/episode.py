@@ -20,26 +20,21 @@ from acsar_gym.vector.kernel.layout import (
     EPISODE_ROWS,
     PHYSICS_ROW,
     TURN,
+    Commands,
+    Draws,
+    Lines,
     Records,
     Robots,
     Spawns,
     Tables,
     robots_of_block,
 )
-from acsar_gym.vector.kernel.lidars import mark_trails, read_scans
 from acsar_gym.vector.pcg import uniform
-from acsar_gym.worlds.geometry import Surroundings
 
 
 @jit
 def count_settle_ticks(delay: float, every: float, loops: float) -> float:
-    """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`.
-
-    Args:
-        delay: from making a feedback line to its use [firmware loops].
-        every: period of feedback lines [firmware loops].
-        loops: firmware loops in a tick.
-    """
+    """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`."""
     one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
     two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
     return max(one + 1.0, two)
@@ -93,30 +88,36 @@ def draw_start(
 @loop
 def reset(  # noqa: C901, PLR0912 - as `drive.step`
     tables: Tables,
+    commands: Commands | None,
+    lines: Lines | None,
+    draws: Draws,
     first: int,
     last: int,
     setups: Records,
     spawns: Spawns,
-    around: Surroundings,
 ) -> None:
     """Begin new episodes for the robots of these blocks that are in `tables.over`.
 
     They are at rest, with new start, goal and physics. Where a single env's reset would fail
     because the board is silent, `silent` is set.
     """
-    setup, random, faulty = setups[0], tables.random, setups[0].faults.possible
-    samples = np.zeros(tables.low.shape[1])
+    setup, random = setups[0], tables.random
+    samples = np.zeros(draws.low.shape[1])
     for block in range(first, last):
-        robots, count, anew = tables.blocks[block], robots_of_block(block, len(tables.over)), False
-        for i in range(count):
+        robots = tables.blocks[block]
+        for i in range(robots_of_block(block, len(tables.over))):
             robot = block * BLOCK_ROBOTS + i
             if not tables.over[robot]:
                 continue
-            anew = True
-            tables.numbers[block, :EPISODE_ROWS, i] = 0.0
-            tables.counts[block, :, :, i] = 0.0
-            tables.commands[block, :, :, i] = 0.0
-            if faulty:
+            for row in range(EPISODE_ROWS):
+                tables.numbers[block, row, i] = 0.0
+            for slot in range(tables.counts.shape[1]):
+                for k in range(4):
+                    tables.counts[block, slot, k, i] = 0.0
+            if commands is not None:
+                for slot in range(commands.shape[1]):
+                    commands[block, slot, 0, i] = commands[block, slot, 1, i] = 0.0
+            if lines is not None:
                 key = uniform(random, robot)
                 ill = line_hash(key, WHOLE_EPISODE, 0.0, 0) < setup.faults.episodes
                 robots.key[i] = key if ill else -1.0
@@ -125,39 +126,31 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
             else:
                 draw_start(robots, i, random, robot, spawns)
             kind = int(robots.kind[i])
-            low, high = tables.low[kind], tables.high[kind]
+            low, high = draws.low[kind], draws.high[kind]
             for k in range(len(samples)):
                 if high[k] > low[k]:
                     samples[k] = uniform(random, robot)
-            nominal = tables.nominal[kind : kind + 1]
-            delays = tables.delays[kind, : tables.delay_counts[kind]]
-            own, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
-            for k in range(len(own)):
-                tables.numbers[block, PHYSICS_ROW + k, i] = own[k]
-            for k in range(tables.drawn.shape[1]):
-                tables.drawn[robot, k] = drawn[k]
-            wire, late = setup.wire_time, own.latency_loops
-            robots.command_loops[i] = late + whole_loops(wire + own.command_delay, setup.dt)
-            robots.feedback_delay[i] = late + whole_loops(wire, setup.dt)
-            if faulty:
+            nominal = draws.nominal[kind : kind + 1]
+            delays = draws.delays[kind, : draws.delay_counts[kind]]
+            physics, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
+            for k in range(len(physics)):
+                tables.numbers[block, PHYSICS_ROW + k, i] = physics[k]
+            for k in range(draws.drawn.shape[1]):
+                draws.drawn[robot, k] = drawn[k]
+            late = physics.latency_loops
+            delay, every = late + whole_loops(setup.wire_time, setup.dt), physics.feedback_loops
+            reaction = setup.wire_time + physics.command_delay
+            robots.command_loops[i] = late + whole_loops(reaction, setup.dt)
+            robots.feedback_delay[i] = delay
+            loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
+            robots.loops[i], robots.last_line[i] = loops, newest_line(loops, delay, every)
+            if lines is not None:
                 settle_with_faults(robots, i, setup)
-            else:
-                delay, every = robots.feedback_delay[i], own.feedback_loops
-                loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
-                robots.loops[i] = loops
-                robots.last_line[i] = newest_line(loops, delay, every)
-            if robots.silent[i] > 0.0:
-                for k in range(tables.ranges.shape[1]):
-                    tables.ranges[robot, k] = tables.observations[robot, setup.first_ray + k] = 0.0
-                for k in range(setup.numbers, setup.first_ray):
-                    tables.observations[robot, k] = 0.0
-            elif setup.sees:
-                robots.scan_start[i] = robots.loops[i] * setup.dt
-                robots.scan_phase[i] = uniform(random, robot)
-                robots.scan_key[i] = uniform(random, robot)
-                mark_trails(tables, block, i, 0.0, setup)
-        if anew and setup.sees:
-            read_scans(tables, block, count, setup, around, True)
+                if robots.silent[i] > 0.0:
+                    for k in range(tables.ranges.shape[1]):
+                        tables.ranges[robot, k] = 0.0
+                    for k in range(setup.numbers, setup.first_ray + tables.ranges.shape[1]):
+                        tables.observations[robot, k] = 0.0
 
 
 @loop

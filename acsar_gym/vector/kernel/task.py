@@ -10,13 +10,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
-from acsar_gym.jit import COMPILED, jit
-from acsar_gym.tasks.task import TASK_METHODS, Outcome, State, Task
+from acsar_gym.jit import jit
+from acsar_gym.tasks.state import State, write_maker
+from acsar_gym.tasks.task import TASK_METHODS, Outcome, Task
 from acsar_gym.vector.kernel.binding import bind_methods
 from acsar_gym.vector.kernel.episode import update_info
-from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Records, Setup, Spawns, TaskTables
+from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, ROWS, Records, Setup, Spawns, Tables
 
 OUTCOMES = len(Outcome)
 
@@ -27,32 +29,33 @@ task_reward: Any = Task.reward
 task_observe: Any = Task.observe
 
 
+def read_field(name: str) -> str:
+    """The expression that reads a field of robot i; of wheels, four numbers."""
+    if len(ROWS[name]) == 1:
+        return f"numbers.{name}[i]"
+    return ", ".join(f"numbers.{name}[{wheel}, i]" for wheel in range(4))
+
+
+make_state = jit(write_maker(read_field))
+
+
 @jit
-def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> State:
+def state_of(tables: Tables, robot: int, setup: Setup, spawns: Spawns) -> State:
     """Make a robot's State."""
     robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
-    read, world = robots.read_speed, int(robots.world[i])
+    world, kind, rays = int(robots.world[i]), int(robots.kind[i]), int(robots.rays[i])
     path = spawns.paths[0 if len(spawns.samples) == 0 else world]
     samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
-    kind, rays = int(robots.kind[i]), int(robots.rays[i])
-    known = len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0
-    return State(
-        (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
-        (robots.linear[i], robots.angular[i]),
-        (read[0, i], read[1, i], read[2, i], read[3, i]),
-        (robots.action_linear[i], robots.action_angular[i]),
-        (robots.sent_linear[i], robots.sent_angular[i]),
-        int(robots.reason[i]),
+    leads = len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0
+    return make_state(
+        robots,
+        i,
         tables.ranges[robot, :rays],
         tables.edges[kind, :rays],
         tables.observations[robot, setup.numbers :],
         robots.steps[i] * setup.ticks * setup.period,
-        robots.age[i],
-        robots.contact[i] > 0.0,
-        (robots.goal_x[i], robots.goal_y[i]),
         path[:samples],
-        spawns.lengths[world] if known else np.nan,
-        (robots.max_linear[i], robots.max_angular[i]),
+        spawns.lengths[world] if leads else np.nan,
         setup.ticks * setup.period,
     )
 
@@ -60,7 +63,7 @@ def make_state(tables: TaskTables, robot: int, setup: Setup, spawns: Spawns) -> 
 def run(
     task: Any,
     memory: NDArray[Any],
-    tables: TaskTables,
+    tables: Tables,
     first: int,
     last: int,
     setups: Records,
@@ -83,20 +86,20 @@ def run(
             memory[robot] = memory[len(memory) - 1]
         elif tables.idle[robot]:
             continue
-        state, own = make_state(tables, robot, setup, spawns), memory[robot]
+        state, remembered = state_of(tables, robot, setup, spawns), memory[robot]
         if over:
-            task_begin(task, state, own)
+            task_begin(task, state, remembered)
         else:
-            outcome = 0 + task_outcome(task, state, own)  # an Outcome, or its number
+            outcome = 0 + task_outcome(task, state, remembered)  # an Outcome, or its number
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
-            reward = task_reward(task, state, own, outcome)
+            reward = task_reward(task, state, remembered, outcome)
             robots.outcome[i] = outcome
             robots.total_reward[i] += reward
             tables.rewards[robot] = reward
             tables.ends[0, robot] = outcome != 0
             tables.ends[1, robot] = robots.steps[i] >= setup.max_steps
-        store_numbers(tables.observations, robot, 0, task_observe(task, state, own))
+        store_numbers(tables.observations, robot, 0, task_observe(task, state, remembered))
     update_info(tables.blocks, first, last, setups)
 
 
@@ -106,26 +109,20 @@ def store_numbers(columns: NDArray[np.float32], i: int, k: int, numbers: Any) ->
         columns[i, k + number] = value
 
 
-if COMPILED:
-    from numba.extending import overload
+HEAD = "def unrolled(columns: Any, i: Any, k: Any, numbers: Any):"
+"""The signature must equal that of `_store`: numba compares them."""
 
-    HEAD = "def unrolled(columns: Any, i: Any, k: Any, numbers: Any):"
-    """The signature must equal that of `_store`: numba compares them."""
 
-    @overload(store_numbers)  # type: ignore[untyped-decorator]
-    def _store(columns: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
-        """Compile it as one assignment for each number, because their types may differ."""
-        lines = [f"    columns[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))]
-        made: dict[str, Any] = {"__name__": __name__}
-        exec("\n".join([HEAD, *lines, "    return"]), made)  # noqa: S102 - our own
-        unrolled: Callable[..., None] = made["unrolled"]
-        return unrolled
+@overload(store_numbers)  # type: ignore[untyped-decorator]
+def _store(columns: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
+    """Compile it as one assignment for each number, because their types may differ."""
+    lines = [f"    columns[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))]
+    made: dict[str, Any] = {"__name__": __name__}
+    exec("\n".join([HEAD, *lines, "    return"]), made)  # noqa: S102 - our own
+    unrolled: Callable[..., None] = made["unrolled"]
+    return unrolled
 
 
 def bind_task(task: Task) -> Callable[..., None]:
-    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`.
-
-    Args:
-        task: whose class has the methods.
-    """
+    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`."""
     return bind_methods(type(task), run, {f"task_{one}": one for one in TASK_METHODS})

@@ -15,7 +15,6 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config.footprint import outline_radius, outline_reach
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import COMPILED
 from acsar_gym.lidar.scan import make_rays
 from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.sensors.map.arcs import ARCS
@@ -67,7 +66,7 @@ class Mapped:
     ) -> None:
         made = make_record(config, 0.1)
         self.record: Any = made.view(np.recarray)[0]
-        self._records = made if COMPILED and update is update_alone else made.view(np.recarray)
+        self._records = made if update is update_alone else made.view(np.recarray)
         self._update, self._goal, self.rays = update, goal, make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
         clear_map(self.record)
@@ -281,7 +280,7 @@ def test_the_map_of_a_batchs_robot_is_the_single_ones(robot: str, kind: str) -> 
         *_, ended, _, _ = one.step(actions[1])
         if ended:
             break
-        check_same(many.batch.tables.maps[1], one.unwrapped.sensors[0]._record)
+        check_same(many.batch.maps.records[1], one.unwrapped.sensors[0]._record)
     assert (np.asarray(one.unwrapped.sensors[0]._record.counts) >= OCCUPIED).any()
     many.close()
     one.close()

@@ -10,7 +10,7 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import PolicyError
-from acsar_gym.tasks.task import Floats
+from acsar_gym.tasks.state import Floats
 from acsar_gym.tools import baselines
 from acsar_gym.tools.baselines import BaselinePolicy
 from acsar_gym.tools.baselines.base import RobotUnits, find_constants, read_constants

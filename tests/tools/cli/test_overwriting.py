@@ -19,7 +19,6 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 MINE = '{"mine": "I wrote this on a Sunday"}\n'
 WRITES = [
-    "bench --json mine.json",
     "benchmark --json mine.json",
     "benchmark --html mine.html",
     "benchmark --table mine.md",

@@ -12,8 +12,6 @@ import gymnasium
 import pytest
 from cli_tools import Call, assert_one_line
 
-from acsar_gym import jit
-
 pytestmark = pytest.mark.xdist_group(__name__)
 
 
@@ -161,7 +159,6 @@ def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
     assert call("evaluate", "--policy", again, *following[3:], *quick)[::2] == (0, "")
 
 
-@pytest.mark.skipif(not jit.COMPILED, reason="nothing is compiled")
 def test_it_is_warmed_up(call: Call) -> None:
     code, out, error = call("warm-up", "--env", ENV)
     assert (code, error) == (0, "")

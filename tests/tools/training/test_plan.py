@@ -8,7 +8,7 @@ import pytest
 
 from acsar_gym.tools.training import plan
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
-from acsar_gym.vector.env import usable_cores
+from acsar_gym.vector.threads import usable_cores
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The commands of the first steps: `demo`, `bench` and `warm-up`."""
+"""The commands of the first steps: `demo` and `warm-up`."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
-    File,
     ResultOptions,
     RobotArg,
     print_results,
-    say,
 )
 
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -57,25 +54,6 @@ def show_demo(demo: DemoOptions, output: ResultOptions) -> int:
     data = {name: run.as_dict() for name, run in runs}
     print_results(report.summary_table(title, rows), json=output.json, data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
-
-
-@command("bench", "first steps")
-def measure_speed(output: ResultOptions, plots: File = None) -> int:
-    """Measure the speed of envs, serial protocol and physics.
-
-    Args:
-        output: results in a file.
-        plots: folder for plots that compare the planar robot with PyBullet's.
-    """
-    from acsar_gym.tools import bench, body_comparison  # noqa: PLC0415
-
-    output.check()
-    figures = bench.measure_all()
-    data = {f"{f.name} [{f.unit}]": f.value for f in figures}
-    print_results(bench.figure_table(figures), json=output.json, data=data)
-    for file in body_comparison.plot_drives(plots, RobotConfig.of(None)) if plots else ():
-        say(f"drawn: {file}")
-    return 0
 
 
 @command("warm-up", "first steps")

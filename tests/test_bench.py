@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import bench
 import pytest
-
-from acsar_gym.tools import bench
 
 SMALL = {"ENV_BLOCKS": 2, "ENV_STEPS": 3, "BATCH_ROBOTS": 8, "BATCH_WORLDS": 2, "PATH_POINTS": 20}
 

@@ -1,7 +1,8 @@
 """How fast it all is: environments, batches, rays, pictures, codec, recordings and policies.
 
-The speed of a machine drifts. So things that are compared run in alternating blocks, figures are
-medians over the blocks, and ratios are medians of the ratios of neighbouring blocks.
+`make bench` prints the table of docs/performance.md. The speed of a machine drifts. So things that
+are compared run in alternating blocks, figures are medians over the blocks, and ratios are medians
+of the ratios of neighbouring blocks.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+from rich.console import Console
 from rich.table import Table
 
-from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
-from acsar_gym.errors import MissingExtraError
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links import open_link
 from acsar_gym.odometry import Odometry
+from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.render.top_view import TopView, TopViewFrame
@@ -34,7 +35,8 @@ from acsar_gym.robot import Robot
 from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks import Outcome, State, Task
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.vector.env import RobotVectorEnv, usable_cores
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.vector.threads import usable_cores
 from acsar_gym.worlds import Region, Scene, World
 from acsar_gym.worlds.geometry import Obstacles, cast_rays, make_surroundings
 
@@ -81,7 +83,7 @@ def measure_all() -> list[Figure]:
 
 def figure_table(figures: list[Figure]) -> Table:
     """Format figures as a table."""
-    drawn = Table(title="acsar-gym bench: medians", title_justify="left")
+    drawn = Table(title="make bench: medians", title_justify="left")
     drawn.add_column("what")
     drawn.add_column("figure", justify="right")
     drawn.add_column("unit")
@@ -253,8 +255,6 @@ def _measure_planar() -> list[Figure]:
 
 def _measure_rays() -> list[Figure]:
     """Compare 64 rays among 100 obstacles with PyBullet's."""
-    from acsar_gym.physics.bullet import BulletBody  # noqa: PLC0415 - optional
-
     config, world = RobotConfig.of(None), crowd_world(80, 20)
     around = make_surroundings(
         Obstacles(world.circles, world.segments), ray_spec(config), 1, config
@@ -330,8 +330,6 @@ def _measure_pictures() -> list[Figure]:
 
 def _measure_batches(single: float) -> list[Figure]:
     """Measure batches: against the PyBullet env (`single` [steps/s]), by cores, and by size."""
-    if not compiled.COMPILED:
-        return []
 
     def make_stepper(
         kind: Callable[..., RobotVectorEnv], robots: int, threads: int = 1, **options: Any
@@ -417,15 +415,12 @@ def _measure_recording() -> list[Figure]:
         return took
 
     with tempfile.TemporaryDirectory() as folder:
-        try:
-            bare, recorded = (
-                Robot(open_link("planar", config), config, ["lidar"], recorder)
-                for recorder in (None, Recorder(Path(folder) / "bench.mcap"))
-            )
-            with bare, recorded:
-                pairs = [(measure_tick(bare), measure_tick(recorded)) for _ in range(ENV_BLOCKS)]
-        except MissingExtraError:
-            return []
+        bare, recorded = (
+            Robot(open_link("planar", config), config, ["lidar"], recorder)
+            for recorder in (None, Recorder(Path(folder) / "bench.mcap"))
+        )
+        with bare, recorded:
+            pairs = [(measure_tick(bare), measure_tick(recorded)) for _ in range(ENV_BLOCKS)]
     without, with_it = (min(times) for times in zip(*pairs, strict=True))
     cost = max(with_it - without, 1e-9)
     return [Figure("recording, per tick, on the loop's thread", cost * 1e6, "us")]
@@ -435,10 +430,7 @@ def _measure_policies() -> list[Figure]:
     """Measure one decision of packaged policies."""
     figures = []
     for name, title in (("point_goal", ""), ("obstacle_goal", " with a map")):
-        try:
-            actor = OnnxPolicy(name)
-        except MissingExtraError:
-            return []
+        actor = OnnxPolicy(name)
         observation = np.zeros(actor.width, np.float32)
         took = median_duration(partial(actor, observation), 1000)
         figures.append(Figure(f"ONNX policy{title}, one decision", took * 1e6, "us"))
@@ -461,3 +453,7 @@ def _measure_map(policy: OnnxPolicy) -> float:
             observation, _ = env.reset()
     env.close()
     return float(np.mean(spent))
+
+
+if __name__ == "__main__":
+    Console().print(figure_table(measure_all()))

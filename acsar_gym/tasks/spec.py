@@ -1,0 +1,75 @@
+"""The spaces of an environment, and its arguments as plain data in Gymnasium's `spec`."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.spaces import Box
+from pydantic import BaseModel
+
+from acsar_gym.reading import object_name
+from acsar_gym.sensors import Sensor
+from acsar_gym.tasks.task import Task
+
+
+def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
+    """Make the action and the observation space of a task, for one robot."""
+    of_task = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
+    bounds = np.hstack([of_task, *(np.array(sensor.bounds) for sensor in sensors)])
+    low, high = bounds.astype(np.float32)
+    return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
+
+
+class PlainSpec:
+    """Mixin of environments: keeps the arguments in Gymnasium's `spec` as plain data.
+
+    So `spec.to_json()` works, and makes an equal env.
+    """
+
+    task: Task
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made this environment; None where it was made directly."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = copy.copy(spec)
+            sensors = [
+                (isinstance(sensor, FunctionType) and object_name(sensor)) or sensor
+                for sensor in spec.kwargs.get("sensors", ())
+            ]
+            named = {**spec.kwargs, "sensors": sensors}
+            spec.kwargs = {name: to_plain(named[name]) for name in spec.kwargs}
+            object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
+        self._spec = spec
+
+
+def to_plain(value: Any) -> Any:
+    """Convert configs, faults, sensors, arrays, paths and containers of them for JSON.
+
+    Other objects are returned unchanged.
+    """
+    if isinstance(value, BaseModel):
+        value = value.model_dump(mode="json")
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: to_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_plain(item) for item in value]
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, type) and issubclass(value, Sensor):
+        return object_name(value) or value
+    return str(value.absolute()) if isinstance(value, Path) else value
