@@ -14,7 +14,7 @@ from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.replay import Tape
+from acsar_gym.recording.tape import Tape
 from acsar_gym.recording.types import Recording
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene

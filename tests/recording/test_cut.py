@@ -20,7 +20,7 @@ from acsar_gym.recording import Episode, Recorder, read
 from acsar_gym.recording.cut import cut_recording, parse_duration
 from acsar_gym.recording.export import export_recording
 from acsar_gym.recording.messages import EXCHANGES, load_typestore
-from acsar_gym.recording.replay import Tape
+from acsar_gym.recording.tape import Tape
 from acsar_gym.tools.datasets import read_demonstrations
 from acsar_gym.wire import STANDSTILL_TICKS
 

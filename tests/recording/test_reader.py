@@ -122,9 +122,9 @@ def test_zeros_at_the_end_count_as_cut(tape: Path, tmp_path: Path) -> None:
 
 def test_a_file_that_was_cut_before_its_first_episode_says_so(tape: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
-    for size in (20, 3000):
+    for size, said in (20, "isn't a recording of acsar_gym"), (3000, "is cut before its first"):
         cut.write_bytes(tape.read_bytes()[:size])
-        assert "isn't a recording of acsar_gym" in refused(cut) or "no episode" in refused(cut)
+        assert said in refused(cut)
 
 
 @pytest.mark.parametrize(
