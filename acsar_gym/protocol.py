@@ -20,16 +20,13 @@ from acsar_gym.errors import CommandError
 __all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "EchoDecoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
-MAX_SPEED = 99.99
-"""Largest speed of the format [rad/s]."""
-MAX_LINE = 256
-"""Longest accepted line [bytes]; longer ones are dropped up to the next line end."""
+MAX_SPEED = 99.99  # largest speed of the format [rad/s]
+MAX_LINE = 256  # longest accepted line [bytes]; longer ones are dropped up to the next line end
 
 Speeds = tuple[float, float, float, float]
 """Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
-PRINTED_STEP = 0.01
-"""Resolution of the wire's numbers [rad/s]."""
+PRINTED_STEP = 0.01  # resolution of the wire's numbers [rad/s]
 
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
 _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
@@ -44,26 +41,19 @@ _BEGUN = re.compile(
 )
 """A line that ends too early, as where the board was reset meanwhile."""
 _WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
-_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
-"""The end of a part."""
-SAMPLE_BYTES = 60
-"""How much of a damaged line, or of text, is kept for messages [bytes]."""
-MAX_NOTES = 8
-"""How many different texts are kept."""
+_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")  # the end of a part
+SAMPLE_BYTES = 60  # how much of a damaged line, or of text, is kept for messages [bytes]
+MAX_NOTES = 8  # how many different texts are kept
 _KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 """Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
-_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")
-"""The speed of a wheel that turns."""
-_MAX_KNOWN = 5000
-"""Largest number of cached parts per motor."""
-MAX_ECHOES = 100
-"""How many commands may wait for their echo."""
+_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")  # the speed of a wheel that turns
+_MAX_KNOWN = 5000  # largest number of cached parts per motor
+MAX_ECHOES = 100  # how many commands may wait for their echo
 FEWEST_ECHOES = 4
 """So many echoes without feedback aren't those before it; a board that is reset sends fewer."""
 ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
 """A zero command in an order that no feedback has: who sends it back echoes."""
-ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
-"""A zero command to a board that echoes."""
+ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"  # a zero command to a board that echoes
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:

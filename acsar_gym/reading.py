@@ -43,12 +43,10 @@ MAX_YAML_EVENTS = 20_000
 """Most parser events in YAML: beginning or end of a list or mapping, key, value."""
 MAX_YAML_TEXT = 10_000
 """Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
-MAX_YAML_DEPTH = 20
-"""Deepest nesting of lists and mappings in YAML, which are made by recursion."""
+MAX_YAML_DEPTH = 20  # deepest nesting of lists and mappings in YAML, which are made by recursion
 COMMAND: ContextVar[str] = ContextVar("command", default="")
 """Name of the running command, such as "evaluate"."""
-ORIGIN_BYTES = 4096
-"""Where in a file its origin must be found [bytes from the beginning]."""
+ORIGIN_BYTES = 4096  # where in a file its origin must be found [bytes from the beginning]
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
 """Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
@@ -127,11 +125,6 @@ def _too_large(limit: int, error: type[AcsarError]) -> AcsarError:
 def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
     """Write a file so that it is either whole, or what it was before; see `replace_file`.
 
-    Args:
-        path: the file.
-        data: its content.
-        error: class of the exception.
-
     Raises:
         AcsarError: as `error`, if it can't be written, or is a pipe that nobody reads.
     """
@@ -195,12 +188,6 @@ def check_replaceable(path: Path, mark: str | None = None, *, force: bool = Fals
     """Check that writing a file loses none of somebody else's.
 
     Replaced are empty files and those that the same command wrote; devices and pipes are written.
-
-    Args:
-        path: the file that will be written.
-        mark: text at the beginning of files that the command wrote; None for
-            `describe_origin`, "" where it can't know them.
-        force: whether any file may be replaced.
 
     Raises:
         ConfigError: there is another file, or another kind of file, of that name.
@@ -271,10 +258,6 @@ def find_modules_here() -> Iterator[None]:
 def import_object(what: str, name: str) -> Any:
     """The object of a module that is named "module:Class".
 
-    Args:
-        what: it is for, in the error's words, such as "task".
-        name: of the module, which is imported, and of the object in it.
-
     Raises:
         ConfigError: there is none of that name, or its module can't be imported.
     """
@@ -329,11 +312,6 @@ def parse_json(
 ) -> Any:
     """Parse JSON.
 
-    Args:
-        text: the JSON.
-        error: class of the exception.
-        most: values that it may have.
-
     Raises:
         AcsarError: as `error`, for invalid JSON, NaN, too long numbers, and too many values.
     """
@@ -351,11 +329,6 @@ def parse_yaml(
 ) -> Any:
     """Parse a YAML document.
 
-    Args:
-        text: the YAML.
-        error: class of the exception.
-        most: parser events that it may have.
-
     Raises:
         AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
             too long numbers or strings, too many values, and too deep nesting.
@@ -371,12 +344,6 @@ def parse_yaml_entry(
     text: str, names: Sequence[str], error: type[AcsarError] = ConfigError, *, hint: str
 ) -> tuple[str, Any]:
     """Parse one entry of a YAML mapping, with aliases and merge keys; others aren't made.
-
-    Args:
-        text: the YAML.
-        names: of the entry; the first one that is there is taken.
-        error: class of the exception.
-        hint: what to do where there is none of them.
 
     Returns:
         Its name and its value.

@@ -116,35 +116,26 @@ def find_folders() -> tuple[list[Path], list[LinkError]]:
     return usable, wrong
 
 
-ANSWER_TIMEOUT = 2.0
-"""How long a stop waits for answers [s]; a control loop answers within a tick."""
+ANSWER_TIMEOUT = 2.0  # how long a stop waits for answers [s]; a control loop answers within a tick
 STOP_REQUEST = b"stop"
 """Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
-HELD_ANSWER = b"held"
-"""Answer to a stop: no robot is connected, and none will be driven."""
+HELD_ANSWER = b"held"  # answer to a stop: no robot is connected, and none will be driven
 RELEASE_REQUEST = b"release"
 """Request to release stops, or that of the robot whose name follows; also the answer that it is."""
-FREE_ANSWER = b"free"
-"""Answer to a release: there was no stop."""
-WHO_REQUEST = b"who"
-"""Request to tell the names of the robot."""
+FREE_ANSWER = b"free"  # answer to a release: there was no stop
+WHO_REQUEST = b"who"  # request to tell the names of the robot
 OTHER_ANSWER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
-MAX_REQUEST_BYTES = 8192
-"""Most bytes of a request or an answer."""
-HIDDEN = "."
-"""Before the name of a socket that doesn't listen yet."""
+MAX_REQUEST_BYTES = 8192  # most bytes of a request or an answer
+HIDDEN = "."  # before the name of a socket that doesn't listen yet
 NUMBER_BYTES = 5
 """Random bytes of a socket's number, so that no address is given out twice: not to another thread,
 not to a process of the same id in a container, and not to one after this one."""
-BIND_ATTEMPTS = 100
-"""How often a listener whose socket was removed halfway makes another."""
-RESEND_PERIOD = 0.01
-"""How soon a request is sent again that found a full queue [s]."""
+BIND_ATTEMPTS = 100  # how often a listener whose socket was removed halfway makes another
+RESEND_PERIOD = 0.01  # how soon a request is sent again that found a full queue [s]
 STALE_ASKER_AGE = 60.0
 """Age at which the socket of a stop that ended halfway is removed [s]; a stop takes 2 s."""
-MAX_REQUESTS = 8
-"""Requests that are read in one tick."""
+MAX_REQUESTS = 8  # requests that are read in one tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,11 +196,6 @@ class StopListener:
     Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used;
     `closed`, whether its robot is; `held`, all listeners of this process that were stopped and
     aren't released.
-
-    Args:
-        device: Of the robot that is stopped.
-        name: Of the robot.
-        recording: File that it is recorded to.
     """
 
     held: ClassVar[list[StopListener]] = []
@@ -239,9 +225,6 @@ class StopListener:
     @staticmethod
     def check_available(device: str) -> None:
         """Check that a stop would reach a program that drives.
-
-        Args:
-            device: of the robot, for the message.
 
         Raises:
             LinkError: it wouldn't; the message says why.
@@ -292,11 +275,7 @@ class StopListener:
             self._answer(own, self._identity, sender)
 
     def confirm(self, *, connected: bool = True) -> None:
-        """Answer the requests for a stop.
-
-        Args:
-            connected: whether wheels have been commanded to stop; else there is no robot.
-        """
+        """Answer the requests for a stop."""
         with contextlib.suppress(IndexError):  # another thread may add or take one meanwhile
             while True:
                 own, sender = self._waiting.pop()
@@ -464,9 +443,6 @@ def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
 def release_all(name: str = "") -> list[ReleaseResult]:
     """Release the stops of processes of this user, which may drive again after their next reset.
 
-    Args:
-        name: as for `stop_all`.
-
     Returns:
         One result for each process, by process id, without those that drive another robot.
 
@@ -627,11 +603,6 @@ def _is_dead(path: Path) -> bool:
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
     """Run `acsar-gym estop`: stop robots, release them, or list who drives them.
 
-    Args:
-        name: as for `stop_all`.
-        listing: only list.
-        release: release instead of stopping.
-
     Returns:
         The exit code.
     """
@@ -669,11 +640,7 @@ def _print_drivers() -> int:
 
 
 def parse_stop(arguments: list[str]) -> Callable[[], int] | None:
-    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows.
-
-    Args:
-        arguments: of the command line, without "estop".
-    """
+    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows."""
     options = [each for each in arguments if each.startswith("-")]
     names = [each for each in arguments if not each.startswith("-")]
     if len(names) > 1 or options not in ([], ["--list"], ["--release"]):

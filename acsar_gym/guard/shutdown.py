@@ -60,10 +60,8 @@ HANDLER_TIME = 0.1
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
 _last: set[Callable[[], None]] = set()
-_ending = [False]
-"""A plain flag; with an Event, the handler of a second signal could deadlock."""
-_hooked = [False]
-"""Whether the end of the main thread closes the links."""
+_ending = [False]  # a plain flag; with an Event, the handler of a second signal could deadlock
+_hooked = [False]  # whether the end of the main thread closes the links
 
 
 def check_may_drive() -> None:

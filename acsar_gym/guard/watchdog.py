@@ -39,17 +39,14 @@ from pathlib import Path
 
 from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
 
-WATCHDOG_AVAILABLE = os.name == "posix"
-"""Whether watchdogs work on this operating system."""
-CHILD_TIMEOUT = 5.0
-"""Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
+WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
+CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s]; usually 20 ms and 1 ms
 ASLEEP_TIME = 0.2
 """It counts as halted if it didn't run during this driving time, or its own time-out where that is
 longer [s]; it runs every 50 ms."""
 LONGEST_TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
-BEATS_PER_TIMEOUT = 3
-"""Signs of life that a link gives in each time-out while it waits."""
+BEATS_PER_TIMEOUT = 3  # signs of life that a link gives in each time-out while it waits
 CHILD_PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING_BEAT = 0.0
 
@@ -73,11 +70,6 @@ class Watchdog:
 
     Attributes: `page`, the memory that both processes share, see `watchdog_child`; `lifeline`, the
     descriptor by whose closing the watchdog notices that this process is dead.
-
-    Args:
-        zeros: bytes that stop the robot.
-        timeout: longest time without a sign of life while the newest command turns wheels [s];
-            None: there is no watchdog.
     """
 
     page: memoryview[float]
@@ -95,11 +87,6 @@ class Watchdog:
 
     def start(self, port: int | None, place: str = "") -> None:
         """Start the process, unless there is a time-out or port missing.
-
-        Args:
-            port: descriptor of the open port; close the watchdog before it, as they share its lock.
-                None: it can't be shared.
-            place: name under which a lost port reappears; empty if there is none.
 
         Raises:
             LinkError: the process can't be started.

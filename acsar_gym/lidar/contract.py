@@ -51,10 +51,6 @@ class Lidar(Protocol):
 def check_revolution(made: Revolution, source: str) -> Revolution:
     """Check what a LiDAR measured before compiled loops get it.
 
-    Args:
-        made: by the LiDAR; lists will do as well.
-        source: name of the LiDAR, for messages.
-
     Returns:
         The same in arrays of float64.
 
@@ -103,12 +99,6 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
 
 def check_age(source: str, revolution: Revolution, now: float, config: RobotConfig) -> None:
     """Check that a LiDAR still measures, by the clock of the robot's link.
-
-    Args:
-        source: name of the LiDAR, for messages.
-        revolution: its newest one.
-        now: on that clock [s].
-        config: of the robot.
 
     Raises:
         LidarError: the revolution is older than lidar.timeout, or further ahead than it can be.

@@ -13,12 +13,7 @@ from acsar_gym.worlds import Scene
 
 
 class ReplayedLidar:
-    """Plays the revolutions of a recording, beside the bytes of its wire.
-
-    Args:
-        tape: the link that replays it.
-        link: the robot's link, with the recorded ground truth where the recording was a simulation.
-    """
+    """Plays the revolutions of a recording, beside the bytes of its wire."""
 
     oldest = 0.0
     """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""

@@ -32,8 +32,7 @@ GAP_STEPS = 2.0
 further away nothing is known."""
 
 
-NOTHING = 1e9
-"""Length of a miss, and how many rays away a measurement is that isn't there."""
+NOTHING = 1e9  # length of a miss, and how many rays away a measurement is that isn't there
 
 
 class Revolution(NamedTuple):

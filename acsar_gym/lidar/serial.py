@@ -37,19 +37,14 @@ Floats = NDArray[np.float64]
 
 MIN_MEASUREMENTS, MAX_MEASUREMENTS = 36, 10_000
 """A revolution has at least 36 and at most 10,000 measurements; any other is dropped."""
-READ_PERIOD = 0.005
-"""How often the port is read [s]."""
-READ_BYTES = 4096
-"""Most bytes taken from the port at once."""
+READ_PERIOD = 0.005  # how often the port is read [s]
+READ_BYTES = 4096  # most bytes taken from the port at once
 MAX_SLEEP = 0.1
 """If the reader slept for longer, the bytes in the port are too old to be stamped and are
 dropped [s]."""
-SPIN_UP_TIMEOUT = 5.0
-"""From the start of the motor to the first complete revolution, at most [s]."""
-READER_TIMEOUT = 0.5
-"""How long closing waits for the reader thread to end [s]."""
-CHECK_CABLE = "check the cable, then reset"
-"""What mends a device that was lost."""
+SPIN_UP_TIMEOUT = 5.0  # from the start of the motor to the first complete revolution, at most [s]
+READER_TIMEOUT = 0.5  # how long closing waits for the reader thread to end [s]
+CHECK_CABLE = "check the cable, then reset"  # what mends a device that was lost
 
 
 class Packet(NamedTuple):
@@ -159,9 +154,6 @@ class RevolutionAssembler:
     A revolution in which measurements were lost is dropped: a gap in it would look like free space.
 
     Attributes: `driver`; `heard`, how many bytes came; `packets`, how many packets were in them.
-
-    Args:
-        driver: finds the packets.
     """
 
     def __init__(self, driver: Driver) -> None:
@@ -188,10 +180,6 @@ class RevolutionAssembler:
 
     def feed(self, data: bytes, now: float) -> list[Revolution]:
         """Take the next piece of the stream.
-
-        Args:
-            data: the bytes.
-            now: when they were read [s].
 
         Returns:
             The revolutions that it completes, each from one start to the next.
@@ -256,11 +244,7 @@ class RevolutionAssembler:
 
 
 class _Measurements:
-    """The measurements of a revolution so far, on the device's clock.
-
-    Args:
-        begun: when it began.
-    """
+    """The measurements of a revolution so far, on the device's clock."""
 
     def __init__(self, begun: float) -> None:
         self.begun = begun
@@ -341,12 +325,6 @@ class SerialLidar:
     """A LiDAR behind a serial device. A thread keeps the newest complete revolution.
 
     Its zero points along the robot's x axis.
-
-    Args:
-        device: such as "/dev/ttyUSB1".
-        make_driver: makes the driver, when the device is opened.
-        config: of the robot.
-        now: clock of the robot's link [s].
     """
 
     def __init__(

@@ -177,9 +177,6 @@ def _find_inner(link: Any, kind: Any) -> Any:
 class ForwardingLink:
     """Forwards everything to the link inside; subclasses override what they change.
 
-    Args:
-        link: the link inside.
-
     Attributes: `link`, the one inside.
     """
 

@@ -25,20 +25,14 @@ from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-MAX_EVENT_RATE = 1000.0
-"""Highest rate of any event [1/s]."""
-LONGEST_FAULT = 60.0
-"""Longest duration of any fault [s]."""
-LARGEST_BURST = 4096
-"""Longest burst of garbage [bytes]."""
-MAX_BURSTS = 16
-"""Bursts of garbage in one period, at most."""
+MAX_EVENT_RATE = 1000.0  # highest rate of any event [1/s]
+LONGEST_FAULT = 60.0  # longest duration of any fault [s]
+LARGEST_BURST = 4096  # longest burst of garbage [bytes]
+MAX_BURSTS = 16  # bursts of garbage in one period, at most
 WIRE_BUFFER = 65536
 """Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
-TIME_TOLERANCE = 1e-9
-"""Tolerance for comparing times that are sums of periods [s]."""
-REPLUG_POLL = 0.01
-"""Steps in which `open` waits for a cable to be plugged in again [s]."""
+TIME_TOLERANCE = 1e-9  # tolerance for comparing times that are sums of periods [s]
+REPLUG_POLL = 0.01  # steps in which `open` waits for a cable to be plugged in again [s]
 STOPPED_PART = b"p00.00"
 STOP_COMMAND = b"\r\n" + encode(ZERO)
 """Command that stops the motors while the board isn't running; the line end ends a half command
@@ -59,15 +53,13 @@ OTHER_FAULTS = {
 
 FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
 """What a number is for: a line of one direction, or the whole episode."""
-FAULT_KINDS = 8
-"""Largest number of kinds of faults per line."""
+FAULT_KINDS = 8  # largest number of kinds of faults per line
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
-_BITS = 9007199254740992.0
-"""2^53, which scales doubles in [0, 1) to integers."""
+_BITS = 9007199254740992.0  # 2^53, which scales doubles in [0, 1) to integers
 
 
 @loop
@@ -470,13 +462,6 @@ class FaultyLink(ForwardingLink):
     again: `open` waits for the rest of `replug_time`, or raises PortNotFoundError where the cable
     stays out. The device then has another name.
 
-    Args:
-        link: the link behind this one.
-        faults: a mapping, Faults, or None.
-        seed: a whole number, a generator, or None for a random one.
-        relink: makes the link for the device that appears after a replug, where it has another
-            name (two emulators, two boards).
-
     Attributes: `faults`; `injected`, how often each fault has happened since the last reset, by
     name; `wheels`, the wheels that fail in this episode; `device`; `link`, the link behind it.
     """
@@ -501,9 +486,6 @@ class FaultyLink(ForwardingLink):
 
     def seed(self, seed: FaultSeed) -> None:
         """Set what the next resets draw from.
-
-        Args:
-            seed: a whole number or None; of a generator one number is taken, and no more.
 
         Raises:
             ConfigError: for anything else.

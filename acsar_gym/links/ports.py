@@ -32,12 +32,10 @@ from acsar_gym.errors import (
 )
 from acsar_gym.links.base import WHILE_WAITING
 
-SerialPort = Any
-"""An open port of pyserial, which has no type annotations."""
+SerialPort = Any  # an open port of pyserial, which has no type annotations
 BY_ID_FOLDER = Path("/dev/serial/by-id")
 """Folder of persistent names of USB adapters on Linux: vendor, product, serial number."""
-SERIAL_NUMBER_PREFIX = "usb:"
-"""Prefix of a name that is the USB serial number of an adapter."""
+SERIAL_NUMBER_PREFIX = "usb:"  # prefix of a name that is the USB serial number of an adapter
 
 PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
 """Exceptions of pyserial when a port disappears while in use."""
@@ -48,20 +46,16 @@ with contextlib.suppress(ImportError):  # Windows has no termios
 
 WAIT_ERRORS: tuple[type[Exception], ...] = (ValueError, *PORT_ERRORS)
 """The same where a port can't be waited for."""
-WRITE_TIMEOUT = 0.2
-"""A socket that accepts no bytes for this time is lost [s]."""
+WRITE_TIMEOUT = 0.2  # a socket that accepts no bytes for this time is lost [s]
 WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
 """Pauses between attempts to write, while another process writes to the port [s]."""
-BUSY_TIMEOUT = 0.7
-"""Longest time for which the watchdog of a killed program keeps its port [s]."""
+BUSY_TIMEOUT = 0.7  # longest time for which the watchdog of a killed program keeps its port [s]
 OPEN_PAUSES = (0.02, 0.1)
 """First and longest pause between attempts to open a port [s]; each is twice the last."""
-READ_CHUNK = 4096
-"""Bytes read from the port by one call."""
+READ_CHUNK = 4096  # bytes read from the port by one call
 MAX_READ_CHUNKS = 256
 """Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
-DRAIN_TIMEOUT = 0.05
-"""Longest wait for sent bytes to leave the port when it is closed [s]."""
+DRAIN_TIMEOUT = 0.05  # longest wait for sent bytes to leave the port when it is closed [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +78,6 @@ def find_ports() -> list[PortInfo]:
 
 def locate_port(name: str) -> str:
     """Find the device of a name.
-
-    Args:
-        name: a device, which is returned unchanged, or "usb:" with the USB serial number of an
-            adapter.
 
     Raises:
         PortNotFoundError: no adapter has this serial number.
@@ -134,9 +124,6 @@ def find_lasting_name(device: str) -> str:
 class PortLocation:
     """The name of a port, and the name under which it reappears after it was lost.
 
-    Args:
-        name: a device, URL, or "usb:" and a serial number.
-
     Attributes:
         path: persistent name of the open or lost port; None before the first opening.
         lost: whether the port disappeared while in use.
@@ -161,11 +148,6 @@ class PortLocation:
         self, config: RobotConfig, make_way: Callable[[], None] = lambda: None
     ) -> SerialPort:
         """Open the port; a lost one has `reconnect_timeout` to reappear.
-
-        Args:
-            config: configuration of the robot.
-            make_way: called if the port is busy, and after it was opened, to end this program's
-                own watchdog that searches for the port.
 
         Raises:
             LinkError: the port can't be opened.
@@ -203,10 +185,6 @@ class PortLocation:
 
 def open_port(device: str, config: RobotConfig) -> SerialPort:
     """Open a port exclusively, with non-blocking reads.
-
-    Args:
-        device: a device or URL.
-        config: configuration of the robot; has the baud rate.
 
     Raises:
         LinkError: the port can't be opened; the message says why and what to do.
@@ -319,10 +297,6 @@ class OpenPort:
 
     `write`, `read`, `drop_input` and `drop_output` raise LinkLostError if the device is gone. The
     others raise nothing, so that stopping can't fail halfway.
-
-    Args:
-        port: pyserial's port.
-        device: its name, for messages.
     """
 
     def __init__(self, port: SerialPort, device: str) -> None:

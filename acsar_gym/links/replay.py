@@ -19,8 +19,7 @@ from acsar_gym.recording.types import Recording
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
-LEAD_PERIODS = 2
-"""Periods at rest that precede a part of an episode: so many end a reset (`wire`)."""
+LEAD_PERIODS = 2  # periods at rest that precede a part of an episode: so many end a reset (`wire`)
 
 
 class ByteStream(Protocol):
@@ -39,13 +38,6 @@ class ReplayLink:
     Commands are compared with those recorded. Where they differ, what was recorded is no answer to
     them, so the replay ends with an error that names the tick. A part of an episode has no reset of
     its own: the robot is said to stand still for as long as one takes.
-
-    Args:
-        path: the recording.
-        port: read the feedback of each period from this port, to which another program replays
-            it; the recording then only provides the number of bytes. None to use the recorded
-            bytes.
-        compare: whether other commands are an error.
 
     Attributes: `replays`, the path.
     """

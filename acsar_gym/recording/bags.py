@@ -102,9 +102,6 @@ class BagMessage(NamedTuple):
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording of this package.
 
-    Args:
-        path: a file or folder.
-
     Raises:
         ConfigError: it can't be read, or is neither a recording nor a bag.
     """
@@ -128,11 +125,6 @@ def is_recording(path: Path) -> bool:
 def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] = ()) -> Path:
     """Return a recording of this package: the file itself, or one that is made of a bag.
 
-    Args:
-        path: a recording, or a bag: a file or folder.
-        robot: that the bag is of; its geometry and its wheels' joints are needed.
-        topics: names of topics, or namespaces, that are used of a bag; all where there are none.
-
     Raises:
         ConfigError: it can't be read, or the bag has no wheel speeds, several of a kind, or no
             `robot` is told.
@@ -151,14 +143,7 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
 
 
 def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[str] = ()) -> None:
-    """Write what a bag holds as a recording. See `open_recording`.
-
-    Args:
-        path: of the bag.
-        robot: that it is of.
-        target: the recording, which is written.
-        topics: that are used.
-    """
+    """Write what a bag holds as a recording. See `open_recording`."""
     files = find_files(path)
     chosen = choose_topics(path, survey_topics(files), topics, robot)
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
@@ -376,10 +361,6 @@ def find_corner(name: str) -> str:
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:
     """Yield the messages of a bag that are of a type that is read.
 
-    Args:
-        files: of the bag.
-        topics: names of topics that are wanted; None for all.
-
     Raises:
         ConfigError: a file can't be read.
     """
@@ -458,10 +439,6 @@ class BagConverter:
     """Makes events of a robot's messages, as a recorder gets them.
 
     Attributes: `has_feedback`, whether there were wheel speeds.
-
-    Args:
-        robot: whose messages they are.
-        topics: by role, see `choose_topics`.
     """
 
     def __init__(self, robot: RobotConfig, topics: dict[str, str]) -> None:

@@ -119,10 +119,6 @@ class Survey:
     damaged place; `pose` and `revolution`, by odometry and with its channel, the newest of the
     episode when the part begins.
 
-    Args:
-        file: the file.
-        begin: of the part [s].
-
     Raises:
         ConfigError: it holds no message.
     """
@@ -175,11 +171,6 @@ class FileCutter:
     """Copies the messages of a span of time, and all that isn't a message.
 
     Attributes: `episodes`, how many were written.
-
-    Args:
-        output: the new file.
-        span: what is copied [ns].
-        survey: of the file.
     """
 
     def __init__(self, output: IO[bytes], span: range, survey: Survey) -> None:
@@ -254,14 +245,7 @@ class FileCutter:
 
 
 class RecordingCutter(FileCutter):
-    """Copies a part of a recording of this package, so that it can be read as one.
-
-    Args:
-        output: the new file.
-        span: what is copied [ns].
-        survey: of the file.
-        part: what the header says about it.
-    """
+    """Copies a part of a recording of this package, so that it can be read as one."""
 
     def __init__(
         self, output: IO[bytes], span: range, survey: Survey, part: dict[str, Any]
@@ -390,13 +374,7 @@ class RecordingCutter(FileCutter):
 
 
 def begin_anew(opening: dict[str, Any], stamp: float, pose: list[float]) -> dict[str, Any]:
-    """Make what begins a part of an episode.
-
-    Args:
-        opening: what began the episode.
-        stamp: of the last exchange before the part [s].
-        pose: by odometry at that time: x [m], y [m], theta [rad].
-    """
+    """Make what begins a part of an episode."""
     info, lasted = opening["info"], stamp - opening["start"]
     before = info.get("part")
     began = before.get("from") if isinstance(before, dict) else None

@@ -36,17 +36,12 @@ Pair = tuple[float, float]
 Pieces = tuple[tuple[float, bytes], ...]
 """Bytes with the times at which they were sent or arrived [s]."""
 
-EPISODE_GAP = 1_000_000
-"""Time between two episodes whose clocks both begin at zero [ns]."""
-DIAGNOSTICS_PERIOD = 1.0
-"""Time between two messages of /diagnostics [s]."""
-SPLIT_TOLERANCE = 1e-6
-"""Rounding of times when a file ends [s]."""
-SPLIT_PATIENCE = 10.0
-"""How long a file waits for the end of an env's step [s]."""
+EPISODE_GAP = 1_000_000  # time between two episodes whose clocks both begin at zero [ns]
+DIAGNOSTICS_PERIOD = 1.0  # time between two messages of /diagnostics [s]
+SPLIT_TOLERANCE = 1e-6  # rounding of times when a file ends [s]
+SPLIT_PATIENCE = 10.0  # how long a file waits for the end of an env's step [s]
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
-NORMAL_REASONS = ("NONE", "LIMITS")
-"""Reasons of the safety layer that are part of normal driving."""
+NORMAL_REASONS = ("NONE", "LIMITS")  # reasons of the safety layer that are part of normal driving
 INTERVAL_DEVIATIONS = 2.0 * 1.959964
 """Width of a 95 % interval of a normal distribution, in standard deviations."""
 TURNING_FIELDS = ("wheel_separation_multiplier", "body.turn_factor")
@@ -55,16 +50,13 @@ LEAST_DEVIATION = 0.005
 """Standard deviation of each part of a pose at the start [m], [rad]: a tyre and a gear give."""
 SLIP_SHARE = 0.02
 """Share of a way or a turn by which tyres slip otherwise than where they were calibrated."""
-UNKNOWN_VARIANCE = 0.01
-"""Variance that the robot's own driver publishes [m^2], [rad^2]."""
+UNKNOWN_VARIANCE = 0.01  # variance that the robot's own driver publishes [m^2], [rad^2]
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
-X, Y, YAW = 0, 7, 35
-"""Places of the variances in a row-major 6 x 6 matrix."""
+X, Y, YAW = 0, 7, 35  # places of the variances in a row-major 6 x 6 matrix
 DIAGONAL = np.arange(0, 36, 7)
-UNMEASURED = DIAGONAL[2:5]
-"""Places of z, roll and pitch, or of their rates."""
+UNMEASURED = DIAGONAL[2:5]  # places of z, roll and pitch, or of their rates
 
 
 class Began(NamedTuple):
@@ -164,8 +156,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-NEW_FILE = Message(Topic("", ""), 0, b"")
-"""What is yielded where a new file begins."""
+NEW_FILE = Message(Topic("", ""), 0, b"")  # what is yielded where a new file begins
 State = tuple[str, int, str, Mapping[str, Any]]
 """Name, level, text and values of a part of /diagnostics."""
 
@@ -181,9 +172,6 @@ class OdometryCovariance:
     path changes. A twist also has the resolution of encoders and printed numbers, and what it
     changed within their lag. What wasn't measured keeps the constant variance that the robot's own
     driver publishes.
-
-    Args:
-        config: of the robot; `measured` has the intervals.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -262,9 +250,6 @@ class Diagnostics:
     """What /diagnostics tells once a second: lateness, safety, refused input, drops; and faults.
 
     Attributes: `dropped`, what the recorder has dropped so far.
-
-    Args:
-        config: of the robot.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -334,9 +319,6 @@ class FileSplitter:
 
     Attributes: `began`, what began the episode; `last`, `step` and `scan`, the newest exchange,
     step and scan of it, None where there is none; `pose`, by odometry.
-
-    Args:
-        duration: of a file [s].
     """
 
     def __init__(self, duration: float) -> None:
@@ -386,12 +368,7 @@ class FileSplitter:
 
 
 class Encoder:
-    """Makes messages of events.
-
-    Args:
-        config: of the robot.
-        split: how long a file is before another one begins [s]; None for one file.
-    """
+    """Makes messages of events."""
 
     def __init__(self, config: RobotConfig, split: float | None = None) -> None:
         self._config = config
@@ -424,12 +401,7 @@ class Encoder:
         }
 
     def encode(self, events: Sequence[Event], dropped: int) -> Iterator[Message]:
-        """Make the messages of some events: episode by episode, and kind by kind.
-
-        Args:
-            events: what was handed over since the last call.
-            dropped: events that were dropped so far.
-        """
+        """Make the messages of some events: episode by episode, and kind by kind."""
         self._diagnostics.dropped = dropped
         run: list[Event] = []
         for event in events:

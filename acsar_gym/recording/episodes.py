@@ -264,9 +264,6 @@ class EpisodeCollector:
     all topics by channel, and `topics`, those that are wanted; `kept`, bytes that are in memory;
     `is_whole`, whether nothing was forgotten; `is_damaged`, whether chunks are left out; `damages`,
     a line for each record that isn't what was written; `problem`, what is wrong with a header.
-
-    Args:
-        wanted: the topics that are wanted, besides that of the episodes.
     """
 
     def __init__(self, wanted: Sequence[Topic]) -> None:
@@ -291,14 +288,7 @@ class EpisodeCollector:
         self.is_whole = False
 
     def take(self, opcode: int, content: bytes, at: int = 0, index: int = 0) -> None:
-        """Take a record; ConfigError for one that is damaged or of another version.
-
-        Args:
-            opcode: of the record.
-            content: of the record.
-            at: place of it or its chunk in the file.
-            index: number of a message in its chunk.
-        """
+        """Take a record; ConfigError for one that is damaged or of another version."""
         if opcode == MESSAGE:
             self._take_message(content, at, index)
         elif opcode == CHANNEL:

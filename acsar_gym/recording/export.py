@@ -20,21 +20,13 @@ from acsar_gym.recording.types import Episode, Recording, WireLog
 
 TABLE_FORMATS = ("parquet", "csv")
 TABLES = ("ticks", "wire", "steps", "scans")
-BLOCK_ROWS = 5_000
-"""Rows of steps and scans that are written at once."""
-DISORDER = 1.0
-"""Bytes are recorded at most so long after others that came later [s]."""
-TableColumns = dict[str, Any]
-"""Arrays of one length by name."""
+BLOCK_ROWS = 5_000  # rows of steps and scans that are written at once
+DISORDER = 1.0  # bytes are recorded at most so long after others that came later [s]
+TableColumns = dict[str, Any]  # arrays of one length by name
 
 
 def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
     """Convert a recording to tables.
-
-    Args:
-        path: the recording.
-        to: one of TABLE_FORMATS.
-        folder: to write to; made if it isn't there.
 
     Returns:
         The files or folders that were written.
@@ -201,11 +193,7 @@ def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColu
 
 
 class CsvTable:
-    """A table that is written to a CSV file; it replaces an older one when it is whole.
-
-    Args:
-        path: of the file.
-    """
+    """A table that is written to a CSV file; it replaces an older one when it is whole."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -237,9 +225,6 @@ class CsvTable:
 
 class ParquetTable:
     """A table that is written to a Parquet file; it replaces an older one when it is whole.
-
-    Args:
-        path: of the file.
 
     Raises:
         MissingExtraError: pyarrow isn't installed.

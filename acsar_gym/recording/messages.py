@@ -42,10 +42,8 @@ from acsar_gym.protocol import WHEELS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 RECORDING_FORMAT = 1
-HEADER_RECORD = "acsar_gym"
-"""Name of the metadata record that holds the header."""
-END_RECORD = "acsar_gym_end"
-"""Name of the metadata record at the end of a complete recording."""
+HEADER_RECORD = "acsar_gym"  # name of the metadata record that holds the header
+END_RECORD = "acsar_gym_end"  # name of the metadata record at the end of a complete recording
 
 
 def package_version() -> str:
@@ -62,12 +60,7 @@ def to_plain_json(value: Any) -> Any:
 
 
 def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Make the header of a recording that begins now.
-
-    Args:
-        config: of the robot.
-        about: what the program says about it, ready for JSON.
-    """
+    """Make the header of a recording that begins now."""
     return {
         "format": RECORDING_FORMAT,
         "config": config.model_dump(mode="json"),
@@ -99,10 +92,8 @@ def is_sealed(text: str, metadata: Mapping[str, str]) -> bool:
 
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
-BASE_FOOTPRINT = "base_footprint"
-"""Frame on the ground below the base frame; odometry moves it."""
-WORLD_FRAME = "world"
-"""Frame of the ground truth."""
+BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
+WORLD_FRAME = "world"  # frame of the ground truth
 JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)
 """Names of the wheels' joints, as in assets/robots/acsar.urdf."""
 LATCHED_QOS = """- history: 3
@@ -235,11 +226,7 @@ Field = tuple[str, str, Any]
 
 
 class Packer:
-    """Packs messages of one kind, whose fields have fixed sizes.
-
-    Args:
-        *fields: in the order of the message's definition.
-    """
+    """Packs messages of one kind, whose fields have fixed sizes."""
 
     def __init__(self, *fields: Field) -> None:
         kinds = [np.dtype(kind) for _, kind, _ in fields]

@@ -14,16 +14,11 @@ from acsar_gym.recording.types import Recording
 ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
 LENGTH_TOLERANCE = 0.1  # lengths of one robot differ by less; a calibration changes them a little
 SAME_GOAL_DISTANCE = 0.01  # goals that are nearer to each other are one [m]
-SeedKey = tuple[int | None, int]
-"""A seed, and how many episodes before have the same one."""
+SeedKey = tuple[int | None, int]  # a seed, and how many episodes before have the same one
 
 
 def number_seeds(seeds: Iterable[int | None]) -> list[SeedKey]:
-    """Tell episodes with the same seed apart.
-
-    Args:
-        seeds: of the episodes, in their order; None where one isn't known.
-    """
+    """Tell episodes with the same seed apart."""
     seen: Counter[int | None] = Counter()
     keys = []
     for seed in seeds:
@@ -40,13 +35,7 @@ def have_same_goal(goal: Sequence[float] | None, other: Sequence[float] | None) 
 def find_difference(
     one: RobotConfig, other: RobotConfig, *, wire: bool
 ) -> tuple[str, str, str] | None:
-    """Return the first field in which two robots differ, and both values; None if they don't.
-
-    Args:
-        one: a robot.
-        other: another one, or the same one before or after it was calibrated.
-        wire: whether name, baud rate and wiring count, too.
-    """
+    """Return the first field in which two robots differ, and both values; None if they don't."""
     for field in ROBOT_LENGTHS:
         first, second = getattr(one, field), getattr(other, field)
         if abs(first - second) > LENGTH_TOLERANCE * max(first, second):
@@ -73,11 +62,6 @@ def check_same_robot(
     logs: Sequence[tuple[str, Recording]], doing: str, *, wire: bool = True
 ) -> None:
     """Check that recordings are of one robot.
-
-    Args:
-        logs: names and recordings.
-        doing: verb for the message, such as "identify".
-        wire: whether name, baud rate and wiring count, too.
 
     Raises:
         ConfigError: the message names the first file of another robot, and the field.

@@ -17,7 +17,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable, shorten_text
 from acsar_gym.reading import open_file
 from acsar_gym.recording.episodes import (
-    FIELD_GROUPS,
     GROUP_OF_FIELD,
     LIST_TOPICS,
     TABLE_TOPICS,
@@ -164,13 +163,7 @@ class RecordedEpisode(Episode):
 
 
 class EpisodeSource:
-    """A recording's file, from which episodes are read piece by piece.
-
-    Args:
-        path: of the file.
-        file: the file itself, open.
-        topics: that are wanted, by their channels.
-    """
+    """A recording's file, from which episodes are read piece by piece."""
 
     def __init__(self, path: Path, file: IO[bytes], topics: dict[int, Topic]) -> None:
         self._path = path
@@ -254,7 +247,9 @@ class EpisodeSource:
         read_parts = parts.make_blank()
         for _ in self._fill_parts(read_parts, (REVOLUTIONS,), parts.places):
             turns = read_parts.buffers.pop(REVOLUTIONS.name, None)
-            heads += (tuple(parse_revolution(turn)[0]) for turn in (turns.pieces() if turns else ()))
+            heads += (
+                tuple(parse_revolution(turn)[0]) for turn in (turns.pieces() if turns else ())
+            )
             ends.append(len(heads))
         rows = np.array(heads, np.float64).reshape(-1, 2)
         measured = StoredRevolutions(self, parts, ends)
@@ -274,13 +269,7 @@ def _identify_file(file: IO[bytes]) -> tuple[int, ...]:
 
 
 class StoredRevolutions(Sequence[Floats]):
-    """What was measured in each revolution of a long episode, read chunk by chunk.
-
-    Args:
-        source: the file.
-        parts: of the episode.
-        ends: how many revolutions there are up to the end of each chunk.
-    """
+    """What was measured in each revolution of a long episode, read chunk by chunk."""
 
     def __init__(self, source: EpisodeSource, parts: EpisodeParts, ends: list[int]) -> None:
         self._source, self._parts, self._ends = source, parts, ends

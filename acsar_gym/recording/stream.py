@@ -60,10 +60,6 @@ class RecordStream:
     [bytes]; `index`, number of the newest message in its chunk; `counts`, messages by channel,
     wanted or not; `damages`, a line for each place that was left out.
 
-    Args:
-        file: an MCAP file.
-        wanted: the channels whose messages are of interest; None for all.
-
     Raises:
         ConfigError: it is another file.
     """

@@ -13,9 +13,6 @@ from acsar_gym.truth import GroundTruth
 class Tape:
     """Plays the control periods of an episode.
 
-    Args:
-        episode: of a recording.
-
     Attributes: `now`, the time at the end of the newest period [s]; `first_period`, how long the
     first one lasts [s]; `echoes`, whether what arrived has echoes.
     """

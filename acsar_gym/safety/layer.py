@@ -78,9 +78,6 @@ class Safety:
     def halt(self, reason: Reason) -> Speeds:
         """Set the wheels to zero at once; acceleration limits don't apply to stops.
 
-        Args:
-            reason: to be told for this tick.
-
         Returns:
             Four wheel speeds of zero.
         """
@@ -95,12 +92,6 @@ class Safety:
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
         """Compute the wheel speeds that may be sent in this tick for a wanted twist.
-
-        Args:
-            linear: wanted velocity [m/s].
-            angular: wanted turn rate [rad/s]; (0, 0) is a stop, which is immediate.
-            pose: by odometry (x [m], y [m], theta [rad]).
-            feedback_age: time since the last valid line [s].
 
         Returns:
             Four wheel speeds [rad/s]; the same tuple object for as long as they don't change.
@@ -123,11 +114,6 @@ class Safety:
         """Compute the wheel speeds that may be sent in this tick for wanted ones.
 
         All are scaled by one factor where a wheel, or their twist, is too fast.
-
-        Args:
-            speeds: four wanted wheel speeds, wheels a to d [rad/s].
-            pose: by odometry (x [m], y [m], theta [rad]).
-            feedback_age: time since the last valid line [s].
 
         Raises:
             CommandError: unless `speeds` are four finite numbers.

@@ -20,8 +20,7 @@ from acsar_gym.jit import jit, loop
 # goes forward and one that goes backward. These are pure functions, so that numba can compile them
 # for batches.
 
-NO_LIMIT = 1e18
-"""Number that stands for no limit."""
+NO_LIMIT = 1e18  # number that stands for no limit
 
 
 class AxisLimits(NamedTuple):
@@ -104,8 +103,7 @@ STALE_SHARE = 0.8
 """Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
 TWIST_TOLERANCE = 1e-9
 """A sent twist that differs by less than this counts as the one asked for [m/s, rad/s]."""
-TIME_SLACK = 1e-9
-"""Tolerance for comparing ages, which are sums of periods [s]."""
+TIME_SLACK = 1e-9  # tolerance for comparing ages, which are sums of periods [s]
 
 _sides = jit(kinematics.compute_sides)
 _twist = jit(kinematics.compute_twist)
@@ -133,8 +131,7 @@ HELD_REASONS = {
     Reason.EMERGENCY_STOP: ("an emergency stop", "start again when it is safe"),
 }
 """Reasons that hold until the reset: what ended an episode, and what to do."""
-_LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
-"""These reasons as floats, for compiled functions."""
+_LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0  # these reasons as floats, for compiled functions
 
 
 class SafetyRules(NamedTuple):

@@ -21,18 +21,15 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WheelError
 from acsar_gym.protocol import MOTORS, WHEELS, ZERO, Speeds
 
-SLOWER_FACTOR = 2.0
-"""Lag, ramp and deadband may be worse than configured by this factor."""
-UNKNOWN_LAG = 0.45
-"""Longest lag of a wheel whose lag wasn't measured [s]; 0.3 s, and some room."""
+SLOWER_FACTOR = 2.0  # lag, ramp and deadband may be worse than configured by this factor
+UNKNOWN_LAG = 0.45  # longest lag of a wheel whose lag wasn't measured [s]; 0.3 s, and some room
 UNKNOWN_RAMP = 7.0
 """Slowest ramp of a wheel whose ramp wasn't measured [rad/s^2]; 10 rad/s^2, and some room."""
 UNKNOWN_DEADBAND = 1.8
 """Largest deadband of a wheel whose deadband wasn't measured [rad/s]; 1.5 rad/s, and some room."""
 UNKNOWN_DELAY = 0.25
 """Longest delay of a board whose delay wasn't measured [s]; 0.2 s, and some room."""
-REACHED_SHARE = 0.5
-"""A wheel must reach this share of the lowest speed that is expected."""
+REACHED_SHARE = 0.5  # a wheel must reach this share of the lowest speed that is expected
 FASTER_FACTOR, FASTER_KNOWN = 1.4, 1.25
 """A wheel may be faster than the highest expected speed by this factor, and one whose gain was
 measured."""
@@ -56,10 +53,6 @@ class WheelBounds:
 
     Attributes: `low`, `high`; `gain` and `deadband`, as configured; `wrong`, for how long the wheel
     has contradicted its commands [s].
-
-    Args:
-        config: Of the robot.
-        number: Of the wheel, 0 to 3.
     """
 
     def __init__(self, config: RobotConfig, number: int) -> None:
@@ -93,13 +86,7 @@ class WheelBounds:
         self._alive, self._proven = False, math.inf
 
     def follow(self, high: float, low: float, passed: float) -> None:
-        """Update the bounds.
-
-        Args:
-            high: Highest command that can be in effect [rad/s].
-            low: Lowest one.
-            passed: Time since the last update [s].
-        """
+        """Update the bounds."""
         self._asked = 0.5 * (high + low)
         steady = high - low <= STEADY_SHARE * abs(self._asked)
         self._constant = self._constant + passed if steady else 0.0
@@ -161,13 +148,7 @@ class WheelBounds:
         )
 
     def excess(self, speed: float, lowest: float, highest: float) -> float:
-        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1.
-
-        Args:
-            speed: Measured [rad/s].
-            lowest: Lowest speed that any wheel can have [rad/s].
-            highest: Highest one.
-        """
+        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1."""
         own, other = (self.high, highest) if speed > 0.0 else (-self.low, -lowest)
         own += (DRAGGED_SHARE if self.fastest > self._dead else 1.0) * (other - own)
         excess = abs(speed) - self._faster * own - LEAST_EXCESS
@@ -175,12 +156,6 @@ class WheelBounds:
 
     def judge(self, lack: float | None, speed: float, passed: float, share: float = 1.0) -> float:
         """Note what a speed lacks; a wheel that moves towards its command isn't wrong.
-
-        Args:
-            lack: What it lacks [rad/s], with sign; None where that isn't known now.
-            speed: Measured [rad/s].
-            passed: Time since the last call [s].
-            share: Of this time that counts, 0 to 1.
 
         Returns:
             For how long the wheel has been wrong [s].
@@ -205,36 +180,24 @@ class WheelBounds:
         return self.wrong
 
 
-STILL_SPEED = 0.2
-"""A wheel slower than this stands still, for messages [rad/s]."""
-MOVING_SPEED = 0.4
-"""A wheel that is faster than this proves that its command turns wheels [rad/s]."""
-BEHIND_SHARE = 0.25
-"""A wheel is behind others where it has less than this share of their speed."""
+STILL_SPEED = 0.2  # a wheel slower than this stands still, for messages [rad/s]
+MOVING_SPEED = 0.4  # a wheel that is faster than this proves that its command turns wheels [rad/s]
+BEHIND_SHARE = 0.25  # a wheel is behind others where it has less than this share of their speed
 ADAPTER_DELAY = 0.03
 """Longest delay of a USB adapter in both directions [s]; FTDI's is 16 ms each by default."""
-CHECK_INTERVAL = 0.04
-"""Interval of the checks [s]."""
+CHECK_INTERVAL = 0.04  # interval of the checks [s]
 FEEDBACK_GAP = 0.05
 """Longest time without a new line in which the board can't have stopped its wheels [s]."""
-MIN_PATIENCE, MAX_PATIENCE = 0.16, 0.2
-"""Bounds of how long a contradiction must last [s]."""
+MIN_PATIENCE, MAX_PATIENCE = 0.16, 0.2  # bounds of how long a contradiction must last [s]
 UNEVEN_SHARE = 0.125
 """Sides that answer at different rates turn a sound robot by up to this share of the speed by which
 its wheels are still to change."""
-MIRRORED_WHEELS = (1, 0, 3, 2)
-"""Numbers of the wheels on the other side."""
-WATCH_SLACK = 1e-9
-"""Tolerance for comparing sums of periods [s]."""
+MIRRORED_WHEELS = (1, 0, 3, 2)  # numbers of the wheels on the other side
+WATCH_SLACK = 1e-9  # tolerance for comparing sums of periods [s]
 
 
 class WheelWatch:
-    """Watches the wheels of one robot.
-
-    Args:
-        config: Of the robot; `motor`, `firmware` and `encoder` say how wheels and board answer.
-        device: Of the robot, for messages.
-    """
+    """Watches the wheels of one robot."""
 
     def __init__(self, config: RobotConfig, device: str = "DEVICE") -> None:
         self._device = device
@@ -265,12 +228,6 @@ class WheelWatch:
 
     def tick(self, sent: Speeds, measured: Speeds, dt: float, *, fresh: bool) -> None:
         """Take command and feedback of one control period.
-
-        Args:
-            sent: Wheel speeds that were commanded [rad/s].
-            measured: Newest wheel speeds [rad/s].
-            dt: Duration of the period [s].
-            fresh: Whether a line arrived in it.
 
         Raises:
             WheelError: A wheel has contradicted its commands for too long.

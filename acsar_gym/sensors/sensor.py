@@ -19,8 +19,7 @@ from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating | np.integer | np.bool_]
-Bound = float | Sequence[float] | Floats
-"""One bound for all numbers of a sensor, or one for each."""
+Bound = float | Sequence[float] | Floats  # one bound for all numbers of a sensor, or one for each
 MAP = "map"
 """Name of the map in a task's `sensors`, and of the sensor; it is the first of a robot's
 sensors."""

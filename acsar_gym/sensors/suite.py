@@ -149,11 +149,6 @@ def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
 def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
     """Make a sensor with its factory; a ready sensor is returned.
 
-    Args:
-        factory: a factory, or a ready sensor.
-        link: of the robot.
-        config: of the robot.
-
     Raises:
         ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
         SensorError: the factory raises an error.
@@ -224,10 +219,6 @@ def check_names(names: Sequence[str]) -> None:
 def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     """Convert what a sensor has read to float64.
 
-    Args:
-        sensor: that has read it.
-        numbers: as returned by `read`.
-
     Raises:
         SensorError: for anything else than finite numbers of shape (size,).
     """
@@ -266,14 +257,6 @@ def check_info_key(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
 
 def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     """Make the LiDAR that a user names; nothing is opened before its `reset`.
-
-    Args:
-        url: None or "simulated" for rays in the world of a simulated link, or the scans of a
-            recording; a model and its serial device, like "rplidar:///dev/ttyUSB1" (a wrong model
-            is an error that names all of them); "module:Class" for one's own, which is called with
-            link and config; such a class itself; or a Lidar.
-        link: of the robot.
-        config: of the robot.
 
     Raises:
         ConfigError: for anything else, for a simulated LiDAR on a link without a simulation, and
@@ -331,11 +314,6 @@ def sensor_factories(
     sensors: Iterable[str | Sensor | Factory], lidar: Any = None, period: float = 0.1
 ) -> list[Sensor | Factory]:
     """Replace names among the sensors of a task or an env by factories.
-
-    Args:
-        sensors: "map", "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
-        lidar: What "lidar" means, as `open_lidar` takes it.
-        period: Of an env step [s].
 
     Raises:
         ConfigError: A name is unknown.
