@@ -83,24 +83,11 @@ def make_folder(path: Path) -> Path:
                     folder.mkdir(mode=0o700)
         status = path.lstat()
     except (OSError, ValueError) as error:
-        raise _explain_folder(path, error) from error
+        why = getattr(error, "strerror", None) or str(error)
+        raise LinkError(f"{path}: can't be made a folder: {why}", OTHER_FOLDER) from error
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise LinkError(f"{path}: isn't a folder of yours alone", f"remove it, or {OTHER_FOLDER}")
     return path
-
-
-def _explain_folder(path: Path, error: Exception) -> LinkError:
-    """Return the error for a folder of sockets that can't be made or used."""
-    why = getattr(error, "strerror", None) or str(error)
-    fix = OTHER_FOLDER
-    if getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
-        fix = f"make room, or {OTHER_FOLDER}"
-    for parent in path.parents:
-        if os.path.lexists(parent):
-            if not parent.is_dir():
-                why, fix = f"{parent} is no folder", f"remove it, or {OTHER_FOLDER}"
-            break
-    return LinkError(f"{path}: can't be made a folder: {why}", fix)
 
 
 def find_folders() -> tuple[list[Path], list[LinkError]]:
@@ -410,9 +397,7 @@ def _bind_socket(path: Path) -> socket.socket:
 def _explain_socket(path: Path, error: OSError) -> LinkError:
     """Return the error for a socket that can't be opened."""
     fix = OTHER_FOLDER
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        fix = f"make room, or {OTHER_FOLDER}"
-    elif error.errno in (errno.EMFILE, errno.ENFILE):
+    if error.errno in (errno.EMFILE, errno.ENFILE):
         fix = "close robots that aren't driven, or raise the limit of open files: ulimit -n"
     return LinkError(f"{path}: no socket: {error.strerror or error}", fix)
 
