@@ -205,7 +205,6 @@ class Decoder:
         return tuple.__new__(Reading, (speeds,))  # twice as fast as a NamedTuple's own, every tick
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
-        """Decode a line that isn't four cached parts."""
         first = self._first and self.lines == 0
         self._first = False
         if len(line) > MAX_LINE:
@@ -233,7 +232,6 @@ class Decoder:
         return reading
 
     def _refuse(self, line: bytes, reasons: list[str]) -> None:
-        """Count refused parts."""
         self._first = False
         if self._refused_at != self.lines:
             self._refused_at = self.lines

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import itertools
 import json
 import math
 import os
@@ -41,8 +40,6 @@ MAX_JSON_VALUES = 1_000_000
 """Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
 MAX_YAML_EVENTS = 20_000
 """Most parser events in YAML: beginning or end of a list or mapping, key, value."""
-MAX_YAML_TEXT = 10_000
-"""Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
 MAX_YAML_DEPTH = 20  # deepest nesting of lists and mappings in YAML, which are made by recursion
 COMMAND: ContextVar[str] = ContextVar("command", default="")
 """Name of the running command, such as "evaluate"."""
@@ -343,31 +340,24 @@ def parse_yaml(
 def parse_yaml_entry(
     text: str, names: Sequence[str], error: type[AcsarError] = ConfigError, *, hint: str
 ) -> tuple[str, Any]:
-    """Parse one entry of a YAML mapping, with aliases and merge keys; others aren't made.
-
-    Returns:
-        Its name and its value.
+    """Parse YAML with aliases and merge keys; returns name and value of the first of these entries.
 
     Raises:
-        AcsarError: as `error`, for no such entry, and as by `parse_yaml`; bounds hold for the entry
-            with all aliases written out.
+        AcsarError: as `error`, for no such entry, with `hint`, and as by `parse_yaml`.
     """
     try:
         _check_events(text, error, MAX_YAML_EVENTS, aliases=True)
-        root = yaml.compose(text, Loader=_MergingLoader)
-        if not isinstance(root, yaml.MappingNode):
-            raise error("must be values by name")
-        entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
-        name = next((name for name in names if name in entries), None)
-        if name is None:
-            near = shorten_text(suggest_name(names[0], entries), 120)
-            missing = " and no ".join(map(show_value, names))
-            raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
-        if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
-            raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
-        return name, _MergingLoader("").construct_document(entries[name])
+        entries = yaml.load(text, Loader=_MergingLoader)  # noqa: S506 -- derived from the safe one
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from problem
+    if not isinstance(entries, dict):
+        raise error("must be values by name")
+    name = next((name for name in names if name in entries), None)
+    if name is None:
+        near = shorten_text(suggest_name(names[0], entries), 120)
+        missing = " and no ".join(map(show_value, names))
+        raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
+    return name, entries[name]
 
 
 def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: bool = False) -> None:
@@ -382,23 +372,6 @@ def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: boo
             raise error(f"{where}: has an alias (*), which is refused: write the value out")
         if depth > MAX_YAML_DEPTH or count > most:
             raise error(f"{where}: is nested too deeply or has too many values")
-        if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
-            raise error(f"{where}: a text of {length:,} characters, which is too long")
-
-
-def _count_values(node: yaml.Node, depth: int, most: int) -> int:
-    """Count the nodes of a value with its aliases written out; more than `most` for too many."""
-    if depth < 0:
-        return most + 1
-    count = 1
-    parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-    for part in itertools.chain.from_iterable(
-        one if isinstance(one, tuple) else (one,) for one in parts
-    ):
-        if count > most:
-            break
-        count += _count_values(part, depth - 1, most - count)
-    return count
 
 
 def format_yaml_line(data: Any) -> str:

@@ -14,9 +14,9 @@ import serial
 
 from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.links.recorded import RecordedLink
+from acsar_gym.links.replay import Tape
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.tape import Tape
 from acsar_gym.worlds import Scene
 
 PERIOD = 0.01

@@ -356,7 +356,6 @@ def _remove_sockets() -> None:
 
 
 def _make_number() -> int:
-    """Draw the number of a socket, see `NUMBER_BYTES`."""
     return int.from_bytes(os.urandom(NUMBER_BYTES))
 
 
@@ -395,7 +394,6 @@ def _bind_socket(path: Path) -> socket.socket:
 
 
 def _explain_socket(path: Path, error: OSError) -> LinkError:
-    """Return the error for a socket that can't be opened."""
     fix = OTHER_FOLDER
     if error.errno in (errno.EMFILE, errno.ENFILE):
         fix = "close robots that aren't driven, or raise the limit of open files: ulimit -n"

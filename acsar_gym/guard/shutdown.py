@@ -176,7 +176,6 @@ def _close_links() -> None:
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal that ends the program."""
     try:
         close_all()
     finally:

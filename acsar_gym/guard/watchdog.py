@@ -322,7 +322,6 @@ def end_searches(name: str | None = None) -> None:
 
 
 def _create_shared_page() -> int:
-    """Return a descriptor of one shared page of memory, filled with zeros."""
     if sys.platform == "linux":
         page = os.memfd_create("acsar-watchdog")
     else:
@@ -333,7 +332,6 @@ def _create_shared_page() -> int:
 
 
 def _start_error(reason: str) -> LinkError:
-    """Return the error for a watchdog that can't be started."""
     if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
         return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES_ADVICE)
     return LinkError(

@@ -170,7 +170,6 @@ class RevolutionAssembler:
         self._drop()
 
     def _drop(self) -> None:
-        """Drop the measurements so far."""
         self._ended: _Measurements | None = None
         self._current: _Measurements | None = None
         self._elapsed = 0.0
@@ -392,7 +391,6 @@ class SerialLidar:
             time.sleep(READ_PERIOD)
 
     def _nothing_measured(self, driver: Driver, stream: RevolutionAssembler) -> LidarError:
-        """Say why no revolution came."""
         waited = f"in {SPIN_UP_TIMEOUT:g} s"
         if not stream.heard:
             return LidarError(
@@ -445,13 +443,11 @@ class SerialLidar:
             self._release(port)
 
     def _say_stop(self, port: Any) -> None:
-        """Command the LiDAR to stop measuring, and its motor to stop."""
         if self._driver is not None:
             with contextlib.suppress(*PORT_ERRORS):
                 self._driver.stop(port)
 
     def _release(self, port: Any) -> None:
-        """Close the port and forget it."""
         self._location.left(lost=self._reader is not None and bool(self._reader.lost))
         self._port = self._driver = self._reader = None
         forget_link(self)
@@ -526,5 +522,4 @@ class _Reader(threading.Thread):
 
 
 def _lost(device: str, why: str, fix: str = CHECK_CABLE) -> LidarError:
-    """The LidarError for a device that is gone."""
     return LidarError(f"LiDAR {device}: lost while in use ({why})", fix)

@@ -11,7 +11,7 @@ import copy
 import math
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value
-from acsar_gym.jit import COMPILED, loop
+from acsar_gym.jit import loop
 from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
@@ -47,9 +47,6 @@ OTHER_FAULTS = {
     **dict.fromkeys(("board_reset_at", "brown_out_at", "unplug_at"), (None,)),
 }
 """The other fields that cause faults, and their values without a fault."""
-
-# Random numbers for the faults of single lines
-
 
 FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
 """What a number is for: a line of one direction, or the whole episode."""
@@ -80,15 +77,6 @@ def hash_sample(key: float, number: int) -> float:
     return float(word >> _S11) * (1.0 / _BITS)
 
 
-if not COMPILED:
-    _wrapping = hash_sample
-
-    def hash_sample(key: float, number: int) -> float:
-        """Return the same number without numba, ignoring NumPy's overflow warnings."""
-        with np.errstate(over="ignore"):
-            return _wrapping(key, number)
-
-
 @loop
 def line_hash(key: float, whose: int, number: float, kind: int) -> float:
     """Return a uniform random number in [0, 1) for one line and one kind of fault.
@@ -100,9 +88,6 @@ def line_hash(key: float, whose: int, number: float, kind: int) -> float:
         kind: kind of fault, below FAULT_KINDS.
     """
     return hash_sample(key, (int(number) * 3 + whose) * FAULT_KINDS + kind)
-
-
-# What may be asked for
 
 
 def _check_number(value: Any) -> Any:
@@ -234,9 +219,6 @@ class Faults(Section):
         """Whether any fault can occur."""
         others = any(getattr(self, name) not in none for name, none in OTHER_FAULTS.items())
         return self.episodes > 0.0 and (self.lines_suffer or others)
-
-
-# Lines, wheels and events
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,7 +391,6 @@ class FaultyWire:
         return out
 
     def _send(self, line: bytes, now: float) -> None:
-        """Queue a complete line with its faults."""
         hits: set[str] = set()
         if line.strip():  # the second half of a line end that was split isn't a line
             key, whose, number = self._key, self._whose, self._number
@@ -445,9 +426,6 @@ class FaultyWire:
         return data
 
 
-# The link
-
-
 FaultSeed = int | np.integer[Any] | np.random.Generator | None
 
 
@@ -471,13 +449,11 @@ class FaultyLink(ForwardingLink):
         link: Link,
         faults: Mapping[str, Any] | Faults | None,
         seed: FaultSeed = None,
-        relink: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(link)
         self.faults = Faults.of(faults)
         self.injected: Counter[str] = Counter()
         self.wheels = WheelFaults()
-        self._relink = relink
         self._first_seed = copy.deepcopy(seed)  # a generator goes on
         self._replugs = 0
         self._back_at: float | None = None
@@ -516,8 +492,6 @@ class FaultyLink(ForwardingLink):
         wait = self._back_at - self.link.now()
         if wait == math.inf:
             raise PortNotFoundError(f"{self.device}: no such device", "plug the cable in again")
-        if self._relink is not None:
-            self.link = self._relink()
         try:
             self.link.open()
             for _ in range(math.ceil(wait / REPLUG_POLL - TIME_TOLERANCE)):
@@ -581,7 +555,7 @@ class FaultyLink(ForwardingLink):
 
     def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
         """Copies and pickles have a link of their own and begin with the first seed."""
-        return FaultyLink, (self.link, self.faults, self._first_seed, self._relink)
+        return FaultyLink, (self.link, self.faults, self._first_seed)
 
     def close(self) -> None:
         """Close the link. Faults end until the next reset, but a pulled cable stays out."""

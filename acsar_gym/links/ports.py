@@ -234,7 +234,6 @@ def _check_url(url: str) -> None:
 
 
 def _opening_error(device: str, error: Exception) -> LinkError:
-    """Convert an exception of pyserial to a LinkError with advice."""
     code = getattr(error, "errno", None)
     text = str(error)
     gone = code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError)

@@ -297,7 +297,6 @@ def deserialize(message: bytes, kind: str) -> Any:
 
 
 def _joint_names(data: bytes) -> list[str]:
-    """Names of the joints in joint states."""
     state = deserialize(data, JOINT_STATE)
     return [] if state is None else [str(name) for name in state.name]
 
@@ -404,7 +403,6 @@ def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
 
 
 def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    """Read an SQLite file of rosbag2."""
     with open_file(path, None):  # only regular files
         pass
     query = (
@@ -492,7 +490,6 @@ class BagConverter:
         return []
 
     def _make_speeds(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds of a twist."""
         radii = self._robot.wheel_radii
         right, left = kinematics.compute_sides(
             linear, angular, *radii, self._robot.effective_separation, FASTEST_WHEEL

@@ -257,7 +257,6 @@ class RecordingCutter(FileCutter):
         self._begin_episode(None, 0)
 
     def _begin_episode(self, opening: dict[str, Any] | None, channel: int) -> None:
-        """Forget what was there of the episode before."""
         self._opening, self._opening_channel = opening, channel
         self._is_open = self._has_stepped = False
         self._first_exchange = self._first_step = 0.0
@@ -330,7 +329,6 @@ class RecordingCutter(FileCutter):
             self._stamp = stamp
 
     def _open_episode(self) -> None:
-        """Write what begins an episode."""
         if self._opening is not None:
             opening = self._opening | {"episode": self.episodes}
             time = round(float(opening["start"]) * 1e9) + int(opening["offset"])
@@ -339,7 +337,6 @@ class RecordingCutter(FileCutter):
             self._put(self._opening_channel, time, messages.pack_text(json.dumps(opening)))
 
     def _open_part(self, first_exchange: float) -> None:
-        """Write what begins a part of an episode."""
         self._first_exchange = first_exchange
         if self._opening is not None and self._stamp is not None:
             self._opening = begin_anew(self._opening, self._stamp, self._survey.pose)

@@ -431,7 +431,6 @@ class Encoder:
                     yield message
 
     def _encode_part(self) -> Iterator[Message]:
-        """Begin a part of the episode that goes on, in a new file."""
         splitter = self._splitter
         if splitter is None or splitter.began is None or splitter.last is None:
             return
@@ -467,7 +466,6 @@ class Encoder:
         yield from self._open_episode(self._episode, event)
 
     def _open_episode(self, number: int, event: Began) -> Iterator[Message]:
-        """What begins an episode, or a part of one."""
         time = round(event.stamp * 1e9) + self._offset
         opening = {"episode": number, "start": event.stamp, "offset": self._offset}
         opening |= {"wall": event.wall, "info": messages.to_plain_json(dict(event.info))}
@@ -591,7 +589,6 @@ class Encoder:
             yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
 
     def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
-        """Observations, actions and rewards."""
         for event in events:
             stamps = np.array([event.stamp])
             number = event.step - self._first_step
@@ -610,7 +607,6 @@ class Encoder:
             yield Message(messages.DIAGNOSTICS, time, self._diagnostics.pack(time, states))
 
     def _encode_clocks(self, events: Sequence[Clock]) -> Iterator[Message]:
-        """Wall clock and link's clock."""
         for event in events:
             time = self._file_time(event.stamp)
             fields = {"header": make_ros_header(time), "time_ref": make_time(event.wall)}
@@ -619,7 +615,6 @@ class Encoder:
             yield Message(messages.TIME_REFERENCE, time, data)
 
     def _encode_table(self, topic: Topic, stamps: Floats, rows: NDArray[Any]) -> Iterator[Message]:
-        """Rows of numbers, one message each."""
         self._packers[topic] = array_packer(rows.dtype.str, rows.shape[1])
         return self._pack(topic, stamps, {"data": rows})
 
@@ -633,5 +628,4 @@ class Encoder:
         yield from map(Message, [topic] * len(packed), when.tolist(), packed)
 
     def _file_time(self, stamp: float) -> int:
-        """A time on the file's time line [ns]."""
         return max(round(stamp * 1e9) + self._offset, 0)

@@ -52,6 +52,7 @@ from acsar_gym.recording.types import (
 
 MAX_BEARING = 100.0  # largest bearing of a LiDAR's measurement, either sign [rad]
 MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns]; its times then fit 64 bits
+COMPACT_PIECES = 100_000  # from so many on, pieces of bytes stay in one buffer
 TABLE_TOPICS = EXCHANGES, TICKS, STEPS
 LIST_TOPICS = WIRE_SENT, WIRE_RECEIVED, SCANS, OBSERVATION, ACTION
 ELEMENT_SIZES = {DOUBLES_TYPE: 8, SINGLES_TYPE: 4, OCTETS_TYPE: 1}
@@ -412,9 +413,15 @@ def make_exchanges(parts: EpisodeParts) -> dict[str, Any]:
 
 def make_wire(parts: EpisodeParts) -> dict[str, Any]:
     """The bytes of the wire."""
-    sent, got = parts.buffers[WIRE_SENT.name], parts.buffers[WIRE_RECEIVED.name]
-    stamps, got_stamps = sent.stamps(parts.offset), got.stamps(parts.offset)
-    return {"wire": WireLog(stamps, sent.pieces(), got_stamps, got.pieces())}
+    fields: list[Any] = []
+    for topic in (WIRE_SENT, WIRE_RECEIVED):
+        buffer = parts.buffers[topic.name]
+        pieces: Sequence[bytes] = buffer.pieces()
+        fields += [
+            buffer.stamps(parts.offset),
+            tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
+        ]
+    return {"wire": WireLog(*fields)}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:

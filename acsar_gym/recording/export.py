@@ -106,14 +106,12 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
 
 
 def _add_times(number: int, episode: Episode, columns: TableColumns) -> TableColumns:
-    """Add number of the episode and time of the file to rows."""
     stamps = columns["stamp"]
     times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
     return {"episode": np.full(len(stamps), number), "time": times, **columns}
 
 
 def _list_ticks(episode: Episode) -> TableColumns:
-    """The columns of the ticks."""
     pose, twist = "x y theta", "linear angular"
     return {
         "stamp": episode.stamps,
@@ -163,7 +161,6 @@ def _list_pieces(wire: WireLog) -> TableColumns:
 
 
 def _list_steps(episode: Episode) -> TableColumns:
-    """Observations, with what led to them."""
     count = len(episode.step_stamps)
     none = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
     return {
@@ -176,7 +173,6 @@ def _list_steps(episode: Episode) -> TableColumns:
 
 
 def _list_scans(episode: Episode) -> TableColumns:
-    """The LiDAR's scans."""
     scans = episode.scans
     return {"stamp": scans.stamps, **_name_columns("range_", scans.ranges)}
 
@@ -208,7 +204,7 @@ def open_csv(path: Path) -> Iterator[AddRows]:
 def open_parquet(path: Path) -> Iterator[AddRows]:
     """Write rows to a Parquet file, which replaces an older one when it is whole."""
     with require_extra("export to Parquet", "export"):
-        import pyarrow  # noqa: PLC0415 - optional
+        import pyarrow as pa  # noqa: PLC0415 - optional
         from pyarrow import parquet  # noqa: PLC0415 - optional
     writer: Any = None
     with contextlib.ExitStack() as stack:
@@ -216,7 +212,7 @@ def open_parquet(path: Path) -> Iterator[AddRows]:
 
         def add_rows(columns: TableColumns) -> None:
             nonlocal writer
-            table = pyarrow.table(columns)
+            table = pa.table(columns)
             if writer is None:
                 writer = stack.enter_context(parquet.ParquetWriter(new, table.schema))
             check_columns(path.stem, writer.schema.names, table.column_names)

@@ -130,7 +130,6 @@ def _read_counted(
 
 
 def _explain_nothing(collector: EpisodeCollector, damages: Sequence[str], *, is_cut: bool) -> str:
-    """Say why nothing can be read of a file."""
     if collector.header is not None:
         if damages:
             return f"is damaged: holds no episode but {damages[0]}"
@@ -198,7 +197,6 @@ class EpisodeSource:
     def _read_parts(
         self, parts: EpisodeParts, topics: Sequence[Topic], places: Sequence[list[int]]
     ) -> EpisodeParts:
-        """Read topics of an episode from some places."""
         read_parts = parts.make_blank()
         for _ in self._fill_parts(read_parts, topics, places):
             pass
@@ -263,7 +261,6 @@ class EpisodeSource:
 
 
 def _identify_file(file: IO[bytes]) -> tuple[int, ...]:
-    """What tells whether a file has changed."""
     status = os.fstat(file.fileno())
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
@@ -372,6 +369,5 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def _shorten(value: Any) -> str:
-    """A value of the header on one line."""
     text = " ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
     return shorten_text(text, 100)

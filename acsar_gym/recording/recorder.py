@@ -294,7 +294,6 @@ class Recorder:
             self._warn(writer)
 
     def _warn(self, writer: WriterThread) -> None:
-        """Warn once where writing has failed."""
         problem = writer.problem
         if problem is not None and self.problem is None:
             self.problem = f"{self._name}: {problem}"

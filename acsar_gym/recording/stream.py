@@ -107,7 +107,6 @@ class RecordStream:
         yield from self._open_record(*self._read_record())
 
     def _has_end(self) -> bool:
-        """Whether the file ends as a whole one does."""
         size = self._file.seek(0, io.SEEK_END)
         return self._read_at(size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
 
@@ -216,7 +215,6 @@ class RecordStream:
         return head[0] in DATA_OPCODES | SUMMARY_OPCODES and _RECORD.unpack(head)[1] <= MAX_RECORD
 
     def _note(self, damage: str) -> None:
-        """Note what is left out."""
         self.damages.append(damage)
         if len(self.damages) > MAX_DAMAGES:
             raise ConfigError(f"is damaged in more than {MAX_DAMAGES} places")

@@ -314,7 +314,6 @@ class WheelWatch:
         return expected - measured[number] if ahead < BEHIND_SHARE * abs(expected) else 0.0
 
     def _describe_fault(self, measured: Speeds) -> WheelError:
-        """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
         wheel, speed, asked = self._wheels[number], measured[number], self._last[number]
         crossed = [  # wheels whose command this one answers, while they answer this one's

@@ -289,7 +289,6 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
 
 def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
-    """Make the LiDAR of a model and its serial device, "model://device"; as `open_lidar`."""
     from acsar_gym.lidar.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
     from acsar_gym.lidar.serial import SerialLidar  # noqa: PLC0415
 

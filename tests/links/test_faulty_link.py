@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from tapes import recorded
 
-from acsar_gym import Link, Robot, RobotConfig, open_link
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkLostError, PortNotFoundError
 from acsar_gym.links.faults import WIRE_BUFFER, FaultSeed, FaultyLink
 from acsar_gym.physics.body import Camera, Image
@@ -250,36 +250,6 @@ def test_a_cable_that_stays_out() -> None:
     link.close()
     link.close()
     assert board.opened == 1
-
-
-def test_another_device_takes_the_place_of_the_pulled_one() -> None:
-    boards = [Board(), Board()]
-    boards[1].device = "/dev/board1"
-    link = FaultyLink(boards[0], {"unplug_at": 0.1}, relink=lambda: boards[1])
-    with pytest.raises(LinkLostError, match="board0"):
-        drive(link, 50)
-    assert boards[1].opened == 0
-    drive(link, 5)
-    assert link.device == "/dev/board1"
-    assert boards[1].lines() == sent(5)
-    assert boards[0].closed == 1
-
-
-def test_a_device_that_cannot_be_opened_leaves_the_cable_out() -> None:
-    class Missing(Board):
-        def open(self) -> None:
-            raise PortNotFoundError("/dev/board1: no such device")
-
-    made: list[Link] = [Missing(), Board()]
-    link = FaultyLink(Board(), {"unplug_at": 0.0}, relink=lambda: made.pop(0))
-    with pytest.raises(LinkLostError):
-        drive(link, 1)
-    with pytest.raises(PortNotFoundError, match="board1"):
-        link.open()
-    with pytest.raises(LinkLostError):
-        link.write(TURNING)
-    link.open()
-    link.advance(PERIOD)
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,11 @@ from recording_tools import drive, record_env
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import replay
-from acsar_gym.links.replay import ReplayLink
+from acsar_gym.links.replay import ReplayLink, Tape
 from acsar_gym.recording import Episode, Recorder, read
 from acsar_gym.recording.cut import cut_recording, parse_duration
 from acsar_gym.recording.export import export_recording
 from acsar_gym.recording.messages import EXCHANGES, load_typestore
-from acsar_gym.recording.tape import Tape
 from acsar_gym.tools.datasets import read_demonstrations
 from acsar_gym.wire import STANDSTILL_TICKS
 

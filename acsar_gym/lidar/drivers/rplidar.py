@@ -126,11 +126,9 @@ class RplidarDriver(Driver):
             hold_motor(port)
 
     def _set_motor(self, port: Any, *, on: bool) -> None:
-        """Turn the motor on or off."""
         write_all(port, MOTOR_ON if on else MOTOR_OFF)
 
     def _start_scan(self, port: Any) -> None:
-        """Start to measure, in the standard mode."""
         self._library.RPLIDAR_A1(Outbox(port)).start()
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
@@ -170,7 +168,6 @@ class DenseRplidarDriver(RplidarDriver):
         self._step: float | None = None
 
     def _set_motor(self, port: Any, *, on: bool) -> None:
-        """Set the motor's speed."""
         write_all(port, encode_request(0xA8, struct.pack("<H", MOTOR_SPEED if on else 0)))
 
     def _start_scan(self, port: Any) -> None:
