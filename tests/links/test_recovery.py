@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,7 +21,6 @@ from serial_tools import DRIVER, TIMEOUT, Emulated, StartEmulator, no_leak, star
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import (
-    CommandError,
     LinkError,
     LinkLostError,
     PortNotFoundError,
@@ -152,28 +148,6 @@ USES: dict[str, Callable[[SerialLink], object]] = {
 }
 
 
-@pytest.mark.parametrize("use", USES)
-def test_pulled_before_any_use_there_is_one_error(
-    use: str, link: SerialLink, plugged: Emulated
-) -> None:
-    link.write(FORWARD)
-    link.advance(0.01)
-    plugged.pull()
-    with pytest.raises(LinkLostError) as caught:
-        USES[use](link)
-    assert caught.value.fix
-    link.stop()
-    link.close()
-    assert not link.watchdog.is_alive
-
-
-@pytest.mark.parametrize("use", ["close", "stop"])
-def test_pulled_before_the_end_there_is_none(use: str, link: SerialLink, plugged: Emulated) -> None:
-    link.write(FORWARD)
-    plugged.pull()
-    getattr(link, use)()
-
-
 def test_a_board_that_takes_no_bytes_holds_nobody_up(link: SerialLink, plugged: Emulated) -> None:
     plugged.pause()
     with pytest.raises(LinkLostError, match="takes no more bytes"):
@@ -222,21 +196,6 @@ robot.activate()
     emulator.plug()
     wait_until(lambda: bool(spoken(emulator)), "a command")
     assert spoken(emulator) == {ZERO}
-
-
-def test_a_few_of_a_thousand_pulls_leave_nothing_behind() -> None:
-    replug = Path(__file__).parents[1] / "fuzz" / "replug.py"
-    done = subprocess.run(
-        [sys.executable, str(replug), "--cycles", "5", "--seed", "1", "--reconnect", "3"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=2 * TIMEOUT,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("5 cycles in ")
-    assert ": 4 recovered, 1 reported, 0 neither; " in done.stdout
-    assert done.stdout.endswith("child processes left: 0\n")
 
 
 def drive_until_error(robot: Robot) -> None:
@@ -298,32 +257,6 @@ def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: 
     plugged.plug()
     env.reset()
     assert env.step(CURVE)[-1]["fault"] == 0.0
-
-
-def test_pulled_before_a_bad_action_the_action_is_the_error(env: Any, plugged: Emulated) -> None:
-    plugged.pull()
-    with pytest.raises(CommandError):
-        env.unwrapped.step(np.array([math.nan, 0.0], np.float32))
-    plugged.plug()
-    env.reset()
-    assert env.step(CURVE)[-1]["fault"] == 0.0
-
-
-def test_a_board_that_falls_silent_is_another_fault(
-    emulator: Emulated, config: RobotConfig
-) -> None:
-    env = made(emulator, config.with_(feedback_timeout=1.0))
-    env.reset(seed=0)
-    env.step(CURVE)
-    emulator.pause()
-    *_, info = step_until_fault(env)
-    assert info["fault"] == SILENT
-    assert "no feedback for 1." in info["fault_reason"]
-    emulator.resume()
-    env.reset()
-    assert env.step(CURVE)[-1]["fault"] == 0.0
-    env.close()
-    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
 
 
 ZEROS = b"\r\n" + encode(ZERO)
@@ -391,24 +324,6 @@ def test_a_port_that_was_never_there_is_reported_at_once(
     assert tries == [missing] * 2
 
 
-def test_without_patience_a_lost_port_is_tried_once(
-    plugged: Emulated, config: RobotConfig, tries: list[str]
-) -> None:
-    link = SerialLink(name(plugged), config.with_(reconnect_timeout=0.0))
-    link.open()
-    plugged.pull()
-    with pytest.raises(LinkLostError):
-        link.reset(Scene())
-    link.close()
-    tries.clear()
-    with pytest.raises(PortNotFoundError):
-        link.open()
-    assert len(tries) == 1
-    plugged.plug()
-    link.open()
-    link.close()
-
-
 END = """
 robot.activate()
 print(robot.link.watchdog.pid, flush=True)
@@ -434,14 +349,6 @@ def test_a_program_that_has_ended_still_stops_the_robot(emulator: Emulated) -> N
     wait_until(lambda: emulator.since_plugged().count(ZEROS) >= 7, "seven zero commands")
     ends(dog)
     assert not emulator.since_plugged().replace(ZEROS, b"")
-
-
-def test_without_a_lasting_name_nothing_is_looked_for(emulator: Emulated) -> None:
-    """Another adapter may be /dev/ttyUSB0 next."""
-    ends(lose(emulator, emulator.device))
-    emulator.plug()
-    time.sleep(0.2)
-    assert emulator.since_plugged() == b""
 
 
 def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
@@ -470,18 +377,3 @@ def test_another_link_to_the_port_calls_the_search_back(
     other.open()
     assert not runs(dog)
     other.close()
-
-
-def test_called_back_nobody_looks_any_more(link: SerialLink, plugged: Emulated) -> None:
-    plugged.pull()
-    link.close()
-    ((place, dog),) = watchdog.list_searches().items()
-    assert place == name(plugged)
-    watchdog.end_searches("another")
-    assert runs(dog)
-    watchdog.end_searches(place)
-    assert not psutil.pid_exists(dog)  # no zombie either
-    watchdog.end_searches(place)
-    plugged.plug()
-    time.sleep(0.2)
-    assert plugged.since_plugged() == b""

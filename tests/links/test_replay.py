@@ -91,19 +91,6 @@ def test_other_commands_are_told_with_their_tick(bullet: tuple[Path, list[bytes]
     env.close()
 
 
-def test_other_commands_can_be_allowed(bullet: tuple[Path, list[bytes]]) -> None:
-    link = ReplayLink(bullet[0], compare=False)
-    env = gymnasium.make(ENV_ID, link=link, on_fault="raise")
-    env.reset(seed=5)
-    with pytest.raises(LinkLostError, match=f"episode ends here, tick {10 * STEPS}"):
-        for _ in range(STEPS + 1):
-            env.step(np.zeros(2, np.float32))
-    env.reset()
-    with pytest.raises(LinkLostError, match="all 2 episodes"):
-        env.reset()
-    env.close()
-
-
 def test_what_cannot_be_replayed_or_recorded_is_told(config: RobotConfig, tmp_path: Path) -> None:
     link = ReplayLink(taped(tmp_path / "blind.mcap", config), compare=False)
     with pytest.raises(LinkError, match=r"no revolutions .* kept no more than the scans: record"):

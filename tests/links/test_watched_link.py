@@ -15,7 +15,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from nursery import ended, first_line, program
+from nursery import first_line, program
 from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
 from watchdog_tools import HASTY, TURNING, ZEROS, children
 
@@ -93,34 +93,6 @@ def test_a_board_without_a_time_out_and_without_a_watchdog_is_told(
     assert len(said) == 1
 
 
-FEW_FILES = """
-import resource
-robot.activate()
-robot.deactivate()
-held = len(os.listdir("/proc/self/fd")) - 1
-said = set()
-for room in range(100):
-    resource.setrlimit(resource.RLIMIT_NOFILE, (held + room, held + 1000))
-    try:
-        robot.activate()
-        break
-    except Exception as error:
-        said.add(f"{type(error).__name__}: {error}")
-    assert len(os.listdir("/proc/self/fd")) == held + 1 if room else True
-resource.setrlimit(resource.RLIMIT_NOFILE, (held + 1000, held + 1000))
-print(*said, sep="|", flush=True)
-"""
-
-
-def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
-    with program(DRIVER + FEW_FILES, shared_device) as process:
-        said = first_line(process).split("|")
-        assert ended(process) == (0, "")
-    assert len(said) > 1
-    assert all(one.startswith("LinkError: ") and "ulimit -n" in one for one in said)
-    assert "watchdog" in "".join(said)
-
-
 @pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
 def test_where_it_cannot_start_nothing_drives(
     python: str, shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
@@ -195,13 +167,6 @@ def test_no_pause_at_standstill_is_too_long_and_reading_is_a_sign_of_life(link: 
         stop()
         link.read_now()
         assert link.watchdog.page[BEAT] == 0.0
-
-
-def test_periods_longer_than_the_timeout_are_no_pause(hasty: SerialLink) -> None:
-    hasty.write(TURNING)
-    hasty.advance(2.0 * HASTY)
-    assert not hasty.watchdog.has_tripped
-    hasty.stop()
 
 
 def test_a_watchdog_that_dies_stops_the_robot_and_comes_back(link: SerialLink) -> None:
@@ -333,31 +298,6 @@ drive(10**9)
         assert set(emulator.commands()) == {ZERO}
         process.send_signal(signal.SIGCONT)
         wait_until(emulator.is_driven, "a command that turns the wheels")
-
-
-def test_a_stray_copy_of_the_lifeline_only_delays_the_zero(
-    emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    code = """
-import subprocess
-robot.activate()
-stray = subprocess.Popen(["sleep", "60"], pass_fds=(robot.link.watchdog.lifeline,),
-                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-drive(30)
-print(stray.pid, flush=True)
-drive(10**9)
-"""
-    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
-    with program(WATCHED + code, emulator.device) as process:
-        stray = psutil.Process(int(first_line(process)))
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        fault = time.monotonic()
-        process.kill()
-        assert_stopped_after(emulator, fault)
-        assert ended(process)[0] == -signal.SIGKILL
-        with Robot(open_link(emulator.device, config), config) as robot:
-            assert robot.active
-        stray.kill()
 
 
 def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:

@@ -18,8 +18,6 @@ from acsar_gym.links import replay
 from acsar_gym.links.replay import ReplayLink, Tape
 from acsar_gym.recording import Episode, Recorder, read
 from acsar_gym.recording.cut import cut_recording, parse_duration
-from acsar_gym.recording.export import export_recording
-from acsar_gym.recording.messages import EXCHANGES, load_typestore
 from acsar_gym.tools.datasets import read_demonstrations
 from acsar_gym.wire import STANDSTILL_TICKS
 
@@ -120,12 +118,6 @@ def test_a_part_of_a_drive_becomes_demonstrations(tmp_path: Path) -> None:
     shown_again = read_demonstrations([part], goal=(distance, 0.0))
     assert len(shown_again.episodes[0].actions) > 0
     assert abs(theta) > 0.01
-
-
-def test_a_part_is_exported(tape: Path, tmp_path: Path) -> None:
-    cut_recording(tape, 1.0, 5.0, tmp_path / "part.mcap")
-    names = [path.name for path in export_recording(tmp_path / "part.mcap", "csv", tmp_path)]
-    assert names == ["ticks.csv", "wire.csv", "steps.csv", "scans.csv"]
 
 
 def test_a_part_of_a_part(tape: Path, tmp_path: Path) -> None:
@@ -260,35 +252,3 @@ def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:
         robot.drive(0.1, 0.0)
         assert robot.speeds == tuple(episode.speeds[0])
         assert robot.wire.stamp == episode.stamps[0]
-
-
-@pytest.mark.parametrize(("place", "value"), [(0, math.nan), (1, 1e300), (2, math.inf)])
-def test_rows_of_strangers_are_one_line(place: int, value: float, tmp_path: Path) -> None:
-    """An exchange with a number that is none."""
-    tape = drive(tmp_path / "tape.mcap", RobotConfig.of(None), 300)
-    store, bad = load_typestore(), tmp_path / "bad.mcap"
-    with tape.open("rb") as source, bad.open("wb") as file:
-        reader, writer = make_reader(source), Writer(file)
-        writer.start("ros2", "")
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, record.metadata)
-        channels: dict[int, int] = {}
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, number, dict(channel.metadata)
-                )
-            data = message.data
-            if channel.topic == EXCHANGES.name:
-                content = store.deserialize_cdr(data, EXCHANGES.kind)
-                content.data = np.array(content.data)
-                content.data[place] = value
-                data = bytes(store.serialize_cdr(content, EXCHANGES.kind))
-            time = message.log_time
-            writer.add_message(channels[channel.id], time, data, time, message.sequence)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with pytest.raises(ConfigError, match="is damaged: a row with a broken number"):
-        cut_recording(bad, 1.0, 2.0, tmp_path / "part.mcap")
-    assert not (tmp_path / "part.mcap").exists()

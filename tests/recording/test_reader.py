@@ -26,7 +26,6 @@ from acsar_gym.recording.messages import (
     HEADER_RECORD,
     MCAP_MAGIC,
     RECORDING_FORMAT,
-    REVOLUTIONS,
     WIRE_SENT,
     Topic,
     array_packer,
@@ -182,37 +181,6 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
 )
 def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
     assert said in refused(written(tmp_path / "file.mcap", add))
-
-
-def turned(*numbers: float) -> Callable[[Add], None]:
-    """A recording with this revolution."""
-    packer = array_packer("<f8", len(numbers))
-    (data,) = packer.pack(1, {"data": np.array([numbers])})
-
-    def add(one: Add) -> None:
-        rows()(one)
-        one(REVOLUTIONS, data)
-
-    return add
-
-
-@pytest.mark.parametrize(
-    ("numbers", "said"),
-    [
-        ((0.0,), "a broken revolution"),
-        ((0.0, 1.0, 0.1, 2.0), "a broken revolution"),
-        ((0.0, 1.0, 0.1, np.nan, 1.0), "a broken revolution"),
-        ((0.0, 1e300, 0.1, 2.0, 1.0), "a time that is out of range"),
-        ((0.0, 1.0, 0.1, 2.0, -1e300), "a time that is out of range"),
-        ((0.0, 1.0, 1e300, 2.0, 1.0), "a measurement of the LiDAR that is out of range"),
-        ((0.0, 1.0, 0.1, -2.0, 1.0), "a measurement of the LiDAR that is out of range"),
-    ],
-)
-def test_broken_revolutions_are_told(numbers: tuple[float, ...], said: str, tmp_path: Path) -> None:
-    path = written(tmp_path / "file.mcap", turned(*numbers))
-    assert not read(path).episodes[0].revolutions.measured  # nobody asked for them
-    with pytest.raises(ConfigError, match=said):
-        read(path, revolutions=True)
 
 
 def record(opcode: int, content: bytes) -> bytes:

@@ -49,15 +49,6 @@ def test_ranges_have_limits() -> None:
     assert found == pytest.approx([5.0, 5.0, 5.0, 2.5])
 
 
-def test_the_phase_of_a_revolution_is_drawn_at_the_reset() -> None:
-    stamps = np.array([scanner(seed=seed).scan.stamp for seed in range(50)])
-    now = scanner().lidar._link.now()  # type: ignore[attr-defined]
-    ages = now - stamps
-    assert 0.0 <= ages.min() < 0.02
-    assert 0.08 < ages.max() <= 0.1
-    assert len(set(ages.tolist())) == 50
-
-
 def drive_scans(**lidar: Any) -> list[tuple[float, Revolution, Scan]]:
     """Time, revolution and scan after each of some steps of driving."""
     config = ACSAR.with_(lidar={"noise": 0.0, **lidar})
@@ -125,19 +116,6 @@ def test_dropouts_bias_and_outliers() -> None:
     assert mixed[between].mean() == pytest.approx(2.5, abs=0.02)
 
 
-@pytest.mark.parametrize("view", [2.0 * math.pi, math.pi])
-def test_the_last_ray_is_beside_the_first_one_in_a_full_turn_alone(view: float) -> None:
-    rays = make_rays(ACSAR.with_(lidar={"field_of_view": view}))
-    ends = []
-    for number in range(100):
-        distances = np.linspace(1.0, 4.0, 64)  # no edge but between the last and the first
-        add_errors(distances, 0.3, float(number), LidarTraits(10.0, 0.0, 0.0, 0.0, 1.0), rays)
-        assert distances[:-1] == pytest.approx(np.linspace(1.0, 4.0, 64)[:-1])
-        ends.append(distances[-1])
-    assert (min(ends) < 2.0) == (view > 6.0)
-    assert max(ends) <= 4.0
-
-
 @pytest.mark.parametrize("rate", [0.5, 1.0])
 def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_path: Path) -> None:
     """Its oldest measurements are two turns old; a replay sees the same, to the bit."""
@@ -158,13 +136,6 @@ def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_p
         for one in seen:
             robot.drive(0.3, 0.0)
             assert robot.read().tobytes() == one.tobytes()
-
-
-def test_an_episode_has_its_own_lidar() -> None:
-    physics = compute_physics(ACSAR)._replace(range_bias=0.2, range_noise=0.0, scan_rate=2.0)
-    found = [scanner(physics, seed, rays=4) for seed in range(20)]
-    assert found[0].scan.ranges[3] == pytest.approx(1.7, abs=1e-6)
-    assert min(one.scan.stamp for one in found) < found[0].lidar._link.now() - 0.2  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -212,12 +183,6 @@ def read_handmade(made: Any) -> Any:
     sensor.reset(Scene(), np.random.default_rng(0))
     sensor.poll(None, 0.2)
     return sensor.scan.ranges
-
-
-def test_a_users_own_lidar_may_hand_over_lists() -> None:
-    ranges = read_handmade(Revolution(**GOOD))
-    assert ranges.shape == (64,)
-    assert ((ranges >= 0.1) & (ranges <= 5.0)).all()
 
 
 class HandmadePolled(Handmade):

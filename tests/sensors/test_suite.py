@@ -134,12 +134,3 @@ def test_any_error_of_it_stops_the_robot(what: str) -> None:
     with pytest.raises(SensorError, match=rf"'.*': {what}\(\) raised RuntimeError: {what}"):
         use[what]()
     assert not one.active
-
-
-def test_one_that_cannot_be_closed_keeps_none_open() -> None:
-    one = robot(Device, type("Second", (Device,), {"name": "second"}))
-    first, second = (vars(sensor) for sensor in one.sensors)
-    first["fails_in"] = "close"
-    with pytest.raises(SensorError, match=r": close\(\) raised RuntimeError: close"):
-        one.close()
-    assert (first["calls"], second["calls"]) == (["close"], ["close"])

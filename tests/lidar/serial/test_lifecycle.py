@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import gc
-import pickle
 import statistics
 import threading
 import time
@@ -73,26 +71,6 @@ def test_opened_closed_or_forgotten_it_leaves_nothing_behind(sensor: Emulated) -
         assert threading.active_count() == threads
 
 
-def test_copies_and_pickles_are_closed(sensor: Emulated, make: Open) -> None:
-    lidar = make(sensor)
-    reset(lidar)
-    for twin in (copy.copy(lidar), copy.deepcopy(lidar), pickle.loads(pickle.dumps(lidar))):  # noqa: S301
-        assert twin.device == lidar.device
-        with pytest.raises(LidarError, match="is closed"):
-            twin.scan()
-    newer(lidar, time.monotonic())
-
-
-def test_it_spins_up_from_standstill(start: Start, make: Open) -> None:
-    emulated = start("--spin-up", "0.5", "--rate", "5.5", "--baud", "460800")  # a C1's
-    lidar = make(emulated)
-    for _ in range(2):
-        reset(lidar)
-        assert shows_the_room(lidar.scan())
-        lidar.close()
-        wait_until(lambda: state(emulated) == STANDSTILL, "a stop")
-
-
 @pytest.mark.parametrize("ending", ["os.kill(os.getpid(), signal.SIGTERM)", "pass"])
 def test_a_process_that_ends_stops_the_motor(sensor: Emulated, ending: str) -> None:
     with program(PROGRAM + ending, sensor.device) as process:
@@ -129,18 +107,6 @@ print("goes on", flush=True)
         said, complaints = process.communicate(timeout=TIMEOUT)
     assert said.split("\n")[1:3] == ["LidarError", "goes on"]
     assert not complaints
-
-
-def test_an_open_one_resets_at_once_and_does_not_wait(sensor: Emulated, make: Open) -> None:
-    lidar = make(sensor)
-    reset(lidar)
-    assert len({lidar.scan().stamp for _ in range(100)}) < 100
-    before, states = lidar.scan().stamp, len([e for e in sensor.events() if "running" in e])
-    for _ in range(100):
-        reset(lidar)
-    assert lidar.scan().stamp >= before
-    newer(lidar, time.monotonic())
-    assert len([e for e in sensor.events() if "running" in e]) == states
 
 
 @pytest.mark.parametrize("model", MAKERS)
