@@ -1,4 +1,18 @@
-"""Exceptions and warnings. Every message says what happened, where, and what to do next."""
+"""Exceptions and warnings. Every message says what happened, where, and what to do next.
+
+AcsarError
+  ConfigError                a parameter, option, file or name
+    WorldError, TaskError
+  CommandError               a speed that must not be sent
+  LinkError                  robot or LiDAR
+    PortNotFoundError, PortPermissionError, PortBusyError
+    BoardSilentError
+      BoardGarbledError
+    LinkLostError, LidarError, WheelError, EmergencyStopError
+  SensorError, PolicyError, RenderError, MissingExtraError
+  IdentificationError, LateTicksError, CancelledError
+  JobError, ClusterError
+"""
 
 from __future__ import annotations
 

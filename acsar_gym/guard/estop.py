@@ -25,7 +25,13 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
+from acsar_gym.errors import (
+    MORE_FILES_ADVICE,
+    EmergencyStopError,
+    LinkError,
+    SafetyWarning,
+    escape_unprintable,
+)
 from acsar_gym.streams import print_error
 
 SESSION_FOLDERS = Path("/run/user")
@@ -118,10 +124,7 @@ HIDDEN = "."  # before the name of a socket that doesn't listen yet
 NUMBER_BYTES = 5
 """Random bytes of a socket's number, so that no address is given out twice: not to another thread,
 not to a process of the same id in a container, and not to one after this one."""
-BIND_ATTEMPTS = 100  # how often a listener whose socket was removed halfway makes another
 RESEND_PERIOD = 0.01  # how soon a request is sent again that found a full queue [s]
-STALE_ASKER_AGE = 60.0
-"""Age at which the socket of a stop that ended halfway is removed [s]; a stop takes 2 s."""
 MAX_REQUESTS = 8  # requests that are read in one tick
 
 
@@ -207,7 +210,11 @@ class StopListener:
                 self._sockets.append(_bind_listener(path))
                 self.paths.append(path)
             except OSError as error:
-                self.faults.append(_explain_socket(path, error))
+                fix = OTHER_FOLDER
+                if error.errno in (errno.EMFILE, errno.ENFILE):
+                    fix = f"close robots that aren't driven: {MORE_FILES_ADVICE}"
+                why = f"{path}: no socket: {error.strerror or error}"
+                self.faults.append(LinkError(why, fix))
 
     @staticmethod
     def check_available(device: str) -> None:
@@ -363,21 +370,16 @@ def _bind_listener(path: Path) -> socket.socket:
     """Return a new socket that listens at this address, which nobody has had.
 
     Between the two halves of a bind, the file is there and refuses requests, as that of a dead
-    process does, and a stop may remove it. So it gets its name when it listens: what has such a
-    name and refuses, is dead for ever, and nobody else can have the address by then.
+    process does, and a stop would remove it. So it gets its name when it listens.
     """
-    hidden, attempts = path.with_name(HIDDEN + path.name), 0
-    while True:
-        attempts += 1
-        try:
-            with contextlib.ExitStack() as on_error:
-                ours = on_error.enter_context(_bind_socket(hidden))
-                hidden.rename(path)
-                on_error.pop_all()
-                return ours
-        except FileNotFoundError:  # a stop removed it halfway, or somebody the folder
-            if attempts == BIND_ATTEMPTS:
-                raise
+    hidden = path.with_name(HIDDEN + path.name)
+    listener = _bind_socket(hidden)
+    try:
+        hidden.rename(path)
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
 def _bind_socket(path: Path) -> socket.socket:
@@ -391,13 +393,6 @@ def _bind_socket(path: Path) -> socket.socket:
         ours.close()
         raise
     return ours
-
-
-def _explain_socket(path: Path, error: OSError) -> LinkError:
-    fix = OTHER_FOLDER
-    if error.errno in (errno.EMFILE, errno.ENFILE):
-        fix = "close robots that aren't driven, or raise the limit of open files: ulimit -n"
-    return LinkError(f"{path}: no socket: {error.strerror or error}", fix)
 
 
 def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
@@ -515,8 +510,6 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
                     # Of two sockets of one listener, the other may have been asked before.
                     if answer != FREE_ANSWER or not answers.get(sender):
                         answers[sender] = answer
-    for folder in usable:
-        _remove_leftovers(folder)
     return sorted(answers.items(), key=lambda item: _process_of(item[0]))
 
 
@@ -557,30 +550,6 @@ def _send_request(
         return False
     answers.setdefault(path.name, b"")
     return True
-
-
-def _remove_leftovers(folder: Path) -> None:
-    """Remove sockets that dead processes have left half made, and those of stops that died."""
-    now = time.time()
-    with contextlib.suppress(OSError):
-        for path in folder.iterdir():
-            is_asker = re.fullmatch("estop-[0-9]+(-[0-9]+)?", path.name) is not None
-            if not is_asker and not path.name.startswith(HIDDEN):
-                continue
-            with contextlib.suppress(OSError):
-                old = abs(now - path.stat().st_mtime) > STALE_ASKER_AGE
-                if path.is_socket() and (old or not is_asker) and _is_dead(path):
-                    path.unlink()
-
-
-def _is_dead(path: Path) -> bool:
-    """Whether nobody has this socket open, or its bind isn't done yet."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return True
-    return False
 
 
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:

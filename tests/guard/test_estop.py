@@ -185,26 +185,8 @@ def test_the_socket_of_a_dead_process_is_forgotten() -> None:
     assert not (folder() / "99999999-1").exists()
 
 
-def test_what_an_ended_stop_has_left_is_in_nobodys_way() -> None:
-    """It is removed once it is too old to be that of a stop which has just begun."""
-    young, old = f"estop-{os.getpid()}-1", f"estop-{os.getpid()}-2"
-    for name in (young, old):
-        socket_at(name).close()
-    os.utime(folder() / old, (0.0, 0.0))
-    with socket_at("estop-1-1") as other:
-        os.utime(other.getsockname(), (0.0, 0.0))
-        listener = estop.StopListener()
-        thread = answering(listener)
-        assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
-        thread.join()
-        listener.close()
-        estop.release_process()
-        assert {path.name for path in folder().iterdir()} == {young, "estop-1-1"}
-
-
 def look_for_dead_ones() -> None:
     """Remove the sockets of dead processes, as each stop does, without stopping anybody."""
-    estop._remove_leftovers(folder())
     for path in estop._find_sockets(folder()):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asker:
             asker.setblocking(False)
@@ -232,7 +214,6 @@ def test_robots_made_at_one_moment_all_hear_a_stop(threads: int) -> None:
             drives = [pool.submit(drive, barrier, ended, robots) for _ in range(threads)]
             barrier.wait()
             for _ in range(number % 3):
-                socket_at(".99999999-1").close()
                 look_for_dead_ones()
             barrier.wait()
             assert len(list(folder().iterdir())) == threads
