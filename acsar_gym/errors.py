@@ -29,8 +29,7 @@ from typing import Any
 
 BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
 """What to do on a busy computer."""
-MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
-"""What to do in a process that has too many open files."""
+MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"  # for too many open files
 
 
 class AcsarError(Exception):

@@ -36,10 +36,8 @@ OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY"
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
 STREAM_PATHS = ("/dev/std", "/dev/fd/", "/proc/")
 """Names of what the program has open already: the shell's "> FILE" must not be replaced."""
-MAX_JSON_VALUES = 1_000_000
-"""Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
-MAX_YAML_EVENTS = 20_000
-"""Most parser events in YAML: beginning or end of a list or mapping, key, value."""
+MAX_JSON_VALUES = 1_000_000  # by brackets and commas; they take up to 230 MB
+MAX_YAML_EVENTS = 20_000  # beginnings and ends of lists and mappings, keys, values
 MAX_YAML_DEPTH = 20  # deepest nesting of lists and mappings in YAML, which are made by recursion
 COMMAND: ContextVar[str] = ContextVar("command", default="")
 """Name of the running command, such as "evaluate"."""
@@ -263,9 +261,9 @@ def import_object(what: str, name: str) -> Any:
     if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
         raise ConfigError(f"{field}: {like}")
     try:
-        found: Any = importlib.import_module(module)
+        value: Any = importlib.import_module(module)
         for part in attribute.split("."):
-            found = getattr(found, part)
+            value = getattr(value, part)
     except AcsarError:
         raise
     except (ImportError, AttributeError) as error:
@@ -273,15 +271,15 @@ def import_object(what: str, name: str) -> Any:
     except (Exception, SystemExit) as error:
         said = f"{type(error).__name__}: {explain_error(error)}"
         raise ConfigError(f"{field}: the module {module} can't be imported: {said}") from error
-    return found
+    return value
 
 
 def object_name(kind: type | FunctionType) -> str | None:
     """The "module:name" that imports a class or function; None where none does: a local one."""
-    found: Any = sys.modules.get(kind.__module__)
+    value: Any = sys.modules.get(kind.__module__)
     for part in kind.__qualname__.split("."):
-        found = getattr(found, part, None)
-    importable = found is kind and kind.__module__ != "__main__"
+        value = getattr(value, part, None)
+    importable = value is kind and kind.__module__ != "__main__"
     return f"{kind.__module__}:{kind.__qualname__}" if importable else None
 
 

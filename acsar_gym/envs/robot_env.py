@@ -373,7 +373,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         info |= episode.info() | self._randomizer.info()
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
-        self.robot.tell(info)
+        self.robot.add_sensor_info(info)
         told = np.concatenate([numbers, state.sensed]), info
         self._last_step = told[0].copy(), info.copy()  # a caller may change its own
         return told

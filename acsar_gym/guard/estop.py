@@ -34,15 +34,11 @@ from acsar_gym.errors import (
 )
 from acsar_gym.streams import print_error
 
-SESSION_FOLDERS = Path("/run/user")
-"""Has a folder for each user who is logged in, in which nobody else can create files."""
+SESSION_FOLDERS = Path("/run/user")  # of users who are logged in, each their own
 SHARED_FOLDER = Path("/tmp")  # noqa: S108 - what is found there is checked
 """A folder in which everybody can create files; it exists on every system."""
-FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
-"""Environment variable that names a folder to use instead of these two."""
-MAX_FOLDER_PATH = 80
-"""Most bytes of a folder's path, because the address of a socket has at most 103 on every
-system."""
+FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"  # environment variable: a folder instead of these two
+MAX_FOLDER_PATH = 80  # bytes, as a socket's address has at most 103 on every system
 OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, in every terminal the same"
 """What to do where a folder can't be used."""
 
@@ -59,9 +55,9 @@ def list_candidates() -> list[Path]:
         return [Path(os.environ[FOLDER_VARIABLE]) / name]
     session, folders = SESSION_FOLDERS / str(os.getuid()), [SHARED_FOLDER / name]
     with contextlib.suppress(OSError):
-        found = session.lstat()
-        ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-        if ours and not found.st_mode & 0o22:  # nobody else can create files in it
+        status = session.lstat()
+        ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+        if ours and not status.st_mode & 0o22:  # nobody else can create files in it
             folders.insert(0, session / name)
     return folders
 
@@ -113,8 +109,7 @@ ANSWER_TIMEOUT = 2.0  # how long a stop waits for answers [s]; a control loop an
 STOP_REQUEST = b"stop"
 """Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
 HELD_ANSWER = b"held"  # answer to a stop: no robot is connected, and none will be driven
-RELEASE_REQUEST = b"release"
-"""Request to release stops, or that of the robot whose name follows; also the answer that it is."""
+RELEASE_REQUEST = b"release"  # likewise
 FREE_ANSWER = b"free"  # answer to a release: there was no stop
 WHO_REQUEST = b"who"  # request to tell the names of the robot
 OTHER_ANSWER = b"other"
@@ -194,8 +189,8 @@ class StopListener:
         self._about = (device, name, recording)
         self._identity = b"\t".join((OTHER_ANSWER, *map(os.fsencode, self._about)))
         real = os.path.realpath(device) if device.startswith("/") else device
-        known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
-        self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
+        names = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
+        self._names = {os.fsencode(alias) for alias in names if alias} | {b"%d" % os.getpid()}
         self._sockets: list[socket.socket] = []
         self.paths: list[Path] = []
         self._process = os.getpid()
@@ -247,44 +242,44 @@ class StopListener:
             unsent, self._unsent = self._unsent, []
             for answer in unsent:
                 self._answer(*answer)
-        for each in self._sockets if self._process == os.getpid() else ():
+        for listening in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
                 for _ in range(MAX_REQUESTS):
-                    self._take_request(each, *each.recvfrom(MAX_REQUEST_BYTES))
+                    self._take_request(listening, *listening.recvfrom(MAX_REQUEST_BYTES))
         return bool(self._waiting)
 
-    def _take_request(self, own: socket.socket, data: bytes, sender: str) -> None:
+    def _take_request(self, listening: socket.socket, data: bytes, sender: str) -> None:
         """Take a request, and answer it at once where it isn't a stop of this robot."""
         request, _, names = data.partition(b" ")
         is_meant = not names or not self._names.isdisjoint(names.split(b"\0"))
         if request == STOP_REQUEST and is_meant:
             self.hold()
-            self._waiting.append((own, sender))
+            self._waiting.append((listening, sender))
         elif request == RELEASE_REQUEST and is_meant:
             answer = RELEASE_REQUEST if self in self.held else FREE_ANSWER
             self._drop_hold()  # before the answer, which says that it is released
-            self._answer(own, answer, sender)
+            self._answer(listening, answer, sender)
             self.release()
         elif request in (STOP_REQUEST, RELEASE_REQUEST, WHO_REQUEST):
-            self._answer(own, self._identity, sender)
+            self._answer(listening, self._identity, sender)
 
     def confirm(self, *, connected: bool = True) -> None:
         """Answer the requests for a stop."""
         with contextlib.suppress(IndexError):  # another thread may add or take one meanwhile
             while True:
-                own, sender = self._waiting.pop()
-                self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
+                listening, sender = self._waiting.pop()
+                self._answer(listening, STOP_REQUEST if connected else HELD_ANSWER, sender)
 
     def _answer(
-        self, own: socket.socket, data: bytes, sender: str, deadline: float | None = None
+        self, listening: socket.socket, data: bytes, sender: str, deadline: float | None = None
     ) -> None:
         """Send an answer; one that finds the other's queue full goes along with the next tick."""
         try:
-            own.sendto(data, sender)
+            listening.sendto(data, sender)
         except BlockingIOError:  # it takes ten at a time, and many robots may answer it
             deadline = deadline or time.monotonic() + ANSWER_TIMEOUT
             if time.monotonic() < deadline:
-                self._unsent.append((own, data, sender, deadline))
+                self._unsent.append((listening, data, sender, deadline))
         except (OSError, TypeError):  # it ended, or its socket has no address
             pass
 
@@ -301,11 +296,11 @@ class StopListener:
 
     def _drop_hold(self) -> None:
         # What a fork has inherited can't be reached by name, so that it goes along.
-        own = os.getpid()
-        for one in self.held.copy():
-            if one is self or one._process != own:  # noqa: SLF001
+        process = os.getpid()
+        for listener in self.held.copy():
+            if listener is self or listener._process != process:  # noqa: SLF001
                 with contextlib.suppress(ValueError):  # another thread has dropped it
-                    self.held.remove(one)
+                    self.held.remove(listener)
 
     def close(self) -> None:
         """Close the sockets, after a stop once it is released; idempotent.
@@ -320,8 +315,8 @@ class StopListener:
 
     def _close_sockets(self) -> None:
         sockets, self._sockets = self._sockets, []
-        for each, path in zip(sockets, self.paths, strict=True):
-            each.close()
+        for listening, path in zip(sockets, self.paths, strict=True):
+            listening.close()
             if self._process == os.getpid():
                 with contextlib.suppress(OSError):
                     path.unlink()
@@ -342,24 +337,24 @@ def check_released() -> None:
     Raises:
         EmergencyStopError: one does; a person has to release it.
     """
-    for each in StopListener.held.copy():
-        if each.is_requested() and each.closed:  # else its robot answers, once it has stopped
-            each.confirm(connected=False)
+    for listener in StopListener.held.copy():
+        if listener.is_requested() and listener.closed:  # else its robot answers when it stopped
+            listener.confirm(connected=False)
     if StopListener.held:
         raise EmergencyStopError
 
 
 def release_process() -> None:
     """Release all stops of this process."""
-    for each in StopListener.held.copy():
-        each.release()
+    for listener in StopListener.held.copy():
+        listener.release()
 
 
 @atexit.register
 def _remove_sockets() -> None:
     """Remove the sockets of stopped robots; nothing is released, as threads may go on driving."""
-    for each in StopListener.held:
-        each._close_sockets()  # noqa: SLF001
+    for listener in StopListener.held:
+        listener._close_sockets()  # noqa: SLF001
 
 
 def _make_number() -> int:
@@ -444,15 +439,15 @@ def list_drivers() -> list[DriverProcess]:
     Raises:
         LinkError: no folder can be used.
     """
-    found = []
+    drivers = []
     for socket_name, answer in _ask_drivers(WHO_REQUEST):
-        _, *told = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
+        _, *identity = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
         since = 0.0
         for folder in find_folders()[0]:
             with contextlib.suppress(OSError):
                 since = max(since, (folder / socket_name).stat().st_mtime)
-        found.append(DriverProcess(_process_of(socket_name), since, *map(os.fsdecode, told)))
-    return found
+        drivers.append(DriverProcess(_process_of(socket_name), since, *map(os.fsdecode, identity)))
+    return drivers
 
 
 def is_listening(process: int) -> bool:
@@ -498,7 +493,7 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
             poll.register(asker, select.POLLIN)
         deadline = time.monotonic() + ANSWER_TIMEOUT
         while True:
-            unsent = [one for one in unsent if not _send_request(*one, request, answers)]
+            unsent = [pair for pair in unsent if not _send_request(*pair, request, answers)]
             left = deadline - time.monotonic()
             if left <= 0.0 or (all(answers.values()) and not unsent):
                 break
@@ -561,40 +556,40 @@ def run_command(name: str = "", *, listing: bool = False, release: bool = False)
     try:
         if listing:
             return _print_drivers()
-        found: Sequence[StopResult | ReleaseResult] = (release_all if release else stop_all)(name)
-        for each in found:
-            print(f"process {each.process}: {each}")
-        if not found and name and list_drivers():
-            known = escape_unprintable(name)
-            print(f"no robot {known} is being driven from this computer; these are:")
-        if not found:
+        results: Sequence[StopResult | ReleaseResult] = (release_all if release else stop_all)(name)
+        for result in results:
+            print(f"process {result.process}: {result}")
+        if not results and name and list_drivers():
+            robot = escape_unprintable(name)
+            print(f"no robot {robot} is being driven from this computer; these are:")
+        if not results:
             _print_drivers()
     except LinkError as error:
         print_error(f"acsar-gym: {escape_unprintable(str(error))}")
         return error.exit_code
-    return 0 if found and all(each.answered for each in found) else 1
+    return 0 if results and all(result.answered for result in results) else 1
 
 
 def _print_drivers() -> int:
     """Print who drives a robot; exit code 1 where nobody does."""
-    found = list_drivers()
-    for each in found:
-        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.since))
-        robot = escape_unprintable(each.device or "doesn't answer")
-        called = f" ({escape_unprintable(each.name)})" if each.name else ""
-        print(f"{robot}{called}: process {each.process}, since {since}")
-    if not found:
+    drivers = list_drivers()
+    for driver in drivers:
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(driver.since))
+        robot = escape_unprintable(driver.device or "doesn't answer")
+        called = f" ({escape_unprintable(driver.name)})" if driver.name else ""
+        print(f"{robot}{called}: process {driver.process}, since {since}")
+    if not drivers:
         print(
             "you drive no robot from this computer; "
             "'sudo -u USER acsar-gym estop' stops what another user drives"
         )
-    return 0 if found else 1
+    return 0 if drivers else 1
 
 
 def parse_stop(arguments: list[str]) -> Callable[[], int] | None:
     """Return what runs `acsar-gym estop` with these arguments; None for others than it knows."""
-    options = [each for each in arguments if each.startswith("-")]
-    names = [each for each in arguments if not each.startswith("-")]
+    options = [argument for argument in arguments if argument.startswith("-")]
+    names = [argument for argument in arguments if not argument.startswith("-")]
     if len(names) > 1 or options not in ([], ["--list"], ["--release"]):
         return None
     if options == ["--list"] and names:

@@ -41,9 +41,7 @@ from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
 
 WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
 CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s]; usually 20 ms and 1 ms
-ASLEEP_TIME = 0.2
-"""It counts as halted if it didn't run during this driving time, or its own time-out where that is
-longer [s]; it runs every 50 ms."""
+ASLEEP_TIME = 0.2  # it is halted if it ran in none of this driving time, or its own time-out [s]
 LONGEST_TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
 BEATS_PER_TIMEOUT = 3  # signs of life that a link gives in each time-out while it waits
@@ -298,8 +296,7 @@ class Watchdog:
         self._ours.close()
 
 
-_searching: dict[str, int] = {}
-"""PIDs of watchdogs that search for ports which the program has closed, by name."""
+_searching: dict[str, int] = {}  # PIDs of watchdogs that search for a lost port, by name
 if hasattr(os, "register_at_fork"):  # PIDs of the parent's children
     os.register_at_fork(after_in_child=_searching.clear)
 
@@ -311,14 +308,14 @@ def list_searches() -> dict[str, int]:
 
 def end_searches(name: str | None = None) -> None:
     """End the watchdogs that search for the port with this name, or all of them."""
-    for each, process in list(_searching.items()):
-        if name in (None, each):
+    for port, process in list(_searching.items()):
+        if name in (None, port):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
         with contextlib.suppress(ChildProcessError):  # it is a child of this process's parent
-            if os.waitpid(process, 0 if name in (None, each) else os.WNOHANG) == (0, 0):
+            if os.waitpid(process, 0 if name in (None, port) else os.WNOHANG) == (0, 0):
                 continue
-        del _searching[each]
+        del _searching[port]
 
 
 def _create_shared_page() -> int:

@@ -33,14 +33,14 @@ class ReplayedLidar:
 
     def scan(self) -> Revolution:
         """Return the revolution that was the newest one; LidarError where none was recorded."""
-        found = self._tape.revolution()
-        if found is None:
+        newest = self._tape.revolution()
+        if newest is None:
             raise LidarError(
                 "the recording has no revolutions of a LiDAR",
                 "it was made without one, or by a version that kept no more than the scans: "
                 "record again",
             )
-        stamp, measured = found
+        stamp, measured = newest
         if self._newest is None or measured is not self._measured:
             self._measured = measured
             self._newest = Revolution(measured[0], measured[1], measured[2], stamp)

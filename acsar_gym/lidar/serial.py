@@ -35,8 +35,7 @@ from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
 
-MIN_MEASUREMENTS, MAX_MEASUREMENTS = 36, 10_000
-"""A revolution has at least 36 and at most 10,000 measurements; any other is dropped."""
+MIN_MEASUREMENTS, MAX_MEASUREMENTS = 36, 10_000  # of a revolution that is believed
 READ_PERIOD = 0.005  # how often the port is read [s]
 READ_BYTES = 4096  # most bytes taken from the port at once
 MAX_SLEEP = 0.1
@@ -190,7 +189,7 @@ class RevolutionAssembler:
         self.heard += len(data)
         self._buffer += data
         at = 0
-        found: list[Revolution] = []
+        revolutions: list[Revolution] = []
         while at < len(self._buffer):
             size, packet = self.driver.parse(self._buffer, at)
             if not size:
@@ -199,11 +198,11 @@ class RevolutionAssembler:
                 self._drop()
             else:
                 self.packets += 1
-                found += self._take(packet, self._arrived(first + at))
+                revolutions += self._take(packet, self._arrived(first + at))
             at += size
         self._arrived(first + at)
         del self._buffer[:at]
-        return found
+        return revolutions
 
     def _arrived(self, place: int) -> float:
         """When the byte at a place in the stream arrived [s]; forgets pieces before it."""

@@ -33,12 +33,9 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, cast_lines, make_surroundings
 
-OLDEST_SIMULATED = 20.0
-"""Age that a measurement can reach: two turns at the slowest rate of a randomization [s]."""
-EDGE_STEP = 0.3
-"""Neighbouring measurements whose distances differ by more than this are at an edge [m]."""
-SAMPLE_STRIDE = 2**14
-"""More measurements than a revolution can have; random numbers are numbered with it."""
+OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
+EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
+SAMPLE_STRIDE = 2**14  # more measurements than a revolution can have; numbers random numbers
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
 

@@ -17,8 +17,7 @@ WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", defa
 """Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
 raises ends the wait."""
 
-Arrivals = list[tuple[float, bytes]]
-"""Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
+Arrivals = list[tuple[float, bytes]]  # pieces, and when the last byte of each arrived [s]
 
 
 class Link(Protocol):

@@ -29,8 +29,7 @@ MAX_EVENT_RATE = 1000.0  # highest rate of any event [1/s]
 LONGEST_FAULT = 60.0  # longest duration of any fault [s]
 LARGEST_BURST = 4096  # longest burst of garbage [bytes]
 MAX_BURSTS = 16  # bursts of garbage in one period, at most
-WIRE_BUFFER = 65536
-"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
+WIRE_BUFFER = 65536  # most bytes that wait behind a late line, as in a driver's buffer
 TIME_TOLERANCE = 1e-9  # tolerance for comparing times that are sums of periods [s]
 REPLUG_POLL = 0.01  # steps in which `open` waits for a cable to be plugged in again [s]
 STOPPED_PART = b"p00.00"
@@ -48,8 +47,7 @@ OTHER_FAULTS = {
 }
 """The other fields that cause faults, and their values without a fault."""
 
-FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
-"""What a number is for: a line of one direction, or the whole episode."""
+FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2  # what a random number is for
 FAULT_KINDS = 8  # largest number of kinds of faults per line
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)

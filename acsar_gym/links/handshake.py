@@ -98,9 +98,9 @@ def find_echo(
             due = now + ECHO_INTERVAL + 2.0 * line
         WHILE_WAITING.get()()
         time.sleep(BOARD_POLL)
-        known = decoder.echoes
+        before = decoder.echoes
         lines = len(decoder.feed(read()))
-        feedback = feedback + lines if known or not decoder.echoes else 0  # what came before it
+        feedback = feedback + lines if before or not decoder.echoes else 0  # what came before it
         now = time.monotonic()
         if decoder.echoes and feedback:
             return True

@@ -13,8 +13,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 
 STANDSTILL = 0.1  # wheels slower than this count as standing still [rad/s]
-VISIBLE_SPEED = 0.005
-"""Wheels faster than this, and than twice what they showed before, show a command [rad/s]."""
+VISIBLE_SPEED = 0.005  # wheels faster than this, and than twice before, show a command [rad/s]
 
 KEPT_TRIPS = 1000  # round trips of an episode that are kept one by one
 KEPT_DURATIONS = 1_000_000  # durations that percentiles are of, at least: those of 2.8 h at 100 Hz

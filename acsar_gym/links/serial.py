@@ -22,8 +22,7 @@ ECHO_WARNING = (
     "this board echoes: it sends each command back, and the echoes don't count as feedback; take "
     "the echo out of its program, or write echo: true into the robot's file"
 )
-SILENT_SHARE = 0.5
-"""A board silent for this share of `feedback_timeout` may not have received zero commands."""
+SILENT_SHARE = 0.5  # a board silent for this share of feedback_timeout may have missed zeros
 WRITER_TIMEOUT = 1.0  # longest wait for another thread's write [s]; a socket's takes at most 0.2 s
 EMPTY_READ_PAUSE = 0.001  # pause where a port says that there are bytes and has none [s]
 

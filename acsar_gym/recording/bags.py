@@ -159,13 +159,13 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
                 file = McapFile(target, header)
             events += converter.take(message)
             if len(events) >= BATCH:
-                for one in encoder.encode(events, 0):
-                    file.add(one)
+                for encoded in encoder.encode(events, 0):
+                    file.add(encoded)
                 events.clear()
         if file is None or not converter.has_feedback:
             raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
-        for one in encoder.encode([*events, *converter.finish()], 0):
-            file.add(one)
+        for encoded in encoder.encode([*events, *converter.finish()], 0):
+            file.add(encoded)
         file.close({"dropped": 0})
     finally:
         if file is not None:
@@ -181,20 +181,20 @@ def find_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     metadata = path / "metadata.yaml"
-    found = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+    files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
     if metadata.exists():
-        told = parse_yaml(read_file(metadata, MAX_METADATA).decode("utf-8", "replace"))
-        told = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
-        if not isinstance(told, dict):
+        content = parse_yaml(read_file(metadata, MAX_METADATA).decode("utf-8", "replace"))
+        information = isinstance(content, dict) and content.get("rosbag2_bagfile_information")
+        if not isinstance(information, dict):
             raise ConfigError(f"{metadata}: isn't that of a ROS 2 bag")
-        if told.get("compression_mode") or told.get("compression_format"):
+        if information.get("compression_mode") or information.get("compression_format"):
             return [path]
-        names = told.get("relative_file_paths")
+        names = information.get("relative_file_paths")
         if isinstance(names, list) and names:
-            found = [path / Path(str(name)).name for name in names]
-    if not found:
+            files = [path / Path(str(name)).name for name in names]
+    if not files:
         raise ConfigError(f"{path}: holds no ROS 2 bag: no metadata.yaml, .mcap or .db3")
-    return found
+    return files
 
 
 def hash_bag(files: Sequence[Path]) -> str:
@@ -246,7 +246,7 @@ def choose_topics(
             name
             for name, (kind, _, first) in found.items()
             if kind in kinds
-            and (not given or any(is_below(name, one) for one in given))
+            and (not given or any(is_below(name, wanted) for wanted in given))
             and (role != "joint states" or has_wheels(first, robot))
         ]
         if role == "odometry" and "joint states" in chosen:
@@ -269,11 +269,11 @@ def choose_topics(
             if kind == JOINT_STATE
             for name in _joint_names(first)
         ]
-        told = f"its joints are {_short(', '.join(joints))}" if joints else ""
-        told = told or f"it has {_short(listed) or 'no messages'}"
+        holds = f"its joints are {_short(', '.join(joints))}" if joints else ""
+        holds = holds or f"it has {_short(listed) or 'no messages'}"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
-            f"odometry: {told}"
+            f"odometry: {holds}"
         )
     return chosen
 
@@ -318,9 +318,9 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
     Returns:
         The places of four names; None where there aren't.
     """
-    told = robot.wheel_joints
-    if all(name in names for name in told):
-        return tuple(names.index(name) for name in told)
+    wheel_joints = robot.wheel_joints
+    if all(name in names for name in wheel_joints):
+        return tuple(names.index(name) for name in wheel_joints)
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         corner = find_corner(name)

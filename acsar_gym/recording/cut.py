@@ -201,9 +201,13 @@ class FileCutter:
         elif opcode == METADATA:
             self._take_metadata(parse_record("Metadata", content))
         elif opcode == ATTACHMENT:
-            one = parse_record("Attachment", content)
+            attachment = parse_record("Attachment", content)
             self._writer.add_attachment(
-                one.create_time, one.log_time, one.name, one.media_type, one.data
+                attachment.create_time,
+                attachment.log_time,
+                attachment.name,
+                attachment.media_type,
+                attachment.data,
             )
 
     def _take_channel(self, channel: Any) -> None:

@@ -33,8 +33,7 @@ from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
-Pieces = tuple[tuple[float, bytes], ...]
-"""Bytes with the times at which they were sent or arrived [s]."""
+Pieces = tuple[tuple[float, bytes], ...]  # with the times at which they were sent or arrived [s]
 
 EPISODE_GAP = 1_000_000  # time between two episodes whose clocks both begin at zero [ns]
 DIAGNOSTICS_PERIOD = 1.0  # time between two messages of /diagnostics [s]
@@ -42,14 +41,11 @@ SPLIT_TOLERANCE = 1e-6  # rounding of times when a file ends [s]
 SPLIT_PATIENCE = 10.0  # how long a file waits for the end of an env's step [s]
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
 NORMAL_REASONS = ("NONE", "LIMITS")  # reasons of the safety layer that are part of normal driving
-INTERVAL_DEVIATIONS = 2.0 * 1.959964
-"""Width of a 95 % interval of a normal distribution, in standard deviations."""
+INTERVAL_DEVIATIONS = 2.0 * 1.959964  # standard deviations in a 95 % interval
 TURNING_FIELDS = ("wheel_separation_multiplier", "body.turn_factor")
 ROLLING_FIELDS = ("wheel_radius", "left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
-LEAST_DEVIATION = 0.005
-"""Standard deviation of each part of a pose at the start [m], [rad]: a tyre and a gear give."""
-SLIP_SHARE = 0.02
-"""Share of a way or a turn by which tyres slip otherwise than where they were calibrated."""
+LEAST_DEVIATION = 0.005  # of each part of a pose at the start [m], [rad]: a tyre and a gear give
+SLIP_SHARE = 0.02  # of a way or a turn, by which tyres slip otherwise than where calibrated
 UNKNOWN_VARIANCE = 0.01  # variance that the robot's own driver publishes [m^2], [rad^2]
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
@@ -157,8 +153,7 @@ class Message(NamedTuple):
 
 
 NEW_FILE = Message(Topic("", ""), 0, b"")  # what is yielded where a new file begins
-State = tuple[str, int, str, Mapping[str, Any]]
-"""Name, level, text and values of a part of /diagnostics."""
+State = tuple[str, int, str, Mapping[str, Any]]  # name, level, text, values
 
 
 class OdometryCovariance:
@@ -235,13 +230,13 @@ def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | N
     None if none of these fields was measured.
     """
     measured: Any = getattr(config, "measured", {})
-    found = [measured[name] for name in names if name in measured]
-    if not found:
+    intervals = [measured[name] for name in names if name in measured]
+    if not intervals:
         return None
-    middles = [abs(one.low + one.high) / 2.0 for one in found]
+    middles = [abs(interval.low + interval.high) / 2.0 for interval in intervals]
     shares = [
-        abs(one.high - one.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
-        for one, middle in zip(found, middles, strict=True)
+        abs(interval.high - interval.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
+        for interval, middle in zip(intervals, middles, strict=True)
     ]
     return math.hypot(math.sqrt(sum(share**2 for share in shares) / len(shares)), SLIP_SHARE)
 
@@ -510,9 +505,9 @@ class Encoder:
             if event.truth is not None:
                 row[5:] = *event.truth.pose, *event.truth.twist, event.truth.contact
         yield from self._encode_table(messages.EXCHANGES, rows[:, 1], rows)
-        known = rows[~np.isnan(rows[:, 5])]
-        fields = pose_fields(known[:, 5:8]) | twist_fields(known[:, 8:10])
-        yield from self._pack(messages.TRUTH, known[:, 1], fields, stamped=True)
+        simulated = rows[~np.isnan(rows[:, 5])]
+        fields = pose_fields(simulated[:, 5:8]) | twist_fields(simulated[:, 8:10])
+        yield from self._pack(messages.TRUTH, simulated[:, 1], fields, stamped=True)
 
     def _encode_writes(self, events: Sequence[Written]) -> Iterator[Message]:
         for event in events:
@@ -529,18 +524,18 @@ class Encoder:
             [
                 (
                     *(
-                        one.exchange - first,
-                        one.stamp,
-                        *one.pose,
-                        *one.twist,
-                        *one.speeds,
-                        *one.angles,
+                        tick.exchange - first,
+                        tick.stamp,
+                        *tick.pose,
+                        *tick.twist,
+                        *tick.speeds,
+                        *tick.angles,
                     ),
-                    *(*one.asked, *one.sent, int(one.reason)),
-                    *(math.nan if one.lateness is None else one.lateness,),
-                    *(one.feedback_age, one.refused),
+                    *(*tick.asked, *tick.sent, int(tick.reason)),
+                    *(math.nan if tick.lateness is None else tick.lateness,),
+                    *(tick.feedback_age, tick.refused),
                 )
-                for one in events
+                for tick in events
             ]
         )
         stamps, pose, twists = rows[:, 1], pose_fields(rows[:, 2:5]), rows[:, 5:7]

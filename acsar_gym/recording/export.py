@@ -179,8 +179,8 @@ def _list_scans(episode: Episode) -> TableColumns:
 
 def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:
     """The columns of rows by name; by number where none are given."""
-    found = names.split() or map(str, range(rows.shape[1]))
-    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(found)}
+    column_names = names.split() or map(str, range(rows.shape[1]))
+    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(column_names)}
 
 
 @contextlib.contextmanager

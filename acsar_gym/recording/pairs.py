@@ -68,10 +68,10 @@ def check_same_robot(
     """
     first_name, first = logs[0]
     for name, recording in logs[1:]:
-        found = find_difference(recording.config, first.config, wire=wire)
-        if found is not None:
-            field, theirs, own = found
+        difference = find_difference(recording.config, first.config, wire=wire)
+        if difference is not None:
+            field, theirs, expected = difference
             raise ConfigError(
-                f"{name}: is of another robot: {field} is {theirs}, but {own} in {first_name}; "
-                f"{doing} one robot at a time"
+                f"{name}: is of another robot: {field} is {theirs}, but {expected} in "
+                f"{first_name}; {doing} one robot at a time"
             )

@@ -25,13 +25,11 @@ WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from t
 ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
 SHORTEST_FILE = 1.0  # shortest time after which a new file may begin [s]
 WRITER_PAUSE = 0.02  # how often the writer looks for events [s]
-WRITER_BATCH = 16
-"""Events that the writer handles at once, so that the control loop never waits for it."""
+WRITER_BATCH = 16  # events that are handled at once: the control loop never waits for the writer
 WRITER_YIELD = 0.0002  # how long it lets others run after each batch [s]
 FLUSH_PERIOD = 0.5  # how often what was written is made safe from crashes [s]
 HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
-HANG_WAITS = 10
-"""A writer that has made none in so many looks hangs; a program that was stopped loses only one."""
+HANG_WAITS = 10  # a writer without progress in so many looks hangs; a suspended program loses one
 
 
 class WriterThread(threading.Thread):

@@ -90,13 +90,13 @@ def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> fl
     if len(recorded) < 2:
         return first
     firmware.advance(4.0 * period)
-    own = np.array([stamp for stamp, _ in firmware.arrived])
+    answered = np.array([stamp for stamp, _ in firmware.arrived])
     firmware.reset()
-    if not len(own):
+    if not len(answered):
         return first
     phases = [
         float(np.angle(np.exp(2j * math.pi * stamps / period).mean())) / (2.0 * math.pi) * period
-        for stamps in (remove_jitter(recorded, period), own)
+        for stamps in (remove_jitter(recorded, period), answered)
     ]
     ahead = math.fmod(first - (phases[0] - phases[1]), period)
     ahead += period if ahead < 0.0 else 0.0

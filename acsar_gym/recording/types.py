@@ -115,8 +115,8 @@ def _decode_lines(
     rows: list[Speeds] = []
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
         prepare(stamp)
-        for each in decoder.feed(piece):
-            reading = Reading(letters.to_wheels(each.speeds)) if letters else each
+        for line in decoder.feed(piece):
+            reading = Reading(letters.to_wheels(line.speeds)) if letters else line
             speeds = reading.over(speeds)
             when.append(stamp)
             rows.append(speeds)

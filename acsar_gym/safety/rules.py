@@ -99,10 +99,8 @@ def limit_velocity(wanted: float, last: float, before: float, dt: float, axis: A
     return min(max(last + rise, axis.min_velocity), axis.max_velocity)
 
 
-STALE_SHARE = 0.8
-"""Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
-TWIST_TOLERANCE = 1e-9
-"""A sent twist that differs by less than this counts as the one asked for [m/s, rad/s]."""
+STALE_SHARE = 0.8  # of feedback_timeout: older feedback stops the wheels until it is fresh again
+TWIST_TOLERANCE = 1e-9  # a sent twist this near is the one asked for [m/s, rad/s]
 TIME_SLACK = 1e-9  # tolerance for comparing ages, which are sums of periods [s]
 
 _sides = jit(kinematics.compute_sides)

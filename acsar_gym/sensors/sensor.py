@@ -20,12 +20,8 @@ from acsar_gym.worlds import Scene
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating | np.integer | np.bool_]
 Bound = float | Sequence[float] | Floats  # one bound for all numbers of a sensor, or one for each
-MAP = "map"
-"""Name of the map in a task's `sensors`, and of the sensor; it is the first of a robot's
-sensors."""
-LIDAR = "lidar"
-"""Name of the LiDAR in a task's `sensors`, and of the sensor; its numbers follow those of the map,
-and come before those of all others."""
+MAP = "map"  # in a task's `sensors`, and of the sensor: the first of a robot's
+LIDAR = "lidar"  # likewise; after the map, and before all others
 
 
 def draw_uniform(rngs: Any, i: int) -> float:
@@ -234,5 +230,4 @@ def name_memory(sensor: Sensor, rows: Floats) -> tuple[Any, ...]:
     return (named_tuple(type(sensor), "Memory", tuple(sensor.memory))(*rows),)
 
 
-Factory = Callable[[Link, RobotConfig], Sensor]
-"""Makes a robot's sensor; a subclass of Sensor is one."""
+Factory = Callable[[Link, RobotConfig], Sensor]  # makes a robot's sensor, as a subclass does

@@ -45,12 +45,12 @@ class Sensors(Sequence[Sensor]):
         config: RobotConfig,
         odometry: Odometry,
     ) -> None:
-        made = [make_sensor(factory, link, config) for factory in wanted]
-        for sensor in made:
+        sensors = [make_sensor(factory, link, config) for factory in wanted]
+        for sensor in sensors:
             sensor.follow(odometry)
         self._link = link
         first = {MAP: 0, LIDAR: 1}
-        self._sensors = sorted(made, key=lambda sensor: first.get(sensor.name, 2))
+        self._sensors = sorted(sensors, key=lambda sensor: first.get(sensor.name, 2))
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
@@ -115,11 +115,11 @@ class Sensors(Sequence[Sensor]):
         """The link's ground truth, if any sensor uses it."""
         return self._link.truth if self._uses_truth else None
 
-    def info(self, told: dict[str, float]) -> None:
+    def info(self, info: dict[str, float]) -> None:
         """Add what the sensors tell to an env's info.
 
         Args:
-            told: gets their keys and values.
+            info: gets their keys and values.
 
         Raises:
             ConfigError: it has one of the keys already.
@@ -127,7 +127,7 @@ class Sensors(Sequence[Sensor]):
         now = self._link.now()
         for sensor in self._sensors:
             with naming_sensor(sensor):
-                add_sensor_info(told, sensor, now)
+                add_sensor_info(info, sensor, now)
 
     def close(self) -> None:
         """Close all of them, even where one raises; idempotent."""
@@ -239,16 +239,16 @@ def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     return array.astype(np.float64, copy=False)
 
 
-def add_sensor_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
+def add_sensor_info(info: dict[str, float], sensor: Sensor, now: float) -> None:
     """Add a sensor's info to the env's. ConfigError for a key that is there already."""
     for key, value in sensor.info(now).items():
-        check_info_key(told, sensor, key)
-        told[key] = float(value)
+        check_info_key(info, sensor, key)
+        info[key] = float(value)
 
 
-def check_info_key(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+def check_info_key(info: Mapping[str, Any], sensor: Sensor, key: str) -> None:
     """Raise ConfigError where info has the key already."""
-    if key in told:
+    if key in info:
         raise ConfigError(
             f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "
             f"name it {sensor.name}_{key}"
@@ -321,17 +321,17 @@ def sensor_factories(
     def make_lidar(link: Link, config: RobotConfig) -> Sensor:
         return LidarSensor(open_lidar(lidar, link, config), config)
 
-    found: list[Sensor | Factory] = []
+    factories: list[Sensor | Factory] = []
     for sensor in sensors:
         if not isinstance(sensor, str):
-            found.append(sensor)
+            factories.append(sensor)
         elif ":" in sensor:
-            found.append(import_object("sensor", sensor))
+            factories.append(import_object("sensor", sensor))
         elif sensor == LIDAR:
-            found.append(make_lidar)
+            factories.append(make_lidar)
         elif sensor == MAP:
-            found.append(partial(MapSensor, period=period))
+            factories.append(partial(MapSensor, period=period))
         else:
-            known = suggest_name(sensor, [LIDAR, MAP])
-            raise ConfigError(f"unknown sensor {show_value(sensor)}{known}")
-    return found
+            near = suggest_name(sensor, [LIDAR, MAP])
+            raise ConfigError(f"unknown sensor {show_value(sensor)}{near}")
+    return factories

@@ -129,7 +129,7 @@ def test_any_error_of_it_stops_the_robot(what: str) -> None:
         "reset": one.activate,
         "poll": lambda: one.drive(0.1, 0.0),
         "read": one.read,
-        "info": lambda: one.tell({}),
+        "info": lambda: one.add_sensor_info({}),
     }
     with pytest.raises(SensorError, match=rf"'.*': {what}\(\) raised RuntimeError: {what}"):
         use[what]()

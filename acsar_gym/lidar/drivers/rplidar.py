@@ -44,8 +44,7 @@ BAUD_TRIES = 2  # how often each baud rate is tried
 
 
 CONFIG_DESCRIPTOR_TYPE = 0x20
-TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75
-"""What GET_LIDAR_CONF is asked for: the mode that the maker recommends, and what a mode sends."""
+TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75  # for GET_LIDAR_CONF: recommended mode, what a mode sends
 DENSE_ANSWER = 0x85  # type of the answers that are dense capsules
 SCAN_ANSWER = bytes.fromhex("a5 5a 54 00 00 40 85")  # what comes before the first capsule
 CAPSULE_BYTES, CAPSULE_POINTS = 84, 40
