@@ -49,7 +49,7 @@ from acsar_gym.recording.messages import (
 from acsar_gym.recording.stream import MESSAGE, MESSAGE_HEAD, FileCut, RecordStream
 from acsar_gym.recording.types import Episode, Floats, Recording, Revolutions
 
-KEPT_BYTES = 100_000_000  # less content than this is kept in memory; at 100 Hz half an hour's
+KEPT_BYTES = 60_000_000  # less content than this is kept in memory; at 100 Hz that of 20 minutes
 CACHED_BYTES = 200_000_000  # most bytes of a larger recording that are kept for another look
 BLOCK_BYTES = 4_000_000  # of a large recording, about so many are read at once, where all are read
 CARRIED_ROWS = 64  # exchanges of the block before that a tick may belong to
