@@ -178,14 +178,7 @@ class Robot:
 
     @_deactivating
     def add_sensor_info(self, info: dict[str, float]) -> None:
-        """Add the sensors' info to an env's.
-
-        Args:
-            info: gets their keys and values.
-
-        Raises:
-            ConfigError: it has one of the keys already.
-        """
+        """Add the sensors' info to an env's; ConfigError where it has one of the keys already."""
         self.sensors.info(info)
 
     @_deactivating

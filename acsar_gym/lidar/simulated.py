@@ -78,14 +78,6 @@ def aim_beams(
     The head turns clockwise, as that of most LiDARs, and passes straight ahead when a revolution
     begins and ends. Where a robot turns against it, no measurement points into the gap between the
     two ends; the later one is taken to.
-
-    Args:
-        trail: of the true poses; its newest row is now.
-        newest: place of that row.
-        ended: when the revolution ended [s].
-        duration: of the revolution [s].
-        rays: of the LiDAR.
-        beams: bearings, times and origins are written.
     """
     begun = ended - duration
     seen = look_back(trail, newest, begun, ended, rays)
@@ -108,15 +100,7 @@ def aim_beams(
 def add_errors(
     distances: Floats, key: float, number: float, traits: LidarTraits, rays: Rays
 ) -> None:
-    """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement.
-
-    Args:
-        distances: (rays,) [m]; changed.
-        key: key of the episode, in [0, 1).
-        number: of the revolution, from -1.
-        traits: of the LiDAR.
-        rays: of the LiDAR; nothing is measured from their longest range on.
-    """
+    """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement."""
     count = len(distances)
     whole = abs(FULL_TURN / rays.step - count) < 1e-6  # the last ray is beside the first one
     after_last = distances[0] if whole else distances[count - 1]
@@ -164,17 +148,6 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     kind: int = 0,
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
-
-    Args:
-        trail: of the true poses; its newest row is now.
-        newest: place of that row.
-        which: index of the set of obstacles.
-        around: obstacles and rays.
-        rays: of the LiDAR.
-        episode: when it began [s], phase of the revolution then, and key of its errors.
-        traits: of the LiDAR.
-        beams: written.
-        kind: of the robot, for `around`.
 
     Returns:
         When the revolution ended [s].

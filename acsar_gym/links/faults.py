@@ -63,10 +63,6 @@ def hash_sample(key: float, number: int) -> float:
 
     So a single robot and the robots of a batch draw the same one, in any order. The hash is
     SplitMix64 of Steele, Lea and Flood (2014).
-
-    Args:
-        key: key of the episode, in [0, 1).
-        number: of the sample, from 0.
     """
     word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST
@@ -77,14 +73,7 @@ def hash_sample(key: float, number: int) -> float:
 
 @loop
 def line_hash(key: float, whose: int, number: float, kind: int) -> float:
-    """Return a uniform random number in [0, 1) for one line and one kind of fault.
-
-    Args:
-        key: key of the episode, in [0, 1).
-        whose: FEEDBACK_LINE, COMMAND_LINE or WHOLE_EPISODE.
-        number: number of the line.
-        kind: kind of fault, below FAULT_KINDS.
-    """
+    """Return a uniform random number in [0, 1) for one line and one kind of fault."""
     return hash_sample(key, (int(number) * 3 + whose) * FAULT_KINDS + kind)
 
 

@@ -191,10 +191,6 @@ class OdometryCovariance:
     def update(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
         """Continue with the next ticks.
 
-        Args:
-            stamps: (n,) [s].
-            twists: (n, 2): linear [m/s], angular [rad/s].
-
         Returns:
             Covariances of pose and twist, (n, 36) each.
         """

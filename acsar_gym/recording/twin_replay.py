@@ -110,10 +110,6 @@ def remove_jitter(stamps: Floats, period: float) -> Floats:
     or later. So within a window the phase of the earliest lines is that of the board's clock, and
     every line is late by what its phase is after it.
 
-    Args:
-        stamps: (k,) times of arrival [s], ascending.
-        period: nominal period [s]; the board's own may differ by a few percent.
-
     Returns:
         (k,) times [s]; those given, if the lines aren't periodic or too few.
     """

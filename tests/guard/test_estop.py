@@ -243,22 +243,6 @@ def test_where_no_socket_can_be_opened_a_robot_drives_without(
     listener.close()
 
 
-def test_a_suspended_process_with_a_full_queue_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.01)
-    with socket_at("1-1") as full, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
-        other.setblocking(False)
-        with pytest.raises(BlockingIOError):
-            while True:
-                other.sendto(b"stop", full.getsockname())
-        listener = estop.StopListener()
-        thread = answering(listener)
-        first, second = estop.stop_all()
-        thread.join()  # it was asked although the one before it took nothing
-        assert first == estop.StopResult(1, answered=False)
-        assert second.process == os.getpid()
-        listener.close()
-
-
 @pytest.fixture
 def two(place: Path) -> Iterator[list[estop.StopListener]]:
     """The listeners of two robots, with a control loop that answers for both."""
@@ -308,24 +292,6 @@ def test_listeners_are_listed_and_not_stopped(
     first, second = estop.list_drivers()
     assert {first.device, second.device} == {"/dev/ttyUSB7", "usb:A50285BI"}
     assert abs(first.since - time.time()) < TIMEOUT
-
-
-def test_the_command_names_the_robot_of_another_process(
-    emulator: Emulated, robot_file: RobotFile
-) -> None:
-    """And leaves it alone where it names another one."""
-    options = ("--link", emulator.device, "--robot", str(robot_file(name="rover")))
-    with program(DRIVING, "drive", "--linear", "0.2", *options) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        assert estop.stop_all("/dev/another") == []
-        (driver,) = estop.list_drivers()
-        assert (driver.process, driver.device) == (process.pid, emulator.device)
-        assert driver.name == "rover"
-        assert emulator.is_driven()
-        assert estop.stop_all("rover") == [estop.StopResult(process.pid, answered=True)]
-        wait_until(emulator.is_stopped, "zero as the newest command")
-        process.terminate()
-        process.wait(TIMEOUT)
 
 
 INSISTING = f"""
@@ -455,24 +421,6 @@ def test_a_stop_of_one_robot_holds_its_process_until_that_one_is_released(
         estop.check_released()
     estop.release_all("rover")
     estop.check_released()
-
-
-def test_a_forked_child_is_held_until_its_own_robot_is_released() -> None:
-    listener = estop.StopListener()
-    listener.hold()
-    child = os.fork()
-    if child == 0:
-        with contextlib.suppress(BaseException):
-            with pytest.raises(EmergencyStopError):
-                estop.check_released()
-            estop.StopListener().release()
-            estop.check_released()
-            os._exit(17)
-        os._exit(1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 17
-    with pytest.raises(EmergencyStopError):
-        estop.check_released()
-    listener.close()
 
 
 def test_a_stop_that_was_not_read_holds_after_the_robot_is_closed(

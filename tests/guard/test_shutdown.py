@@ -202,28 +202,6 @@ def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
     assert_stopped(emulator)
 
 
-def test_an_executor_s_thread_is_stopped_when_its_block_fails(emulator: Emulated) -> None:
-    """Not while the main thread waits at the block's end as planned."""
-    code = """
-import time
-from concurrent.futures import ThreadPoolExecutor
-
-robot.activate()
-with ThreadPoolExecutor() as pool:
-    planned = pool.submit(drive, 30)
-planned.result()
-with ThreadPoolExecutor() as pool:
-    pool.submit(drive, 10**9)
-    time.sleep(0.1)
-    raise RuntimeError
-"""
-    with program(DRIVER + code, emulator.device) as process:
-        status, error = ended(process)
-    assert status == 1
-    assert error.endswith("RuntimeError\n")
-    assert_stopped(emulator)
-
-
 """SIGHUP is one of them where the program handles it: servers read their settings again."""
 LOOP = """
 import asyncio, signal
@@ -250,36 +228,6 @@ print("told", flush=True)
         assert first_line(process) == "stands"
         process.terminate()
         assert first_line(process) == "told"
-        assert ended(process) == (0, "")
-    assert_stopped(emulator)
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_thread_that_ends_in_time_is_not_refused(
-    number: signal.Signals, emulator: Emulated
-) -> None:
-    """A program that ends in good order isn't disturbed."""
-    code = f"""
-from acsar_gym.guard import shutdown
-
-shutdown.HANDLER_TIME = 60.0
-done = threading.Event()
-signal.signal({number.value}, lambda *_: done.set())
-
-def drive_until_done():
-    while not done.is_set():
-        drive(1)
-    drive(3)
-    robot.deactivate()
-
-robot.activate()
-thread, errors = in_a_thread(drive_until_done)
-thread.join()
-assert not errors, errors
-"""
-    with program(DRIVER + THREAD + code, emulator.device) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.send_signal(number)
         assert ended(process) == (0, "")
     assert_stopped(emulator)
 

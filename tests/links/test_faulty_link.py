@@ -44,7 +44,6 @@ def numbered(number: int) -> bytes:
 
 
 TURNING = encode((3.0, 3.0, 3.0, 3.0))
-LINE = len(TURNING)
 """Length of a line [bytes]."""
 
 
@@ -259,31 +258,6 @@ def test_late_lines_hold_up_those_behind_and_keep_their_order() -> None:
     for arrivals in (enumerate(heard), commands):
         ticks = [tick for tick, piece in arrivals for _ in split_lines(piece)]
         assert {tick - number for number, tick in enumerate(ticks)} == {0, 1, 2, 3}
-
-
-def test_the_same_lines_suffer_however_they_are_torn() -> None:
-    outcomes, counts = [], []
-    stream = b"".join(sent(200))
-    for size in (len(stream), LINE, 2 * LINE, 7, 100):
-        link, board = on_board(5, dropped_lines=0.2, cut_lines=0.2, corrupted_lines=0.2)
-        link.reset(Scene())
-        for start in range(0, len(stream), size):
-            link.write(stream[start : start + size])
-        outcomes.append(board.received())
-        counts.append(dict(link.injected))
-    assert outcomes[0] == outcomes[1] == outcomes[2]
-    assert counts == [counts[0]] * 5
-    assert min(counts[0].values()) > 20
-
-
-def test_bursts_of_garbage() -> None:
-    link, board = on_board(garbage_rate=5.0, garbage_bytes=20)
-    heard = b"".join(drive(link))
-    seconds = LINES * PERIOD
-    assert link.injected["garbage"] / (2.0 * seconds) == pytest.approx(5.0, abs=1.0)
-    extra = len(heard) + len(board.received()) - 2 * LINE * LINES
-    assert extra == 20 * link.injected["garbage"]
-    assert len(set(heard)) == 256
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from serial_tools import TIMEOUT, Emulated, StartEmulator
+from serial_tools import TIMEOUT, StartEmulator
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
@@ -94,23 +94,6 @@ def test_a_serial_number_that_is_not_here_tells_those_that_are(
         locate_port("usb:A50285BI")
     assert "usb:A50285BI" in caught.value.found
     assert caught.value.fix.endswith(f": {told}")
-
-
-def test_a_serial_number_is_followed_to_another_device(
-    own_emulator: Emulated, config: RobotConfig, plugged: Plugged
-) -> None:
-    plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
-    robot = Robot(open_link("usb:A50285BI", config.with_(reconnect_timeout=TIMEOUT)), config)
-    robot.activate()
-    with os.fdopen(os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY), "rb", 0):
-        own_emulator.pull()
-        assert "usb:A50285BI" in drive_until_lost(robot).found
-        plugged.clear()
-        own_emulator.plug()
-        plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
-        with robot:
-            robot.drive(0.2, 0.0)
-            assert robot.feedback_age < 1.0
 
 
 def test_a_device_is_followed_by_its_adapter_s_name(

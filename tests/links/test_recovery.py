@@ -17,7 +17,7 @@ import psutil
 import pytest
 import yaml
 from nursery import first_line, program
-from serial_tools import DRIVER, TIMEOUT, Emulated, StartEmulator, no_leak, start, wait_until
+from serial_tools import DRIVER, TIMEOUT, Emulated, no_leak, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import (
@@ -120,25 +120,6 @@ def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
 FORWARD = encode((3.0, 3.0, 3.0, 3.0))
 
 
-def test_pulled_before_the_first_line(start_emulator: StartEmulator, config: RobotConfig) -> None:
-    """The port opens, and is gone before the board has said anything."""
-    silent = start_emulator("--silent")
-    code = f"""
-import json, os, signal, time
-while "rx" not in open({str(silent.log)!r}).read():
-    time.sleep(0.01)
-os.kill({silent.process.pid}, signal.SIGUSR1)
-"""
-    link = SerialLink(silent.device, config)
-    with program(code) as helper, no_leak():
-        with pytest.raises(LinkLostError) as caught:
-            link.open()
-        helper.wait(TIMEOUT)
-    assert silent.device in caught.value.found
-    assert not link.watchdog.is_alive
-    link.close()
-
-
 USES: dict[str, Callable[[SerialLink], object]] = {
     "write": lambda link: link.write(FORWARD),
     "advance": lambda link: link.advance(0.01),
@@ -146,15 +127,6 @@ USES: dict[str, Callable[[SerialLink], object]] = {
     "reset_input": lambda link: link.reset_input(),
     "reset": lambda link: link.reset(Scene()),
 }
-
-
-def test_a_board_that_takes_no_bytes_holds_nobody_up(link: SerialLink, plugged: Emulated) -> None:
-    plugged.pause()
-    with pytest.raises(LinkLostError, match="takes no more bytes"):
-        while True:
-            link.write(encode(ZERO) * 200)
-    link.close()
-    plugged.resume()
 
 
 def test_a_program_held_up_in_a_write_has_not_lost_its_port(
@@ -362,18 +334,3 @@ def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
     time.sleep(0.1)
     assert emulator.since_plugged() == b""
     os.close(port)
-
-
-def test_another_link_to_the_port_calls_the_search_back(
-    plugged: Emulated, config: RobotConfig
-) -> None:
-    lost, other = (SerialLink(name(plugged), config) for _ in range(2))
-    lost.open()
-    plugged.pull()
-    lost.close()
-    (dog,) = watchdog.list_searches().values()
-    assert runs(dog)
-    plugged.plug()
-    other.open()
-    assert not runs(dog)
-    other.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import math
 import os
 import signal
 import sys
@@ -22,7 +21,7 @@ from watchdog_tools import HASTY, TURNING, ZEROS, children
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
-from acsar_gym.guard.watchdog_child import BEAT, ZERO_INTERVAL
+from acsar_gym.guard.watchdog_child import BEAT
 from acsar_gym.links import ports, serial
 from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.serial import SerialLink
@@ -253,13 +252,6 @@ def test_nobody_writes_while_the_link_is_held(link: SerialLink) -> None:
 
 
 DRIVE = "robot.activate(); drive(10**9)"
-WATCHED = (
-    DRIVER
-    + f"""
-config = config.with_(watchdog_timeout={HASTY})
-robot = Robot(open_link(sys.argv[1], config), config)
-"""
-)
 
 
 def assert_stopped_after(emulator: Emulated, fault: float) -> None:
@@ -273,31 +265,6 @@ def assert_stopped_after(emulator: Emulated, fault: float) -> None:
         if event["t"] >= fault
     ]
     assert not any(driving[driving.index(False) :])
-
-
-def test_a_program_suspended_at_standstill_drives_on(emulator: Emulated) -> None:
-    """Its zeros are repeated meanwhile: the wire may have swallowed the last one."""
-    code = """
-import time
-robot.activate()
-for _ in range(30):
-    robot.drive(0.0, 0.0)
-goes_on = []
-signal.signal(signal.SIGCONT, lambda *_: goes_on.append(True))
-print("stands", flush=True)
-while not goes_on:
-    time.sleep(0.01)
-drive(10**9)
-"""
-    with program(WATCHED + code, emulator.device) as process:
-        assert first_line(process) == "stands"
-        process.send_signal(signal.SIGSTOP)
-        said = len(emulator.commands())
-        more = math.ceil(2 * HASTY / ZERO_INTERVAL)
-        wait_until(lambda: len(emulator.commands()) > said + more, "repeated zeros")
-        assert set(emulator.commands()) == {ZERO}
-        process.send_signal(signal.SIGCONT)
-        wait_until(emulator.is_driven, "a command that turns the wheels")
 
 
 def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:

@@ -76,21 +76,6 @@ def test_a_part_has_what_was_recorded_then(tape: Path, tmp_path: Path) -> None:
     assert first.revolutions.exchanges[0] == -1
 
 
-def test_ros_tools_read_a_part(tape: Path, tmp_path: Path) -> None:
-    part = tmp_path / "part.mcap"
-    cut_recording(tape, 2.0, 3.0, part)
-    with part.open("rb") as file:
-        reader = make_reader(file)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        topics = [channel.topic for _, channel, _ in reader.iter_messages()]
-        times = [message.log_time for _, _, message in reader.iter_messages()]
-    assert topics.count("/odom") == 100
-    assert topics.count("/tf_static") == 1
-    assert max(times) - min(times) <= 1.02e9
-
-
 def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) -> None:
     part, whole = tmp_path / "part.mcap", read(tape)
     second = whole.episodes[1]
@@ -209,18 +194,6 @@ def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:
     assert np.isfinite(np.concatenate([p.truth for p in parts])).all()
 
 
-def test_a_new_file_begins_with_an_episode_where_there_are_many(tmp_path: Path) -> None:
-    record_env(tmp_path / "one.mcap", "point_goal", 5)
-    record_env(Recorder(tmp_path / "many.mcap", split=6.0), "point_goal", 5)  # type: ignore[arg-type]
-    whole = read(tmp_path / "one.mcap").episodes
-    names = ("many.mcap", "many-2.mcap", "many-3.mcap")
-    parts = [one for name in names for one in read(tmp_path / name).episodes]
-    assert len(parts) == len(whole)
-    assert all("part" not in one.info for one in parts)
-    for one, every in zip(parts, whole, strict=True):
-        np.testing.assert_array_equal(one.observations, every.observations)
-
-
 def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
     record_env(tmp_path / "one.mcap", "point_goal", 1)
     record_env(Recorder(tmp_path / "many.mcap", split=1.5), "point_goal", 1)  # type: ignore[arg-type]
@@ -235,12 +208,6 @@ def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
     observations = [parts[0].observations, *(p.observations[1:] for p in parts[1:])]
     np.testing.assert_array_equal(np.concatenate(observations), whole.observations)
     np.testing.assert_array_equal(parts[1].observations[0], parts[0].observations[-1])
-
-
-def test_a_split_that_is_no_time_is_told(tmp_path: Path) -> None:
-    for split in (0.0, -1.0, math.nan):
-        with pytest.raises(ConfigError, match=r"split = .*must be at least 1 s"):
-            Recorder(tmp_path / "x.mcap", split=split)
 
 
 def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:

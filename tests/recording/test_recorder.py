@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 import subprocess
 import sys
 import threading
@@ -165,23 +163,6 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     assert recorder.problem is not None
 
 
-def test_a_writer_that_hangs_is_told_and_loses_nothing_if_it_goes_on(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    sink, path = SlowSink(), tmp_path / "tape.mcap"
-    before = set(threading.enumerate())
-    recorder = begun_recorder(path, sink, 1)
-    (writer,) = set(threading.enumerate()) - before
-    monkeypatch.setattr("acsar_gym.recording.recorder.HANG_WAIT", 0.01)
-    with pytest.warns(RecordingWarning, match=r"tape.mcap: .*hung"):
-        recorder.close()
-    sink.goes = True
-    writer.join()
-    found = read(path)
-    assert (found.cut, found.dropped) == (False, 0)
-    assert sink.topics.count("/time_reference") == 2
-
-
 def test_a_link_that_does_not_open_costs_no_older_recording(tmp_path: Path) -> None:
     path = drive(tmp_path / "tape.mcap", CONFIG, 5)
     before = path.read_bytes()
@@ -237,24 +218,6 @@ def test_two_envs_cannot_write_one_file_nor_one_go_on_that_has_ended(tmp_path: P
     assert len(read(path).episodes) == 1
     with pytest.raises(ConfigError, match="has ended"):
         envs.envs[0].reset()  # type: ignore[attr-defined]
-
-
-def test_an_env_that_is_closed_before_its_first_reset_ends_no_recording(tmp_path: Path) -> None:
-    """As `evaluate` does, where it makes an env again for another split of its worlds."""
-    recorder = Recorder(tmp_path / "tape.mcap")
-    for _ in range(2):
-        env = gymnasium.make(ENV, link="planar", record=recorder)
-        env.close()
-    env.reset(seed=0)
-    env.close()
-    assert len(read(tmp_path / "tape.mcap").episodes) == 1
-
-
-def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:
-    robot = recorded_robot(tmp_path / "tape.mcap")
-    with copy.deepcopy(robot) as other, pickle.loads(pickle.dumps(robot)):  # noqa: S301
-        other.drive(0.1, 0.0)
-    assert not list(tmp_path.iterdir())
 
 
 def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:

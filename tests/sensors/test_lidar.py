@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.errors import ConfigError, LidarError
+from acsar_gym.errors import LidarError
 from acsar_gym.lidar.scan import Revolution, Scan, make_rays
 from acsar_gym.lidar.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.links import open_link
@@ -136,22 +136,6 @@ def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_p
         for one in seen:
             robot.drive(0.3, 0.0)
             assert robot.read().tobytes() == one.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"rays": 0}, "lidar.rays"),
-        ({"field_of_view": 7.0}, "lidar.field_of_view"),
-        ({"min_range": 6.0}, "min_range"),
-        ({"dropouts": 1.0}, "dropouts"),
-        ({"rate": 1.0}, "lidar.timeout"),
-        ({"noise": math.nan}, "noise"),
-    ],
-)
-def test_bad_settings_are_named(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        ACSAR.with_(lidar=settings)
 
 
 GOOD: dict[str, Any] = {

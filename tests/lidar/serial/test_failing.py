@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import re
@@ -166,23 +165,6 @@ def terminal() -> Iterator[tuple[int, str]]:
     yield board, os.ttyname(device)
     os.close(board)
     os.close(device)
-
-
-@pytest.mark.parametrize(("model", "told"), [("ld14p", True), ("ld06", False), ("stl19p", False)])
-def test_of_ldrobots_lidars_an_ld14p_alone_gets_commands(
-    make: Open,
-    monkeypatch: pytest.MonkeyPatch,
-    terminal: tuple[int, str],
-    model: str,
-    told: bool,
-) -> None:
-    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.05)
-    board, device = terminal
-    assert "no answer" in error_of(functools.partial(reset, make(device, model)))
-    heard = b""
-    with contextlib.suppress(BlockingIOError):
-        heard = os.read(board, 1000)
-    assert bool(heard) == told
 
 
 class OwnDriver(Driver):

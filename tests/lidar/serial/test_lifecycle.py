@@ -86,29 +86,6 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
     assert shows_the_room(measure(make(sensor)))
 
 
-def test_a_forked_child_leaves_its_parents_device_alone(sensor: Emulated) -> None:
-    forking = """
-import warnings
-warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
-if os.fork() == 0:
-    try:
-        lidar.scan()
-    except Exception as error:
-        print(type(error).__name__, flush=True)
-    lidar.close()
-    sys.exit()
-os.wait()
-before = time.monotonic()
-while lidar.scan().stamp < before:
-    time.sleep(0.01)
-print("goes on", flush=True)
-"""
-    with program(PROGRAM + forking, sensor.device) as process:
-        said, complaints = process.communicate(timeout=TIMEOUT)
-    assert said.split("\n")[1:3] == ["LidarError", "goes on"]
-    assert not complaints
-
-
 @pytest.mark.parametrize("model", MAKERS)
 def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
     emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
