@@ -71,6 +71,7 @@ class RecordStream:
         self.damages: list[str] = []
         self._file, self._wanted = file, wanted
         self._packed = self._unpacked = 0
+        self._has_channels = False
         magic = self._read_at(0, len(MCAP_MAGIC))
         if magic.startswith(b"{"):
             raise ConfigError("is a recording of an older version, in JSON: record again")
@@ -83,20 +84,20 @@ class RecordStream:
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
         """Yield opcode and content of every record from `place` to the end of the data.
 
-        The schemas and channels that a whole file repeats at its end come first: the chunk that has
-        them may be damaged.
+        Where the chunk with the channels is damaged, those at the end of the file take their place.
 
         Raises:
             FileCut: the file's end is missing.
             ConfigError: the file is damaged in too many places.
         """
-        if self.place == len(MCAP_MAGIC):
-            yield from self._read_summary()
         while True:
             opcode, content = self._read_record()
             if opcode == DATA_END:
                 self.place = self.at  # it is read again where the index isn't written yet
                 break
+            if self.damages and not self._has_channels:
+                yield from self._read_summary()
+                self._has_channels = True
             yield from self._open_record(opcode, content)
         if not self._has_end():
             raise FileCut
@@ -163,6 +164,7 @@ class RecordStream:
             if place > len(unpacked):
                 raise ConfigError("is damaged: a broken record in a chunk")
             if opcode in (MESSAGE, CHANNEL, SCHEMA):
+                self._has_channels = self._has_channels or opcode == CHANNEL
                 yield opcode, unpacked[first:place]
 
     def _unpack(self, content: bytes) -> bytes | None:
