@@ -18,6 +18,7 @@ import stat
 import sys
 from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
 from types import FunctionType
 from typing import IO, Any
@@ -74,7 +75,7 @@ def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) 
 
 
 @contextlib.contextmanager
-def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
+def open_file(path: Path, limit: int | None) -> Iterator[BufferedReader]:
     """Open a regular file to read it piece by piece, as a context manager.
 
     Args:
@@ -92,7 +93,9 @@ def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
 
 
 @contextlib.contextmanager
-def _open_checked(path: Path, limit: int | None, error: type[AcsarError]) -> Iterator[IO[bytes]]:
+def _open_checked(
+    path: Path, limit: int | None, error: type[AcsarError]
+) -> Iterator[BufferedReader]:
     """Open a regular file within the limit; raises `error`, also for OSErrors inside the block."""
     try:
         status = os.stat(path)  # noqa: PTH116 - before opening, too: that resets some boards

@@ -9,6 +9,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -123,7 +124,7 @@ class Survey:
         ConfigError: it holds no message.
     """
 
-    def __init__(self, file: IO[bytes], begin: float) -> None:
+    def __init__(self, file: BufferedReader, begin: float) -> None:
         stream = RecordStream(file)
         self.profile, self.library = "ros2", ""
         self.is_ours = False
