@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -132,16 +131,6 @@ class Tape:
         return max(end - float(measured[2].min(initial=end)) for end, measured in ages)
 
 
-class ByteStream(Protocol):
-    """A byte stream, such as an open serial port."""
-
-    def write(self, data: bytes) -> object:
-        """Send bytes."""
-
-    def read(self, size: int) -> bytes:
-        """Read exactly `size` bytes, or fewer after the port's own time-out."""
-
-
 class ReplayLink:
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
@@ -152,11 +141,8 @@ class ReplayLink:
     Attributes: `replays`, the path.
     """
 
-    def __init__(
-        self, path: str | Path, port: ByteStream | None = None, *, compare: bool = True
-    ) -> None:
+    def __init__(self, path: str | Path, *, compare: bool = True) -> None:
         self.replays = Path(path)
-        self._port = port
         self._compare = compare
         self._recording: Recording | None = None
         self._next_episode = 0
@@ -198,13 +184,11 @@ class ReplayLink:
         )
 
     def write(self, data: bytes) -> None:
-        """Take commands, which the next `advance` compares; a port gets them as well."""
+        """Take commands, which the next `advance` compares."""
         tape = self._require_tape()
         if not self._lead:
             tape.wrote()
         self._sent += data
-        if self._port is not None:
-            self._port.write(data)
 
     def advance(self, period: float) -> bytes:
         """Return the bytes of the next period.
@@ -243,15 +227,7 @@ class ReplayLink:
                 f"{one!r}, not {other!r}",
                 "was it made with this robot, goal and policy?",
             )
-        if self._port is None:
-            return got
-        arrived = self._port.read(len(got))
-        if len(arrived) != len(got):
-            raise LinkLostError(
-                f"{self.replays}: the port sent {len(arrived)} of {len(got)} bytes",
-                "check the tape player",
-            )
-        return arrived
+        return got
 
     def _require_tape(self) -> Tape:
         if not self._is_open or self._tape is None or not self._next_episode:
@@ -290,11 +266,11 @@ class ReplayLink:
         """Return the age of the oldest measurement in the episode; see `Tape` [s]."""
         return self._tape.oldest_measurement() if self._tape else 0.0
 
-    def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path, ByteStream | None]]:
+    def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path]]:
         """Copy with the replay at its beginning."""
-        return partial(ReplayLink, compare=self._compare), (self.replays, self._port)
+        return partial(ReplayLink, compare=self._compare), (self.replays,)
 
     def close(self) -> None:
-        """Close the link, but not the port, which its owner closes. A reset opens it again."""
+        """Close the link; a reset opens it again."""
         self._is_open = False
         self._sent = b""

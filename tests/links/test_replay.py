@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from recording_tools import drive
-from tapes import playing, taped
+from tapes import TtyReplayLink, playing, taped
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id
@@ -75,7 +75,7 @@ def test_over_a_real_tty_the_observations_are_the_same_bits(
 ) -> None:
     tape, seen = bullet
     with playing(tape) as (port, heard):
-        assert rollout(ReplayLink(tape, port)) == seen
+        assert rollout(TtyReplayLink(tape, port)) == seen
         assert heard.get(timeout=5.0) == 0  # and the commands are the same bytes, too
 
 
