@@ -105,6 +105,7 @@ def _read_counted(
         if collector.is_whole:
             episodes = tuple(map(make_episode, parts))
         else:
+            collector.forget()
             source = EpisodeSource(path, file, collector.topics)
             episodes = tuple(source.make_lazy(one) for one in parts)
         file.seek(0)
@@ -173,7 +174,7 @@ class EpisodeSource:
     def make_lazy(self, parts: EpisodeParts) -> RecordedEpisode:
         """Make an episode that is read when it is asked for."""
         episode = object.__new__(RecordedEpisode)
-        episode.__dict__ |= describe_parts(parts) | {"_source": self, "_parts": parts}
+        episode.__dict__.update(describe_parts(parts), _source=self, _parts=parts)
         return episode
 
     def load(self, episode: RecordedEpisode, group: FieldGroup) -> None:
@@ -191,7 +192,7 @@ class EpisodeSource:
             fields = group.make(self._read_parts(parts, group.topics, parts.places))
         if group.make is make_truth:  # the tables that it is made of aren't kept
             size = 24 * parts.counts[TICKS.name]
-        episode.__dict__ |= fields
+        episode.__dict__.update(fields)
         self._loaded.append((episode, list(fields), size))
 
     def _read_parts(
