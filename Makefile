@@ -8,7 +8,6 @@ BIN := $(VENV)/bin
 READY := $(VENV)/ready
 # One more than the cores of a small computer: many tests wait for boards.
 WORKERS ?= 3
-FUZZ_SECONDS ?= 300
 SOAK_MINUTES ?= 30
 FIRMWARE := $(CURDIR)/build/firmware
 BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/guard/test_watchdog.py \
@@ -21,7 +20,7 @@ REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
-  firmware-tested bench fuzz soak replug stopping identify-check licences reference pictures clean
+  firmware-tested bench soak replug stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -82,19 +81,14 @@ bench: $(READY)  ## how fast envs, batches, wire and policies are, in a table; d
 throughput: $(READY)  ## what a second Ray node is worth; needs a machine with nothing else to do
 	$(BIN)/python tests/scale/throughput.py
 
-fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'
-	for target in decoder config world; do \
-	  $(BIN)/python tests/fuzz/fuzz.py $$target -max_total_time=$(FUZZ_SECONDS) || exit 1; done
-
 soak: $(READY)  ## half an hour of driving over a pseudo-terminal
-	$(BIN)/python tests/fuzz/soak.py --minutes $(SOAK_MINUTES)
+	$(BIN)/python tests/endurance/soak.py --minutes $(SOAK_MINUTES)
 
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
 	$(BIN)/python tests/tools/sysid/check_hidden.py
 
 replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
-	$(BIN)/python tests/fuzz/replug.py --cycles $(REPLUG_CYCLES)
+	$(BIN)/python tests/endurance/replug.py --cycles $(REPLUG_CYCLES)
 
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)

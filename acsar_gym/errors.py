@@ -1,4 +1,18 @@
-"""Exceptions and warnings. Every message says what happened, where, and what to do next."""
+"""Exceptions and warnings. Every message says what happened, where, and what to do next.
+
+AcsarError
+  ConfigError                a parameter, option, file or name
+    WorldError, TaskError
+  CommandError               a speed that must not be sent
+  LinkError                  robot or LiDAR
+    PortNotFoundError, PortPermissionError, PortBusyError
+    BoardSilentError
+      BoardGarbledError
+    LinkLostError, LidarError, WheelError, EmergencyStopError
+  SensorError, PolicyError, RenderError, MissingExtraError
+  IdentificationError, LateTicksError, CancelledError
+  JobError, ClusterError
+"""
 
 from __future__ import annotations
 
@@ -15,8 +29,7 @@ from typing import Any
 
 BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
 """What to do on a busy computer."""
-MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
-"""What to do in a process that has too many open files."""
+MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"  # for too many open files
 
 
 class AcsarError(Exception):
@@ -81,10 +94,6 @@ class MissingExtraError(AcsarError):
 def require_extra(feature: str, extra: str) -> Iterator[None]:
     """Name the extra where an import inside the block fails.
 
-    Args:
-        feature: what needs the import.
-        extra: name of the extra that installs it.
-
     Raises:
         MissingExtraError: a module isn't installed.
     """
@@ -96,11 +105,6 @@ def require_extra(feature: str, extra: str) -> Iterator[None]:
 
 def check_extra(feature: str, extra: str, *modules: str) -> None:
     """Name the extra where modules aren't installed; imports none of them.
-
-    Args:
-        feature: what needs them.
-        extra: name of the extra that installs them.
-        *modules: their names.
 
     Raises:
         MissingExtraError: one isn't installed.
@@ -242,10 +246,6 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
 
     Errors of this package pass, with the name as a note.
 
-    Args:
-        kind: what is raised instead, from the original error.
-        source: returns the task's or sensor's name.
-
     Raises:
         AcsarError: of that kind.
     """
@@ -270,8 +270,7 @@ class LidarError(LinkError):
     """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
 
 
-MAX_PRINTED = 1_000
-"""Longest line that is printed [characters]."""
+MAX_PRINTED = 1_000  # longest line that is printed [characters]
 _UNPRINTABLE = re.compile(
     "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
 )
@@ -279,21 +278,12 @@ _UNPRINTABLE = re.compile(
 
 
 def shorten_text(text: str, most: int = MAX_PRINTED) -> str:
-    """Return text, cut to `most` characters with "..." at the end.
-
-    Args:
-        text: to cut.
-        most: longest text that stays as it is [characters].
-    """
+    """Return text, cut to `most` characters with "..." at the end."""
     return text if len(text) <= most else f"{text[:most]}..."
 
 
 def show_value(value: object) -> str:
-    """Return a value's repr(), shortened and on one line.
-
-    Args:
-        value: anything.
-    """
+    """Return a value's repr(), shortened and on one line."""
     try:
         return " ".join(reprlib.repr(value).split())
     except ValueError:  # Python refuses to print integers of thousands of digits
@@ -301,11 +291,7 @@ def show_value(value: object) -> str:
 
 
 def escape_unprintable(text: str) -> str:
-    """Return untrusted text made safe for a terminal: shortened, control characters escaped.
-
-    Args:
-        text: of a stranger, such as a file's or board's.
-    """
+    """Return untrusted text made safe for a terminal: shortened, control characters escaped."""
     short = shorten_text(text)
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
 
@@ -332,10 +318,6 @@ class RecordingWarning(UserWarning):
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
     """Suggest a name for an unknown one, for the end of an error message.
-
-    Args:
-        name: the unknown name.
-        known: the known names.
 
     Returns:
         "; did you mean X?" with the most similar name, or "; known: ..." with all of them.

@@ -20,16 +20,12 @@ from acsar_gym.errors import CommandError
 __all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "EchoDecoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
-MAX_SPEED = 99.99
-"""Largest speed of the format [rad/s]."""
-MAX_LINE = 256
-"""Longest accepted line [bytes]; longer ones are dropped up to the next line end."""
+MAX_SPEED = 99.99  # largest speed of the format [rad/s]
+MAX_LINE = 256  # longest accepted line [bytes]; longer ones are dropped up to the next line end
 
-Speeds = tuple[float, float, float, float]
-"""Wheel speeds [rad/s] in the order front_right, front_left, rear_left, rear_right."""
+Speeds = tuple[float, float, float, float]  # [rad/s], in the order of WHEELS
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
-PRINTED_STEP = 0.01
-"""Resolution of the wire's numbers [rad/s]."""
+PRINTED_STEP = 0.01  # resolution of the wire's numbers [rad/s]
 
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
 _LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
@@ -44,26 +40,16 @@ _BEGUN = re.compile(
 )
 """A line that ends too early, as where the board was reset meanwhile."""
 _WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
-_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
-"""The end of a part."""
-SAMPLE_BYTES = 60
-"""How much of a damaged line, or of text, is kept for messages [bytes]."""
-MAX_NOTES = 8
-"""How many different texts are kept."""
-_KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
-"""Cache of parsed parts, such as b"ap12.50" -> 12.5, for each motor."""
-_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")
-"""The speed of a wheel that turns."""
-_MAX_KNOWN = 5000
-"""Largest number of cached parts per motor."""
-MAX_ECHOES = 100
-"""How many commands may wait for their echo."""
-FEWEST_ECHOES = 4
-"""So many echoes without feedback aren't those before it; a board that is reset sends fewer."""
-ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
-"""A zero command in an order that no feedback has: who sends it back echoes."""
-ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"
-"""A zero command to a board that echoes."""
+_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")  # the end of a part
+SAMPLE_BYTES = 60  # how much of a damaged line, or of text, is kept for messages [bytes]
+MAX_NOTES = 8  # how many different texts are kept
+_KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})  # cache of parsed parts
+_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")  # the speed of a wheel that turns
+_MAX_KNOWN = 5000  # largest number of cached parts per motor
+MAX_ECHOES = 100  # how many commands may wait for their echo
+FEWEST_ECHOES = 4  # without feedback; a board that is reset sends fewer
+ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"  # zeros in an order that no feedback has
+ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"  # a zero command to a board that echoes
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
@@ -190,15 +176,15 @@ class Decoder:
         """
         stream = self._partial + data
         lines = stream.splitlines()
-        rest = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
+        partial = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
         if lines and self._skipping:
             self._skipping = False
             lines[0] = b""
         readings = [reading for line in lines if line and (reading := self._read_line(line))]
-        if len(rest) > MAX_LINE and not self._skipping:
+        if len(partial) > MAX_LINE and not self._skipping:
             self._skipping = True
-            self._refuse(rest, ["line too long"])
-        self._partial = b"" if self._skipping else rest
+            self._refuse(partial, ["line too long"])
+        self._partial = b"" if self._skipping else partial
         return readings
 
     def _read_line(self, line: bytes) -> Reading | None:
@@ -215,7 +201,6 @@ class Decoder:
         return tuple.__new__(Reading, (speeds,))  # twice as fast as a NamedTuple's own, every tick
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
-        """Decode a line that isn't four cached parts."""
         first = self._first and self.lines == 0
         self._first = False
         if len(line) > MAX_LINE:
@@ -243,7 +228,6 @@ class Decoder:
         return reading
 
     def _refuse(self, line: bytes, reasons: list[str]) -> None:
-        """Count refused parts."""
         self._first = False
         if self._refused_at != self.lines:
             self._refused_at = self.lines
@@ -350,9 +334,9 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
         padded = _PART.fullmatch(part)
         match = padded or _TOLERATED.fullmatch(part)
         if match is None or (zeros and not padded and match[3][:1].isdigit()):
-            known = part[:1] in _LETTERS
+            is_motor = part[:1] in _LETTERS
             wrong = "malformed number" if part[1:2] in (b"p", b"n") else "unknown direction"
-            refused.append((wrong if known else "unknown motor") if part else "empty part")
+            refused.append((wrong if is_motor else "unknown motor") if part else "empty part")
             continue
         letter, direction, digits = match.groups()
         motor = _LETTERS.index(letter)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-import itertools
 import json
 import math
 import os
@@ -19,6 +18,7 @@ import stat
 import sys
 from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
+from io import BufferedReader
 from pathlib import Path
 from types import FunctionType
 from typing import IO, Any
@@ -37,18 +37,12 @@ OPEN_FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY"
 """Flags for opening; non-blocking, as a pipe may replace the file after it was checked."""
 STREAM_PATHS = ("/dev/std", "/dev/fd/", "/proc/")
 """Names of what the program has open already: the shell's "> FILE" must not be replaced."""
-MAX_JSON_VALUES = 1_000_000
-"""Most values in JSON, counted by the brackets and commas; they take up to 230 MB."""
-MAX_YAML_EVENTS = 20_000
-"""Most parser events in YAML: beginning or end of a list or mapping, key, value."""
-MAX_YAML_TEXT = 10_000
-"""Longest string or number in YAML [characters]; numbers in base 60 take quadratic time."""
-MAX_YAML_DEPTH = 20
-"""Deepest nesting of lists and mappings in YAML, which are made by recursion."""
+MAX_JSON_VALUES = 1_000_000  # by brackets and commas; they take up to 230 MB
+MAX_YAML_EVENTS = 20_000  # beginnings and ends of lists and mappings, keys, values
+MAX_YAML_DEPTH = 20  # deepest nesting of lists and mappings in YAML, which are made by recursion
 COMMAND: ContextVar[str] = ContextVar("command", default="")
 """Name of the running command, such as "evaluate"."""
-ORIGIN_BYTES = 4096
-"""Where in a file its origin must be found [bytes from the beginning]."""
+ORIGIN_BYTES = 4096  # where in a file its origin must be found [bytes from the beginning]
 YAML_ERRORS = (yaml.YAMLError, ValueError, LookupError, AttributeError, RecursionError)
 """Exceptions of the YAML library; malformed scalars raise the built-in ones."""
 
@@ -81,7 +75,7 @@ def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) 
 
 
 @contextlib.contextmanager
-def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
+def open_file(path: Path, limit: int | None) -> Iterator[BufferedReader]:
     """Open a regular file to read it piece by piece, as a context manager.
 
     Args:
@@ -99,7 +93,9 @@ def open_file(path: Path, limit: int | None) -> Iterator[IO[bytes]]:
 
 
 @contextlib.contextmanager
-def _open_checked(path: Path, limit: int | None, error: type[AcsarError]) -> Iterator[IO[bytes]]:
+def _open_checked(
+    path: Path, limit: int | None, error: type[AcsarError]
+) -> Iterator[BufferedReader]:
     """Open a regular file within the limit; raises `error`, also for OSErrors inside the block."""
     try:
         status = os.stat(path)  # noqa: PTH116 - before opening, too: that resets some boards
@@ -126,11 +122,6 @@ def _too_large(limit: int, error: type[AcsarError]) -> AcsarError:
 
 def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
     """Write a file so that it is either whole, or what it was before; see `replace_file`.
-
-    Args:
-        path: the file.
-        data: its content.
-        error: class of the exception.
 
     Raises:
         AcsarError: as `error`, if it can't be written, or is a pipe that nobody reads.
@@ -195,12 +186,6 @@ def check_replaceable(path: Path, mark: str | None = None, *, force: bool = Fals
     """Check that writing a file loses none of somebody else's.
 
     Replaced are empty files and those that the same command wrote; devices and pipes are written.
-
-    Args:
-        path: the file that will be written.
-        mark: text at the beginning of files that the command wrote; None for
-            `describe_origin`, "" where it can't know them.
-        force: whether any file may be replaced.
 
     Raises:
         ConfigError: there is another file, or another kind of file, of that name.
@@ -271,10 +256,6 @@ def find_modules_here() -> Iterator[None]:
 def import_object(what: str, name: str) -> Any:
     """The object of a module that is named "module:Class".
 
-    Args:
-        what: it is for, in the error's words, such as "task".
-        name: of the module, which is imported, and of the object in it.
-
     Raises:
         ConfigError: there is none of that name, or its module can't be imported.
     """
@@ -283,9 +264,9 @@ def import_object(what: str, name: str) -> Any:
     if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):
         raise ConfigError(f"{field}: {like}")
     try:
-        found: Any = importlib.import_module(module)
+        value: Any = importlib.import_module(module)
         for part in attribute.split("."):
-            found = getattr(found, part)
+            value = getattr(value, part)
     except AcsarError:
         raise
     except (ImportError, AttributeError) as error:
@@ -293,15 +274,15 @@ def import_object(what: str, name: str) -> Any:
     except (Exception, SystemExit) as error:
         said = f"{type(error).__name__}: {explain_error(error)}"
         raise ConfigError(f"{field}: the module {module} can't be imported: {said}") from error
-    return found
+    return value
 
 
 def object_name(kind: type | FunctionType) -> str | None:
     """The "module:name" that imports a class or function; None where none does: a local one."""
-    found: Any = sys.modules.get(kind.__module__)
+    value: Any = sys.modules.get(kind.__module__)
     for part in kind.__qualname__.split("."):
-        found = getattr(found, part, None)
-    importable = found is kind and kind.__module__ != "__main__"
+        value = getattr(value, part, None)
+    importable = value is kind and kind.__module__ != "__main__"
     return f"{kind.__module__}:{kind.__qualname__}" if importable else None
 
 
@@ -329,11 +310,6 @@ def parse_json(
 ) -> Any:
     """Parse JSON.
 
-    Args:
-        text: the JSON.
-        error: class of the exception.
-        most: values that it may have.
-
     Raises:
         AcsarError: as `error`, for invalid JSON, NaN, too long numbers, and too many values.
     """
@@ -351,11 +327,6 @@ def parse_yaml(
 ) -> Any:
     """Parse a YAML document.
 
-    Args:
-        text: the YAML.
-        error: class of the exception.
-        most: parser events that it may have.
-
     Raises:
         AcsarError: as `error`, for invalid YAML, several documents, aliases, keys that aren't text,
             too long numbers or strings, too many values, and too deep nesting.
@@ -370,37 +341,24 @@ def parse_yaml(
 def parse_yaml_entry(
     text: str, names: Sequence[str], error: type[AcsarError] = ConfigError, *, hint: str
 ) -> tuple[str, Any]:
-    """Parse one entry of a YAML mapping, with aliases and merge keys; others aren't made.
-
-    Args:
-        text: the YAML.
-        names: of the entry; the first one that is there is taken.
-        error: class of the exception.
-        hint: what to do where there is none of them.
-
-    Returns:
-        Its name and its value.
+    """Parse YAML with aliases and merge keys; returns name and value of the first of these entries.
 
     Raises:
-        AcsarError: as `error`, for no such entry, and as by `parse_yaml`; bounds hold for the entry
-            with all aliases written out.
+        AcsarError: as `error`, for no such entry, with `hint`, and as by `parse_yaml`.
     """
     try:
         _check_events(text, error, MAX_YAML_EVENTS, aliases=True)
-        root = yaml.compose(text, Loader=_MergingLoader)
-        if not isinstance(root, yaml.MappingNode):
-            raise error("must be values by name")
-        entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
-        name = next((name for name in names if name in entries), None)
-        if name is None:
-            near = shorten_text(suggest_name(names[0], entries), 120)
-            missing = " and no ".join(map(show_value, names))
-            raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
-        if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
-            raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
-        return name, _MergingLoader("").construct_document(entries[name])
+        entries = yaml.load(text, Loader=_MergingLoader)  # noqa: S506 -- derived from the safe one
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from problem
+    if not isinstance(entries, dict):
+        raise error("must be values by name")
+    name = next((name for name in names if name in entries), None)
+    if name is None:
+        near = shorten_text(suggest_name(names[0], entries), 120)
+        missing = " and no ".join(map(show_value, names))
+        raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
+    return name, entries[name]
 
 
 def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: bool = False) -> None:
@@ -415,23 +373,6 @@ def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: boo
             raise error(f"{where}: has an alias (*), which is refused: write the value out")
         if depth > MAX_YAML_DEPTH or count > most:
             raise error(f"{where}: is nested too deeply or has too many values")
-        if (length := len(getattr(event, "value", ""))) > MAX_YAML_TEXT:
-            raise error(f"{where}: a text of {length:,} characters, which is too long")
-
-
-def _count_values(node: yaml.Node, depth: int, most: int) -> int:
-    """Count the nodes of a value with its aliases written out; more than `most` for too many."""
-    if depth < 0:
-        return most + 1
-    count = 1
-    parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-    for part in itertools.chain.from_iterable(
-        one if isinstance(one, tuple) else (one,) for one in parts
-    ):
-        if count > most:
-            break
-        count += _count_values(part, depth - 1, most - count)
-    return count
 
 
 def format_yaml_line(data: Any) -> str:

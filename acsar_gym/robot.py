@@ -131,11 +131,11 @@ class Robot:
             self._listener = StopListener(device, self.config.name, file)
             self._listener.warn()
             self._warned = False
-        asked = WHILE_WAITING.set(self._check_released)
+        token = WHILE_WAITING.set(self._check_released)
         try:
             self._begin(scene, np.random.default_rng(0) if rng is None else rng)
         finally:
-            WHILE_WAITING.reset(asked)
+            WHILE_WAITING.reset(token)
         if self.link.truth is None and not self._warned:  # an open link knows its watchdog
             self._warned = True
             if self.config.firmware.command_timeout is None:
@@ -177,15 +177,8 @@ class Robot:
         return numbers
 
     @_deactivating
-    def tell(self, info: dict[str, float]) -> None:
-        """Add the sensors' info to an env's.
-
-        Args:
-            info: gets their keys and values.
-
-        Raises:
-            ConfigError: it has one of the keys already.
-        """
+    def add_sensor_info(self, info: dict[str, float]) -> None:
+        """Add the sensors' info to an env's; ConfigError where it has one of the keys already."""
         self.sensors.info(info)
 
     @_deactivating
@@ -203,7 +196,7 @@ class Robot:
             CommandError: unless `speeds` are four finite numbers.
             LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
-        self._heed()
+        self._check_estop()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.bounded(speeds, pose, age))
         if self._clocked:
@@ -223,7 +216,7 @@ class Robot:
             linear: velocity [m/s], forward positive.
             angular: velocity [rad/s], counter-clockwise positive.
         """
-        self._heed()
+        self._check_estop()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.allowed(linear, angular, pose, age))
         if self._clocked:
@@ -237,7 +230,7 @@ class Robot:
 
         Errors as for `tick`.
         """
-        self._heed()
+        self._check_estop()
         self._exchange(None)
         self._record_tick(math.nan, math.nan)
 
@@ -256,14 +249,14 @@ class Robot:
         """Time since the newest valid line [s]."""
         return self.wire.age
 
-    def _heed(self) -> None:
+    def _check_estop(self) -> None:
         """Stop where a stop was requested; LinkError where the robot isn't active."""
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._listener is not None and self._listener.is_requested():
-            self._obey(self._listener)
+            self._answer_stop(self._listener)
 
-    def _obey(self, listener: StopListener) -> None:
+    def _answer_stop(self, listener: StopListener) -> None:
         """Stop, and answer whether that has reached the board."""
         reached = False
         try:
@@ -283,7 +276,7 @@ class Robot:
             self._listener.hold()
             self._held = False
         if self._listener.is_requested():
-            self._obey(self._listener)
+            self._answer_stop(self._listener)
         check_released()
 
     @property
@@ -367,8 +360,8 @@ class Robot:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
         heard, dt = wire.exchange(speeds)
-        for one, share in wire.shares(heard, dt):
-            self.odometry.update(one, share)
+        for wheel_speeds, share in wire.shares(heard, dt):
+            self.odometry.update(wheel_speeds, share)
         if self._stopwatch is not None:
             self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
             fastest = max(map(abs, wire.speeds))
@@ -380,10 +373,10 @@ class Robot:
             except WheelError as error:
                 if not wire.decoder.notes:
                     raise
-                found = (
+                reported = (
                     f"{error.found}; the board says {escape_unprintable(wire.decoder.notes[-1])}"
                 )
-                raise WheelError(found, error.fix, error.wheel) from error
+                raise WheelError(reported, error.fix, error.wheel) from error
         elif self._watch is not None:
             self._watch.reset()  # the board may stop the wheels by itself
 
@@ -409,14 +402,10 @@ class Robot:
         self._recorder.add(tick)
         self._record_scan(1.0 / self.config.lidar.rate - 0.5 * self._period)  # if nobody reads it
 
-    def _record_scan(self, rest: float = 0.0) -> None:
-        """Record the scan, with what it was made of.
-
-        Args:
-            rest: not where the newest recorded one was read less than this before [s].
-        """
+    def _record_scan(self, pause: float = 0.0) -> None:
+        """Record the scan, unless the newest recorded one was read less than a pause before [s]."""
         lidar, stamp = find_lidar(self.sensors), self.wire.stamp
-        if self._recorder is None or lidar is None or stamp - self._scanned <= rest:
+        if self._recorder is None or lidar is None or stamp - self._scanned <= pause:
             return
         self._scanned = stamp
         number = self._recorder.number - 1

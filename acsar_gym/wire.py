@@ -21,12 +21,9 @@ from acsar_gym.protocol import (
 from acsar_gym.safety import rules
 from acsar_gym.safety.set_points import SetPointWatch
 
-STANDSTILL_TIMEOUT = 5.0
-"""How long a reset waits for the wheels to stand still [s]."""
-ECHO_SHARE = 0.5
-"""A board that sends echoes alone for this share of `feedback_timeout` is silent."""
-STANDSTILL_TICKS = 2
-"""How many fresh readings in a row must show standstill."""
+STANDSTILL_TIMEOUT = 5.0  # how long a reset waits for the wheels to stand still [s]
+ECHO_SHARE = 0.5  # a board that sends echoes alone for this share of `feedback_timeout` is silent
+STANDSTILL_TICKS = 2  # how many fresh readings in a row must show standstill
 
 
 class Wire:
@@ -38,10 +35,6 @@ class Wire:
     the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
     the newest command has left the port, at the baud rate [s]; 0 in simulation. Where the link's
     board echoes, `decoder` is one that leaves the echoes out.
-
-    Args:
-        link: To the board.
-        config: Of the robot.
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
@@ -86,9 +79,6 @@ class Wire:
     def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
         """Send a command line, let one control period pass, and decode what arrived in it.
 
-        Args:
-            speeds: Of the four wheels [rad/s]; None to send nothing.
-
         Returns:
             The wheel speeds of each line that arrived, oldest first, and how long the period was
             by the link's clock [s].
@@ -128,10 +118,6 @@ class Wire:
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
         """Return what odometry integrates: the newest speeds, or after a pause all that were heard.
-
-        Args:
-            heard: as returned by `exchange`.
-            lasted: likewise [s].
 
         Returns:
             Wheel speeds [rad/s], and for how long they held [s].

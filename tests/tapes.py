@@ -14,9 +14,9 @@ import serial
 
 from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.links.recorded import RecordedLink
+from acsar_gym.links.replay import ReplayLink, Tape
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.replay import Tape
 from acsar_gym.worlds import Scene
 
 PERIOD = 0.01
@@ -63,6 +63,24 @@ def _heard(master: int, size: int) -> bytes:
     while len(heard) < size:
         heard += os.read(master, size - len(heard))
     return heard
+
+
+class TtyReplayLink(ReplayLink):
+    """Reads the feedback of each period from a port, at which another program plays the tape."""
+
+    def __init__(self, path: Path, port: serial.Serial) -> None:
+        super().__init__(path)
+        self._port = port
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        self._port.write(data)
+
+    def advance(self, period: float) -> bytes:
+        recorded = super().advance(period)
+        arrived: bytes = self._port.read(len(recorded))
+        assert len(arrived) == len(recorded)
+        return arrived
 
 
 @contextlib.contextmanager

@@ -13,9 +13,9 @@ from recording_tools import drive as record_drive
 from serial_tools import RobotFile, StartEmulator, cli
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import LinkError, SafetyWarning, WheelError
+from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.protocol import ECHO_ZERO, FEWEST_ECHOES, EchoDecoder, Reading, encode
+from acsar_gym.protocol import FEWEST_ECHOES, EchoDecoder, Reading, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.safety.set_points import SetPointWatch
 
@@ -75,12 +75,6 @@ def test_echoes_come_late_not_at_all_again_and_in_one_line_with_feedback() -> No
     assert decoder.feed(sent[0].rstrip() + encode(COMMANDS[1])) == [(COMMANDS[1],)]
 
 
-def test_what_may_be_a_damaged_echo_is_not_used() -> None:
-    decoder, (line,) = decoder_after(COMMANDS[0])
-    assert decoder.feed(line.replace(b"b", b"", 1)) == []
-    assert decoder.lines == 0
-
-
 @pytest.mark.parametrize("quirks", ECHOES, ids=" ".join)
 def test_a_drive_is_the_same_with_an_echo(quirks: tuple[str, ...]) -> None:
     rate = [quirk for quirk in quirks if quirk.startswith("feedback-rate")]
@@ -90,16 +84,6 @@ def test_a_drive_is_the_same_with_an_echo(quirks: tuple[str, ...]) -> None:
             drive(robot)
             poses.append(robot.odometry.pose)
     assert poses[1] == pytest.approx(poses[0], abs=0.01)
-
-
-@pytest.mark.parametrize("quirks", ECHOES, ids=" ".join)
-@pytest.mark.parametrize("fault", ["dead-wheel=c", "reversed-encoder=b", "swapped-encoders"])
-def test_an_echo_hides_no_wheel(quirks: tuple[str, ...], fault: str) -> None:
-    with (
-        pytest.raises(WheelError),
-        Robot(like_a_board(*quirks, fault, echoes=True), KNOWN) as robot,
-    ):
-        drive(robot)
 
 
 @pytest.mark.parametrize("quirk", ["echo", "echo-newest"])
@@ -130,13 +114,6 @@ def test_set_points_are_refused(quirks: tuple[str, ...], echoes: bool, said: str
     ):
         for _ in range(2):
             drive(robot)
-
-
-def test_a_board_that_does_not_echo_is_not_taken_for_one() -> None:
-    for config in (ACSAR, ACSAR.with_(encoder={"quantum": 1.0}), ACSAR.with_(motor={"gain": 1.1})):
-        with Robot(like_a_board(echoes=False, robot=config), ACSAR) as robot:
-            drive(robot, 200)
-            assert ECHO_ZERO not in robot.wire.decoder.rest
 
 
 def test_wheels_that_follow_slow_commands_are_no_echo() -> None:

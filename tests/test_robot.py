@@ -10,7 +10,6 @@ import pytest
 from board_like import LikeABoard
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.config import FirmwareConfig
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.recording import Recorder, read
@@ -153,18 +152,6 @@ def test_between_lines_the_last_reading_is_held_and_ages() -> None:
     assert robot.odometry.wheel_positions == pytest.approx((0.04, 0.08, 0.12, 0.16))
 
 
-def test_slow_feedback_still_gives_good_odometry() -> None:
-    config = RobotConfig(
-        wheel_separation_multiplier=1.5378, firmware=FirmwareConfig(feedback_rate=20.0)
-    )
-    with Robot(open_link("planar", config), config) as robot:
-        for speeds in (config.max_linear, 0.0):
-            for _ in range(300):
-                robot.drive(speeds, 0.0)
-        assert robot.link.truth is not None
-        assert math.dist(robot.link.truth.pose[:2], robot.odometry.pose[:2]) < 0.02
-
-
 def test_silence_ends_with_an_error_and_a_stop() -> None:
     robot, link = standing(then=b"")
     with pytest.raises(BoardSilentError, match=r"no feedback for 0\.5"):
@@ -175,29 +162,11 @@ def test_silence_ends_with_an_error_and_a_stop() -> None:
     assert link.closed == 1
 
 
-def test_silence_ends_with_a_stop_while_nothing_is_commanded_too() -> None:
-    robot, link = standing(then=b"")
-    robot.tick((5.0, 5.0, 5.0, 5.0))
-    with pytest.raises(BoardSilentError):
-        for _ in range(100):
-            robot.listen()
-    assert link.last_command() == ZERO
-    assert link.closed == 1
-
-
 def test_garbage_is_silence_with_another_name_and_is_shown() -> None:
     robot, _ = standing(then=b"\x80\x81,nonsense\r\n")
     with pytest.raises(BoardGarbledError, match=r"'\\x80\\x81,nonsense'.*baud rate"):
         for _ in range(100):
             robot.tick(ZERO)
-
-
-def test_a_board_frozen_in_mid_line_is_silent_whatever_was_damaged_before() -> None:
-    robot, _ = standing(b"\x80,noise\r\n", LINE + b"ap12.50,bn0", then=b"")
-    with pytest.raises(BoardSilentError, match=r"after 'ap12\.50,bn0'") as caught:
-        for _ in range(100):
-            robot.tick(ZERO)
-    assert type(caught.value) is BoardSilentError
 
 
 def test_a_reset_waits_for_standstill() -> None:
@@ -214,17 +183,6 @@ def test_wheels_that_never_stop_are_an_error() -> None:
     with pytest.raises(LinkError, match="still turn"):
         Robot(link, RobotConfig()).activate()
     assert link.closed == 1
-
-
-@pytest.mark.parametrize("first", [STILL, LINE], ids=["standing", "turning"])
-def test_a_clock_that_jumps_while_the_wheels_settle_is_no_error(first: bytes) -> None:
-    """As when the whole machine stands for a while."""
-    link = ScriptedLink(first, then=STILL)
-    link.pause = 10.0
-    robot = Robot(link)
-    robot.activate()
-    assert robot.speeds == ZERO
-    assert len(link.written) <= 3
 
 
 def test_after_a_pause_every_line_has_its_share_of_the_time() -> None:

@@ -386,7 +386,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         info |= episode.info() | self._randomizer.info()
         if self._tells_faults:
             info["fault"] = 0.0
-        self.robot.tell(info)
+        self.robot.add_sensor_info(info)
         self._last_step = observation.copy(), info.copy()  # a caller may change its own
         return observation, info
 

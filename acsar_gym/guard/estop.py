@@ -25,18 +25,20 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning, escape_unprintable
+from acsar_gym.errors import (
+    MORE_FILES_ADVICE,
+    EmergencyStopError,
+    LinkError,
+    SafetyWarning,
+    escape_unprintable,
+)
 from acsar_gym.streams import print_error
 
-SESSION_FOLDERS = Path("/run/user")
-"""Has a folder for each user who is logged in, in which nobody else can create files."""
+SESSION_FOLDERS = Path("/run/user")  # of users who are logged in, each their own
 SHARED_FOLDER = Path("/tmp")  # noqa: S108 - what is found there is checked
 """A folder in which everybody can create files; it exists on every system."""
-FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
-"""Environment variable that names a folder to use instead of these two."""
-MAX_FOLDER_PATH = 80
-"""Most bytes of a folder's path, because the address of a socket has at most 103 on every
-system."""
+FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"  # environment variable: a folder instead of these two
+MAX_FOLDER_PATH = 80  # bytes, as a socket's address has at most 103 on every system
 OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, in every terminal the same"
 """What to do where a folder can't be used."""
 
@@ -53,9 +55,9 @@ def list_candidates() -> list[Path]:
         return [Path(os.environ[FOLDER_VARIABLE]) / name]
     session, folders = SESSION_FOLDERS / str(os.getuid()), [SHARED_FOLDER / name]
     with contextlib.suppress(OSError):
-        found = session.lstat()
-        ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
-        if ours and not found.st_mode & 0o22:  # nobody else can create files in it
+        status = session.lstat()
+        ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+        if ours and not status.st_mode & 0o22:  # nobody else can create files in it
             folders.insert(0, session / name)
     return folders
 
@@ -83,24 +85,11 @@ def make_folder(path: Path) -> Path:
                     folder.mkdir(mode=0o700)
         status = path.lstat()
     except (OSError, ValueError) as error:
-        raise _explain_folder(path, error) from error
+        why = getattr(error, "strerror", None) or str(error)
+        raise LinkError(f"{path}: can't be made a folder: {why}", OTHER_FOLDER) from error
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise LinkError(f"{path}: isn't a folder of yours alone", f"remove it, or {OTHER_FOLDER}")
     return path
-
-
-def _explain_folder(path: Path, error: Exception) -> LinkError:
-    """Return the error for a folder of sockets that can't be made or used."""
-    why = getattr(error, "strerror", None) or str(error)
-    fix = OTHER_FOLDER
-    if getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
-        fix = f"make room, or {OTHER_FOLDER}"
-    for parent in path.parents:
-        if os.path.lexists(parent):
-            if not parent.is_dir():
-                why, fix = f"{parent} is no folder", f"remove it, or {OTHER_FOLDER}"
-            break
-    return LinkError(f"{path}: can't be made a folder: {why}", fix)
 
 
 def find_folders() -> tuple[list[Path], list[LinkError]]:
@@ -116,35 +105,22 @@ def find_folders() -> tuple[list[Path], list[LinkError]]:
     return usable, wrong
 
 
-ANSWER_TIMEOUT = 2.0
-"""How long a stop waits for answers [s]; a control loop answers within a tick."""
+ANSWER_TIMEOUT = 2.0  # how long a stop waits for answers [s]; a control loop answers within a tick
 STOP_REQUEST = b"stop"
 """Request to stop, or to stop the robot whose name follows; also the answer that it stopped."""
-HELD_ANSWER = b"held"
-"""Answer to a stop: no robot is connected, and none will be driven."""
-RELEASE_REQUEST = b"release"
-"""Request to release stops, or that of the robot whose name follows; also the answer that it is."""
-FREE_ANSWER = b"free"
-"""Answer to a release: there was no stop."""
-WHO_REQUEST = b"who"
-"""Request to tell the names of the robot."""
+HELD_ANSWER = b"held"  # answer to a stop: no robot is connected, and none will be driven
+RELEASE_REQUEST = b"release"  # likewise
+FREE_ANSWER = b"free"  # answer to a release: there was no stop
+WHO_REQUEST = b"who"  # request to tell the names of the robot
 OTHER_ANSWER = b"other"
 """Beginning of the answer of a robot that wasn't meant, or was asked for its names."""
-MAX_REQUEST_BYTES = 8192
-"""Most bytes of a request or an answer."""
-HIDDEN = "."
-"""Before the name of a socket that doesn't listen yet."""
+MAX_REQUEST_BYTES = 8192  # most bytes of a request or an answer
+HIDDEN = "."  # before the name of a socket that doesn't listen yet
 NUMBER_BYTES = 5
 """Random bytes of a socket's number, so that no address is given out twice: not to another thread,
 not to a process of the same id in a container, and not to one after this one."""
-BIND_ATTEMPTS = 100
-"""How often a listener whose socket was removed halfway makes another."""
-RESEND_PERIOD = 0.01
-"""How soon a request is sent again that found a full queue [s]."""
-STALE_ASKER_AGE = 60.0
-"""Age at which the socket of a stop that ended halfway is removed [s]; a stop takes 2 s."""
-MAX_REQUESTS = 8
-"""Requests that are read in one tick."""
+RESEND_PERIOD = 0.01  # how soon a request is sent again that found a full queue [s]
+MAX_REQUESTS = 8  # requests that are read in one tick
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,11 +181,6 @@ class StopListener:
     Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used;
     `closed`, whether its robot is; `held`, all listeners of this process that were stopped and
     aren't released.
-
-    Args:
-        device: Of the robot that is stopped.
-        name: Of the robot.
-        recording: File that it is recorded to.
     """
 
     held: ClassVar[list[StopListener]] = []
@@ -218,8 +189,8 @@ class StopListener:
         self._about = (device, name, recording)
         self._identity = b"\t".join((OTHER_ANSWER, *map(os.fsencode, self._about)))
         real = os.path.realpath(device) if device.startswith("/") else device
-        known = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
-        self._names = {os.fsencode(each) for each in known if each} | {b"%d" % os.getpid()}
+        names = {device, os.path.basename(device), real, os.path.basename(real), name}  # noqa: PTH119
+        self._names = {os.fsencode(alias) for alias in names if alias} | {b"%d" % os.getpid()}
         self._sockets: list[socket.socket] = []
         self.paths: list[Path] = []
         self._process = os.getpid()
@@ -234,14 +205,15 @@ class StopListener:
                 self._sockets.append(_bind_listener(path))
                 self.paths.append(path)
             except OSError as error:
-                self.faults.append(_explain_socket(path, error))
+                fix = OTHER_FOLDER
+                if error.errno in (errno.EMFILE, errno.ENFILE):
+                    fix = f"close robots that aren't driven: {MORE_FILES_ADVICE}"
+                why = f"{path}: no socket: {error.strerror or error}"
+                self.faults.append(LinkError(why, fix))
 
     @staticmethod
     def check_available(device: str) -> None:
         """Check that a stop would reach a program that drives.
-
-        Args:
-            device: of the robot, for the message.
 
         Raises:
             LinkError: it wouldn't; the message says why.
@@ -270,48 +242,44 @@ class StopListener:
             unsent, self._unsent = self._unsent, []
             for answer in unsent:
                 self._answer(*answer)
-        for each in self._sockets if self._process == os.getpid() else ():
+        for listening in self._sockets if self._process == os.getpid() else ():
             with contextlib.suppress(OSError):  # no datagram
                 for _ in range(MAX_REQUESTS):
-                    self._take_request(each, *each.recvfrom(MAX_REQUEST_BYTES))
+                    self._take_request(listening, *listening.recvfrom(MAX_REQUEST_BYTES))
         return bool(self._waiting)
 
-    def _take_request(self, own: socket.socket, data: bytes, sender: str) -> None:
+    def _take_request(self, listening: socket.socket, data: bytes, sender: str) -> None:
         """Take a request, and answer it at once where it isn't a stop of this robot."""
         request, _, names = data.partition(b" ")
         is_meant = not names or not self._names.isdisjoint(names.split(b"\0"))
         if request == STOP_REQUEST and is_meant:
             self.hold()
-            self._waiting.append((own, sender))
+            self._waiting.append((listening, sender))
         elif request == RELEASE_REQUEST and is_meant:
             answer = RELEASE_REQUEST if self in self.held else FREE_ANSWER
             self._drop_hold()  # before the answer, which says that it is released
-            self._answer(own, answer, sender)
+            self._answer(listening, answer, sender)
             self.release()
         elif request in (STOP_REQUEST, RELEASE_REQUEST, WHO_REQUEST):
-            self._answer(own, self._identity, sender)
+            self._answer(listening, self._identity, sender)
 
     def confirm(self, *, connected: bool = True) -> None:
-        """Answer the requests for a stop.
-
-        Args:
-            connected: whether wheels have been commanded to stop; else there is no robot.
-        """
+        """Answer the requests for a stop."""
         with contextlib.suppress(IndexError):  # another thread may add or take one meanwhile
             while True:
-                own, sender = self._waiting.pop()
-                self._answer(own, STOP_REQUEST if connected else HELD_ANSWER, sender)
+                listening, sender = self._waiting.pop()
+                self._answer(listening, STOP_REQUEST if connected else HELD_ANSWER, sender)
 
     def _answer(
-        self, own: socket.socket, data: bytes, sender: str, deadline: float | None = None
+        self, listening: socket.socket, data: bytes, sender: str, deadline: float | None = None
     ) -> None:
         """Send an answer; one that finds the other's queue full goes along with the next tick."""
         try:
-            own.sendto(data, sender)
+            listening.sendto(data, sender)
         except BlockingIOError:  # it takes ten at a time, and many robots may answer it
             deadline = deadline or time.monotonic() + ANSWER_TIMEOUT
             if time.monotonic() < deadline:
-                self._unsent.append((own, data, sender, deadline))
+                self._unsent.append((listening, data, sender, deadline))
         except (OSError, TypeError):  # it ended, or its socket has no address
             pass
 
@@ -328,11 +296,11 @@ class StopListener:
 
     def _drop_hold(self) -> None:
         # What a fork has inherited can't be reached by name, so that it goes along.
-        own = os.getpid()
-        for one in self.held.copy():
-            if one is self or one._process != own:  # noqa: SLF001
+        process = os.getpid()
+        for listener in self.held.copy():
+            if listener is self or listener._process != process:  # noqa: SLF001
                 with contextlib.suppress(ValueError):  # another thread has dropped it
-                    self.held.remove(one)
+                    self.held.remove(listener)
 
     def close(self) -> None:
         """Close the sockets, after a stop once it is released; idempotent.
@@ -347,8 +315,8 @@ class StopListener:
 
     def _close_sockets(self) -> None:
         sockets, self._sockets = self._sockets, []
-        for each, path in zip(sockets, self.paths, strict=True):
-            each.close()
+        for listening, path in zip(sockets, self.paths, strict=True):
+            listening.close()
             if self._process == os.getpid():
                 with contextlib.suppress(OSError):
                     path.unlink()
@@ -369,28 +337,27 @@ def check_released() -> None:
     Raises:
         EmergencyStopError: one does; a person has to release it.
     """
-    for each in StopListener.held.copy():
-        if each.is_requested() and each.closed:  # else its robot answers, once it has stopped
-            each.confirm(connected=False)
+    for listener in StopListener.held.copy():
+        if listener.is_requested() and listener.closed:  # else its robot answers when it stopped
+            listener.confirm(connected=False)
     if StopListener.held:
         raise EmergencyStopError
 
 
 def release_process() -> None:
     """Release all stops of this process."""
-    for each in StopListener.held.copy():
-        each.release()
+    for listener in StopListener.held.copy():
+        listener.release()
 
 
 @atexit.register
 def _remove_sockets() -> None:
     """Remove the sockets of stopped robots; nothing is released, as threads may go on driving."""
-    for each in StopListener.held:
-        each._close_sockets()  # noqa: SLF001
+    for listener in StopListener.held:
+        listener._close_sockets()  # noqa: SLF001
 
 
 def _make_number() -> int:
-    """Draw the number of a socket, see `NUMBER_BYTES`."""
     return int.from_bytes(os.urandom(NUMBER_BYTES))
 
 
@@ -398,21 +365,16 @@ def _bind_listener(path: Path) -> socket.socket:
     """Return a new socket that listens at this address, which nobody has had.
 
     Between the two halves of a bind, the file is there and refuses requests, as that of a dead
-    process does, and a stop may remove it. So it gets its name when it listens: what has such a
-    name and refuses, is dead for ever, and nobody else can have the address by then.
+    process does, and a stop would remove it. So it gets its name when it listens.
     """
-    hidden, attempts = path.with_name(HIDDEN + path.name), 0
-    while True:
-        attempts += 1
-        try:
-            with contextlib.ExitStack() as on_error:
-                ours = on_error.enter_context(_bind_socket(hidden))
-                hidden.rename(path)
-                on_error.pop_all()
-                return ours
-        except FileNotFoundError:  # a stop removed it halfway, or somebody the folder
-            if attempts == BIND_ATTEMPTS:
-                raise
+    hidden = path.with_name(HIDDEN + path.name)
+    listener = _bind_socket(hidden)
+    try:
+        hidden.rename(path)
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
 def _bind_socket(path: Path) -> socket.socket:
@@ -426,16 +388,6 @@ def _bind_socket(path: Path) -> socket.socket:
         ours.close()
         raise
     return ours
-
-
-def _explain_socket(path: Path, error: OSError) -> LinkError:
-    """Return the error for a socket that can't be opened."""
-    fix = OTHER_FOLDER
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        fix = f"make room, or {OTHER_FOLDER}"
-    elif error.errno in (errno.EMFILE, errno.ENFILE):
-        fix = "close robots that aren't driven, or raise the limit of open files: ulimit -n"
-    return LinkError(f"{path}: no socket: {error.strerror or error}", fix)
 
 
 def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
@@ -464,9 +416,6 @@ def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
 def release_all(name: str = "") -> list[ReleaseResult]:
     """Release the stops of processes of this user, which may drive again after their next reset.
 
-    Args:
-        name: as for `stop_all`.
-
     Returns:
         One result for each process, by process id, without those that drive another robot.
 
@@ -490,15 +439,15 @@ def list_drivers() -> list[DriverProcess]:
     Raises:
         LinkError: no folder can be used.
     """
-    found = []
+    drivers = []
     for socket_name, answer in _ask_drivers(WHO_REQUEST):
-        _, *told = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
+        _, *identity = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
         since = 0.0
         for folder in find_folders()[0]:
             with contextlib.suppress(OSError):
                 since = max(since, (folder / socket_name).stat().st_mtime)
-        found.append(DriverProcess(_process_of(socket_name), since, *map(os.fsdecode, told)))
-    return found
+        drivers.append(DriverProcess(_process_of(socket_name), since, *map(os.fsdecode, identity)))
+    return drivers
 
 
 def is_listening(process: int) -> bool:
@@ -544,7 +493,7 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
             poll.register(asker, select.POLLIN)
         deadline = time.monotonic() + ANSWER_TIMEOUT
         while True:
-            unsent = [one for one in unsent if not _send_request(*one, request, answers)]
+            unsent = [pair for pair in unsent if not _send_request(*pair, request, answers)]
             left = deadline - time.monotonic()
             if left <= 0.0 or (all(answers.values()) and not unsent):
                 break
@@ -556,8 +505,6 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
                     # Of two sockets of one listener, the other may have been asked before.
                     if answer != FREE_ANSWER or not answers.get(sender):
                         answers[sender] = answer
-    for folder in usable:
-        _remove_leftovers(folder)
     return sorted(answers.items(), key=lambda item: _process_of(item[0]))
 
 
@@ -600,37 +547,8 @@ def _send_request(
     return True
 
 
-def _remove_leftovers(folder: Path) -> None:
-    """Remove sockets that dead processes have left half made, and those of stops that died."""
-    now = time.time()
-    with contextlib.suppress(OSError):
-        for path in folder.iterdir():
-            is_asker = re.fullmatch("estop-[0-9]+(-[0-9]+)?", path.name) is not None
-            if not is_asker and not path.name.startswith(HIDDEN):
-                continue
-            with contextlib.suppress(OSError):
-                old = abs(now - path.stat().st_mtime) > STALE_ASKER_AGE
-                if path.is_socket() and (old or not is_asker) and _is_dead(path):
-                    path.unlink()
-
-
-def _is_dead(path: Path) -> bool:
-    """Whether nobody has this socket open, or its bind isn't done yet."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            return True
-    return False
-
-
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
     """Run `acsar-gym estop`: stop robots, release them, or list who drives them.
-
-    Args:
-        name: as for `stop_all`.
-        listing: only list.
-        release: release instead of stopping.
 
     Returns:
         The exit code.
@@ -638,44 +556,40 @@ def run_command(name: str = "", *, listing: bool = False, release: bool = False)
     try:
         if listing:
             return _print_drivers()
-        found: Sequence[StopResult | ReleaseResult] = (release_all if release else stop_all)(name)
-        for each in found:
-            print(f"process {each.process}: {each}")
-        if not found and name and list_drivers():
-            known = escape_unprintable(name)
-            print(f"no robot {known} is being driven from this computer; these are:")
-        if not found:
+        results: Sequence[StopResult | ReleaseResult] = (release_all if release else stop_all)(name)
+        for result in results:
+            print(f"process {result.process}: {result}")
+        if not results and name and list_drivers():
+            robot = escape_unprintable(name)
+            print(f"no robot {robot} is being driven from this computer; these are:")
+        if not results:
             _print_drivers()
     except LinkError as error:
         print_error(f"acsar-gym: {escape_unprintable(str(error))}")
         return error.exit_code
-    return 0 if found and all(each.answered for each in found) else 1
+    return 0 if results and all(result.answered for result in results) else 1
 
 
 def _print_drivers() -> int:
     """Print who drives a robot; exit code 1 where nobody does."""
-    found = list_drivers()
-    for each in found:
-        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(each.since))
-        robot = escape_unprintable(each.device or "doesn't answer")
-        called = f" ({escape_unprintable(each.name)})" if each.name else ""
-        print(f"{robot}{called}: process {each.process}, since {since}")
-    if not found:
+    drivers = list_drivers()
+    for driver in drivers:
+        since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(driver.since))
+        robot = escape_unprintable(driver.device or "doesn't answer")
+        called = f" ({escape_unprintable(driver.name)})" if driver.name else ""
+        print(f"{robot}{called}: process {driver.process}, since {since}")
+    if not drivers:
         print(
             "you drive no robot from this computer; "
             "'sudo -u USER acsar-gym estop' stops what another user drives"
         )
-    return 0 if found else 1
+    return 0 if drivers else 1
 
 
 def parse_stop(arguments: list[str]) -> Callable[[], int] | None:
-    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows.
-
-    Args:
-        arguments: of the command line, without "estop".
-    """
-    options = [each for each in arguments if each.startswith("-")]
-    names = [each for each in arguments if not each.startswith("-")]
+    """Return what runs `acsar-gym estop` with these arguments; None for others than it knows."""
+    options = [argument for argument in arguments if argument.startswith("-")]
+    names = [argument for argument in arguments if not argument.startswith("-")]
     if len(names) > 1 or options not in ([], ["--list"], ["--release"]):
         return None
     if options == ["--list"] and names:

@@ -53,17 +53,13 @@ class Closable(Protocol):
 
 ENDING_SIGNALS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")
 SUSPENDING_SIGNALS = ("SIGTSTP",)
-ASKING_SIGNALS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT")
-"""Signals that ask a program to end. SIGHUP with a handler of the program's own doesn't."""
-HANDLER_TIME = 0.1
-"""Time that a handler of the program's own has to end the driving of other threads [s]."""
+ASKING_SIGNALS = ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT")  # SIGHUP only without a handler
+HANDLER_TIME = 0.1  # time of the program's own handler to end the driving of threads [s]
 
 _open: weakref.WeakSet[Closable] = weakref.WeakSet()
 _last: set[Callable[[], None]] = set()
-_ending = [False]
-"""A plain flag; with an Event, the handler of a second signal could deadlock."""
-_hooked = [False]
-"""Whether the end of the main thread closes the links."""
+_ending = [False]  # a plain flag; with an Event, the handler of a second signal could deadlock
+_hooked = [False]  # whether the end of the main thread closes the links
 
 
 def check_may_drive() -> None:
@@ -78,11 +74,11 @@ def check_may_drive() -> None:
     """
     if _ending[0]:
         raise LinkError("the program is about to end", "nothing drives any more: start it again")
-    asked = _signals.read()
+    signals = _signals.read()
     if threading.current_thread() is threading.main_thread():
-        asked.clear()
+        signals.clear()
         return
-    for number, deadline in list(asked.items()):
+    for number, deadline in list(signals.items()):
         if time.monotonic() >= deadline:
             raise LinkError(
                 f"{signal.Signals(number).name} asked the program to end, and a thread drove on",
@@ -178,7 +174,6 @@ def _close_links() -> None:
 
 
 def _on_end(number: int, frame: FrameType | None) -> None:
-    """Handle a signal that ends the program."""
     try:
         close_all()
     finally:

@@ -39,17 +39,12 @@ from pathlib import Path
 
 from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
 
-WATCHDOG_AVAILABLE = os.name == "posix"
-"""Whether watchdogs work on this operating system."""
-CHILD_TIMEOUT = 5.0
-"""Longest wait for its start and its end [s]; usually 20 ms and 1 ms."""
-ASLEEP_TIME = 0.2
-"""It counts as halted if it didn't run during this driving time, or its own time-out where that is
-longer [s]; it runs every 50 ms."""
+WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
+CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s]; usually 20 ms and 1 ms
+ASLEEP_TIME = 0.2  # it is halted if it ran in none of this driving time, or its own time-out [s]
 LONGEST_TICK = 0.05
 """Most driving time counted between two commands [s]; a stalled machine delays both processes."""
-BEATS_PER_TIMEOUT = 3
-"""Signs of life that a link gives in each time-out while it waits."""
+BEATS_PER_TIMEOUT = 3  # signs of life that a link gives in each time-out while it waits
 CHILD_PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
 STANDING_BEAT = 0.0
 
@@ -73,11 +68,6 @@ class Watchdog:
 
     Attributes: `page`, the memory that both processes share, see `watchdog_child`; `lifeline`, the
     descriptor by whose closing the watchdog notices that this process is dead.
-
-    Args:
-        zeros: bytes that stop the robot.
-        timeout: longest time without a sign of life while the newest command turns wheels [s];
-            None: there is no watchdog.
     """
 
     page: memoryview[float]
@@ -95,11 +85,6 @@ class Watchdog:
 
     def start(self, port: int | None, place: str = "") -> None:
         """Start the process, unless there is a time-out or port missing.
-
-        Args:
-            port: descriptor of the open port; close the watchdog before it, as they share its lock.
-                None: it can't be shared.
-            place: name under which a lost port reappears; empty if there is none.
 
         Raises:
             LinkError: the process can't be started.
@@ -311,8 +296,7 @@ class Watchdog:
         self._ours.close()
 
 
-_searching: dict[str, int] = {}
-"""PIDs of watchdogs that search for ports which the program has closed, by name."""
+_searching: dict[str, int] = {}  # PIDs of watchdogs that search for a lost port, by name
 if hasattr(os, "register_at_fork"):  # PIDs of the parent's children
     os.register_at_fork(after_in_child=_searching.clear)
 
@@ -324,18 +308,17 @@ def list_searches() -> dict[str, int]:
 
 def end_searches(name: str | None = None) -> None:
     """End the watchdogs that search for the port with this name, or all of them."""
-    for each, process in list(_searching.items()):
-        if name in (None, each):
+    for port, process in list(_searching.items()):
+        if name in (None, port):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
         with contextlib.suppress(ChildProcessError):  # it is a child of this process's parent
-            if os.waitpid(process, 0 if name in (None, each) else os.WNOHANG) == (0, 0):
+            if os.waitpid(process, 0 if name in (None, port) else os.WNOHANG) == (0, 0):
                 continue
-        del _searching[each]
+        del _searching[port]
 
 
 def _create_shared_page() -> int:
-    """Return a descriptor of one shared page of memory, filled with zeros."""
     if sys.platform == "linux":
         page = os.memfd_create("acsar-watchdog")
     else:
@@ -346,7 +329,6 @@ def _create_shared_page() -> int:
 
 
 def _start_error(reason: str) -> LinkError:
-    """Return the error for a watchdog that can't be started."""
     if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
         return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES_ADVICE)
     return LinkError(

@@ -33,25 +33,16 @@ AWAKE: time at which the watchdog last ran.
 """
 PAGE_SIZE = 8 * SLOTS
 
-CHECKS_PER_TIMEOUT = 4
-"""Checks per time-out."""
-LONGEST_SLEEP = 0.05
-"""Longest sleep between two checks [s]; the program takes it for suspended after a few of them."""
-ZERO_INTERVAL = 0.1
-"""Interval of repeating the zero command of a program that sends nothing [s]."""
+CHECKS_PER_TIMEOUT = 4  # checks per time-out
+LONGEST_SLEEP = 0.05  # between two checks [s]; the program takes it for suspended after a few
+ZERO_INTERVAL = 0.1  # interval of repeating the zero command of a program that sends nothing [s]
 
-WRITE_ATTEMPTS, WRITE_PAUSE = 4, 0.0005
-"""Attempts to write, and the pause between them [s], while the program writes to the port."""
-REPEAT_INTERVAL = 0.05
-"""Interval of repeated zero commands [s], as some may be lost."""
-HANG_ZEROS = 21
-"""Number of zero commands while the program hangs."""
-DEATH_ZEROS = 7
-"""Smallest number of zero commands after the program died; then the port is released."""
-SEARCH_TIMEOUT = 60.0
-"""Longest search for a lost port, or wait for the answer of a board [s]."""
-SEARCH_INTERVAL = 0.02
-"""Interval of the search [s]."""
+WRITE_ATTEMPTS, WRITE_PAUSE = 4, 0.0005  # while the program writes to the port; pause in [s]
+REPEAT_INTERVAL = 0.05  # interval of repeated zero commands [s], as some may be lost
+HANG_ZEROS = 21  # number of zero commands while the program hangs
+DEATH_ZEROS = 7  # fewest zero commands after the program died; then the port is released
+SEARCH_TIMEOUT = 60.0  # longest search for a lost port, or wait for the answer of a board [s]
+SEARCH_INTERVAL = 0.02  # interval of the search [s]
 ANSWER_CHUNK = 4096
 IGNORED_SIGNALS = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 
@@ -118,31 +109,25 @@ class SharedPort:
             self.taken = True  # its name isn't known
             return False
         try:
-            found = os.open(self._place, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+            descriptor = os.open(
+                self._place, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+            )
         except OSError:
             return False
         try:
-            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            termios.tcsetattr(found, termios.TCSANOW, self._settings)
-            os.dup2(found, self._descriptor, inheritable=False)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            termios.tcsetattr(descriptor, termios.TCSANOW, self._settings)
+            os.dup2(descriptor, self._descriptor, inheritable=False)
         except (OSError, termios.error) as error:
             self.taken = isinstance(error, BlockingIOError)
             return False
         finally:
-            os.close(found)
+            os.close(descriptor)
         return True
 
 
 class ProgramWatch:
-    """Watches one program until it closes the port or dies.
-
-    Args:
-        page: the shared page.
-        lifeline: descriptor of a pipe that is closed when the program dies.
-        parent: PID of the program.
-        timeout: longest time without a sign of life [s].
-        port: takes the zero commands.
-    """
+    """Watches one program until it closes the port or dies."""
 
     def __init__(
         self, page: memoryview[float], lifeline: int, parent: int, timeout: float, port: SharedPort

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +16,14 @@ MAX_AHEAD = 60.0
 """A revolution may end so long after the time on the link's clock, and reconnect_timeout: that
 stands still where the link is recorded and a device starts. One further ahead has another clock
 [s]."""
+
+
+REVOLUTION_BOUNDS = (
+    (-FULL_TURN, FULL_TURN, "rad"),
+    (0.0, MAX_DISTANCE, "m"),
+    (-MAX_STAMP, MAX_STAMP, "s"),
+    (-MAX_STAMP, MAX_STAMP, "s"),
+)
 
 
 class Lidar(Protocol):
@@ -51,10 +59,6 @@ class Lidar(Protocol):
 def check_revolution(made: Revolution, source: str) -> Revolution:
     """Check what a LiDAR measured before compiled loops get it.
 
-    Args:
-        made: by the LiDAR; lists will do as well.
-        source: name of the LiDAR, for messages.
-
     Returns:
         The same in arrays of float64.
 
@@ -62,40 +66,21 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
         LidarError: it isn't a Revolution, or one of its fields is none of finite numbers, or out
             of the range that a recording can have.
     """
-    fix = "see acsar_gym.lidar.scan.Revolution"
+    fix = "must be an acsar_gym.lidar.scan.Revolution, 0 where no distance was measured"
     try:
         bearings, distances, times = (np.ascontiguousarray(made[k], np.float64) for k in range(3))
         checked = Revolution(bearings, distances, times, float(made[3]))
     except (TypeError, ValueError, IndexError, KeyError) as error:
-        raise LidarError(
-            f"{source}.scan() gave {show_value(made)}: must be a Revolution of numbers", fix
-        ) from error
-    values: Any
-    for name, values in zip(Revolution._fields, checked, strict=True):
-        shape = () if name == "stamp" else (len(bearings),)
-        if np.shape(values) != shape:
-            raise LidarError(
-                f"{source}.scan(): {name} has shape {np.shape(values)}, bearings "
-                f"{bearings.shape}: must be one number each for n measurements",
-                fix,
-            )
-        if not np.isfinite(values).all():
-            raise LidarError(
-                f"{source}.scan(): {name} = {show_value(np.asarray(values).tolist())}: must be "
-                "finite",
-                fix + "; a distance that wasn't measured is 0",
-            )
-    for name, low, high, unit in (
-        ("bearings", -FULL_TURN, FULL_TURN, "rad"),
-        ("distances", 0.0, MAX_DISTANCE, "m"),
-        ("times", -MAX_STAMP, MAX_STAMP, "s"),
-        ("stamp", -MAX_STAMP, MAX_STAMP, "s"),
+        raise LidarError(f"{source}.scan() gave {show_value(made)}", fix) from error
+    for name, values, (low, high, unit) in zip(
+        Revolution._fields, checked, REVOLUTION_BOUNDS, strict=True
     ):
-        values = np.atleast_1d(getattr(checked, name))
-        wrong = values[(values < low) | (values > high)]
-        if len(wrong):
+        shape = () if name == "stamp" else (len(bearings),)
+        numbers = np.asarray(values)
+        if numbers.shape != shape or not ((low <= numbers) & (numbers <= high)).all():
             raise LidarError(
-                f"{source}.scan(): {name} has {wrong[0]:g}: must be {low:.4g} to {high:.4g} {unit}",
+                f"{source}.scan(): {name} = {show_value(numbers.tolist())}: must be "
+                f"{len(bearings) if shape else 1} from {low:.4g} to {high:.4g} {unit}",
                 fix,
             )
     return checked
@@ -103,12 +88,6 @@ def check_revolution(made: Revolution, source: str) -> Revolution:
 
 def check_age(source: str, revolution: Revolution, now: float, config: RobotConfig) -> None:
     """Check that a LiDAR still measures, by the clock of the robot's link.
-
-    Args:
-        source: name of the LiDAR, for messages.
-        revolution: its newest one.
-        now: on that clock [s].
-        config: of the robot.
 
     Raises:
         LidarError: the revolution is older than lidar.timeout, or further ahead than it can be.

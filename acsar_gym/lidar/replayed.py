@@ -13,12 +13,7 @@ from acsar_gym.worlds import Scene
 
 
 class ReplayedLidar:
-    """Plays the revolutions of a recording, beside the bytes of its wire.
-
-    Args:
-        tape: the link that replays it.
-        link: the robot's link, with the recorded ground truth where the recording was a simulation.
-    """
+    """Plays the revolutions of a recording, beside the bytes of its wire."""
 
     oldest = 0.0
     """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""
@@ -38,14 +33,14 @@ class ReplayedLidar:
 
     def scan(self) -> Revolution:
         """Return the revolution that was the newest one; LidarError where none was recorded."""
-        found = self._tape.revolution()
-        if found is None:
+        newest = self._tape.revolution()
+        if newest is None:
             raise LidarError(
                 "the recording has no revolutions of a LiDAR",
                 "it was made without one, or by a version that kept no more than the scans: "
                 "record again",
             )
-        stamp, measured = found
+        stamp, measured = newest
         if self._newest is None or measured is not self._measured:
             self._measured = measured
             self._newest = Revolution(measured[0], measured[1], measured[2], stamp)

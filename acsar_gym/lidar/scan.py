@@ -32,8 +32,7 @@ GAP_STEPS = 2.0
 further away nothing is known."""
 
 
-NOTHING = 1e9
-"""Length of a miss, and how many rays away a measurement is that isn't there."""
+NOTHING = 1e9  # length of a miss, and how many rays away a measurement is that isn't there
 
 
 class Revolution(NamedTuple):
@@ -97,10 +96,6 @@ class Trail:
 
     Attributes: `rows`, a ring of time [s], x [m], y [m] and theta [rad], (slots, 4); `newest`, the
     place of the newest row.
-
-    Args:
-        duration: how far it reaches back [s].
-        period: between two rows, roughly [s].
     """
 
     def __init__(self, duration: float, period: float) -> None:
@@ -128,14 +123,7 @@ def count_trail_rows(duration: float, period: float) -> int:
 
 @loop
 def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt: float) -> None:
-    """Fill a trail with the pose of a robot that has been at rest; its next row is 0.
-
-    Args:
-        trail: (slots, 4), as `Trail.rows`; written.
-        time: of the first mark, which comes next [s].
-        pose: x [m], y [m], theta [rad].
-        dt: between two marks [s].
-    """
+    """Fill a trail with the pose of a robot that has been at rest; its next row is 0."""
     slots = len(trail)
     for slot in range(slots):
         trail[slot, 0] = time - (slots - slot) * dt
@@ -145,13 +133,6 @@ def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt
 @jit
 def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays) -> Floats:
     """Where a LiDAR was during a time, as seen from where it is now.
-
-    Args:
-        trail: (slots, 4), as `Trail.rows`.
-        newest: place of its newest row: now.
-        since: when that time began [s].
-        until: when it ended [s].
-        rays: of the LiDAR.
 
     Returns:
         (slots, 4), the newest first: time [s], x and y of the LiDAR's place from its present one in
@@ -181,11 +162,6 @@ def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays
 @jit
 def place_at(seen: Floats, time: float, period: float) -> tuple[float, float, float]:
     """A LiDAR's place and heading at a time [s], interpolated; the nearest end outside.
-
-    Args:
-        seen: from `look_back`.
-        time: on its clock [s].
-        period: between two rows, roughly [s].
 
     Returns:
         x, y [m] and heading [rad], from those now.
@@ -219,16 +195,9 @@ def move_measurements(
 ) -> None:
     """Compute how measurements look from elsewhere; a loop of its own, which can be vectorized.
 
-    Args:
-        bearings: (n,), of a Revolution [rad].
-        distances: (n,), of the same [m].
-        xs: (n,): where the LiDAR was, ahead of its present place [m].
-        ys: (n,): likewise, to the left [m].
-        turns: (n,): its heading then, from the present one [rad].
-        rays: of the LiDAR.
-        places: (n,): directions in parts of the angle between two rays, 0 for the first ray;
-            written, from -0.5 to less than a full turn beyond.
-        lengths: (n,) [m]; written, NOTHING where nothing was measured.
+    `xs`, `ys` and `turns`, (n,), tell where the LiDAR was, from its present place and heading.
+    Written are `places`, directions in rays from the first one, -0.5 to less than a full turn
+    beyond, and `lengths` [m], NOTHING where nothing was measured.
     """
     around = FULL_TURN / rays.step
     for k in range(len(bearings)):
@@ -249,13 +218,6 @@ def sort_into_rays(
     """Give each ray the range between the two measurements that are next to it in direction.
 
     It is interpolated where both may lie on one surface, and the nearer one's otherwise.
-
-    Args:
-        places: (n,), from `move_measurements`.
-        lengths: (n,), likewise.
-        reach: how far a ray looks for a measurement [rad].
-        rays: of the LiDAR.
-        ranges: (rays,) [m]; written.
     """
     last = len(ranges)
     whole = abs(FULL_TURN / rays.step - last) < 1e-6  # the rays go all the way round
@@ -288,15 +250,7 @@ def sort_into_rays(
 
 @jit
 def spread_to_empty(sides: Floats, offs: Floats, first: int, step: int, whole: bool) -> None:
-    """Give rays that have no measurement on one side that of the ray before them.
-
-    Args:
-        sides: (rays,): lengths [m]; changed.
-        offs: (rays,): how far off they are, in rays; NOTHING where there is none; changed.
-        first: the ray to begin with.
-        step: to the next ray, 1 or -1.
-        whole: whether the last ray is before the first one.
-    """
+    """Give rays that have no measurement on one side that of the ray before them."""
     last = len(offs)
     length, off = NOTHING, NOTHING
     if whole and offs[first] >= NOTHING:
@@ -327,15 +281,6 @@ def fill_scan(
     """Compute what the rays of a robot would measure now from the measurements of a revolution.
 
     Each is moved by the odometry between its time and now, then each ray takes what is next to it.
-
-    Args:
-        bearings: of a Revolution.
-        distances: of the same.
-        times: of the same.
-        trail: of the odometry; its newest row is now.
-        newest: place of that row.
-        rays: of the LiDAR.
-        ranges: (rays,) [m]; written, within nearest to farthest.
     """
     count = len(bearings)
     work = np.empty((5, count))  # indexed: loops over unpacked rows aren't vectorized
@@ -355,13 +300,6 @@ def fill_scan(
 
 @jit
 def newest_revolution(now: float, first: float, rate: float, phase: float) -> tuple[float, float]:
-    """Number and end [s] of the newest complete revolution of a LiDAR that has always turned.
-
-    Args:
-        now: [s].
-        first: when the episode began [s].
-        rate: revolutions per second [Hz].
-        phase: of a revolution at which the episode began, 0 to 1: number 0 ends so much later.
-    """
+    """Number and end [s] of the newest complete revolution of a LiDAR that has always turned."""
     number: float = np.floor((now - first) * rate - phase)
     return number, first + (number + phase) / rate

@@ -35,21 +35,15 @@ from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
 
-MIN_MEASUREMENTS, MAX_MEASUREMENTS = 36, 10_000
-"""A revolution has at least 36 and at most 10,000 measurements; any other is dropped."""
-READ_PERIOD = 0.005
-"""How often the port is read [s]."""
-READ_BYTES = 4096
-"""Most bytes taken from the port at once."""
+MIN_MEASUREMENTS, MAX_MEASUREMENTS = 36, 10_000  # of a revolution that is believed
+READ_PERIOD = 0.005  # how often the port is read [s]
+READ_BYTES = 4096  # most bytes taken from the port at once
 MAX_SLEEP = 0.1
 """If the reader slept for longer, the bytes in the port are too old to be stamped and are
 dropped [s]."""
-SPIN_UP_TIMEOUT = 5.0
-"""From the start of the motor to the first complete revolution, at most [s]."""
-READER_TIMEOUT = 0.5
-"""How long closing waits for the reader thread to end [s]."""
-CHECK_CABLE = "check the cable, then reset"
-"""What mends a device that was lost."""
+SPIN_UP_TIMEOUT = 5.0  # from the start of the motor to the first complete revolution, at most [s]
+READER_TIMEOUT = 0.5  # how long closing waits for the reader thread to end [s]
+CHECK_CABLE = "check the cable, then reset"  # what mends a device that was lost
 
 
 class Packet(NamedTuple):
@@ -159,9 +153,6 @@ class RevolutionAssembler:
     A revolution in which measurements were lost is dropped: a gap in it would look like free space.
 
     Attributes: `driver`; `heard`, how many bytes came; `packets`, how many packets were in them.
-
-    Args:
-        driver: finds the packets.
     """
 
     def __init__(self, driver: Driver) -> None:
@@ -178,7 +169,6 @@ class RevolutionAssembler:
         self._drop()
 
     def _drop(self) -> None:
-        """Drop the measurements so far."""
         self._ended: _Measurements | None = None
         self._current: _Measurements | None = None
         self._elapsed = 0.0
@@ -188,10 +178,6 @@ class RevolutionAssembler:
 
     def feed(self, data: bytes, now: float) -> list[Revolution]:
         """Take the next piece of the stream.
-
-        Args:
-            data: the bytes.
-            now: when they were read [s].
 
         Returns:
             The revolutions that it completes, each from one start to the next.
@@ -203,7 +189,7 @@ class RevolutionAssembler:
         self.heard += len(data)
         self._buffer += data
         at = 0
-        found: list[Revolution] = []
+        revolutions: list[Revolution] = []
         while at < len(self._buffer):
             size, packet = self.driver.parse(self._buffer, at)
             if not size:
@@ -212,11 +198,11 @@ class RevolutionAssembler:
                 self._drop()
             else:
                 self.packets += 1
-                found += self._take(packet, self._arrived(first + at))
+                revolutions += self._take(packet, self._arrived(first + at))
             at += size
         self._arrived(first + at)
         del self._buffer[:at]
-        return found
+        return revolutions
 
     def _arrived(self, place: int) -> float:
         """When the byte at a place in the stream arrived [s]; forgets pieces before it."""
@@ -256,11 +242,7 @@ class RevolutionAssembler:
 
 
 class _Measurements:
-    """The measurements of a revolution so far, on the device's clock.
-
-    Args:
-        begun: when it began.
-    """
+    """The measurements of a revolution so far, on the device's clock."""
 
     def __init__(self, begun: float) -> None:
         self.begun = begun
@@ -341,12 +323,6 @@ class SerialLidar:
     """A LiDAR behind a serial device. A thread keeps the newest complete revolution.
 
     Its zero points along the robot's x axis.
-
-    Args:
-        device: such as "/dev/ttyUSB1".
-        make_driver: makes the driver, when the device is opened.
-        config: of the robot.
-        now: clock of the robot's link [s].
     """
 
     def __init__(
@@ -414,7 +390,6 @@ class SerialLidar:
             time.sleep(READ_PERIOD)
 
     def _nothing_measured(self, driver: Driver, stream: RevolutionAssembler) -> LidarError:
-        """Say why no revolution came."""
         waited = f"in {SPIN_UP_TIMEOUT:g} s"
         if not stream.heard:
             return LidarError(
@@ -467,13 +442,11 @@ class SerialLidar:
             self._release(port)
 
     def _say_stop(self, port: Any) -> None:
-        """Command the LiDAR to stop measuring, and its motor to stop."""
         if self._driver is not None:
             with contextlib.suppress(*PORT_ERRORS):
                 self._driver.stop(port)
 
     def _release(self, port: Any) -> None:
-        """Close the port and forget it."""
         self._location.left(lost=self._reader is not None and bool(self._reader.lost))
         self._port = self._driver = self._reader = None
         forget_link(self)
@@ -548,5 +521,4 @@ class _Reader(threading.Thread):
 
 
 def _lost(device: str, why: str, fix: str = CHECK_CABLE) -> LidarError:
-    """The LidarError for a device that is gone."""
     return LidarError(f"LiDAR {device}: lost while in use ({why})", fix)

@@ -33,12 +33,9 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, cast_lines, make_surroundings
 
-OLDEST_SIMULATED = 20.0
-"""Age that a measurement can reach: two turns at the slowest rate of a randomization [s]."""
-EDGE_STEP = 0.3
-"""Neighbouring measurements whose distances differ by more than this are at an edge [m]."""
-SAMPLE_STRIDE = 2**14
-"""More measurements than a revolution can have; random numbers are numbered with it."""
+OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
+EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
+SAMPLE_STRIDE = 2**14  # more measurements than a revolution can have; numbers random numbers
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
 
@@ -81,14 +78,6 @@ def aim_beams(
     The head turns clockwise, as that of most LiDARs, and passes straight ahead when a revolution
     begins and ends. Where a robot turns against it, no measurement points into the gap between the
     two ends; the later one is taken to.
-
-    Args:
-        trail: of the true poses; its newest row is now.
-        newest: place of that row.
-        ended: when the revolution ended [s].
-        duration: of the revolution [s].
-        rays: of the LiDAR.
-        beams: bearings, times and origins are written.
     """
     begun = ended - duration
     seen = look_back(trail, newest, begun, ended, rays)
@@ -111,15 +100,7 @@ def aim_beams(
 def add_errors(
     distances: Floats, key: float, number: float, traits: LidarTraits, rays: Rays
 ) -> None:
-    """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement.
-
-    Args:
-        distances: (rays,) [m]; changed.
-        key: key of the episode, in [0, 1).
-        number: of the revolution, from -1.
-        traits: of the LiDAR.
-        rays: of the LiDAR; nothing is measured from their longest range on.
-    """
+    """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement."""
     count = len(distances)
     whole = abs(FULL_TURN / rays.step - count) < 1e-6  # the last ray is beside the first one
     after_last = distances[0] if whole else distances[count - 1]
@@ -167,17 +148,6 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     kind: int = 0,
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
-
-    Args:
-        trail: of the true poses; its newest row is now.
-        newest: place of that row.
-        which: index of the set of obstacles.
-        around: obstacles and rays.
-        rays: of the LiDAR.
-        episode: when it began [s], phase of the revolution then, and key of its errors.
-        traits: of the LiDAR.
-        beams: written.
-        kind: of the robot, for `around`.
 
     Returns:
         When the revolution ended [s].

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,7 @@ WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", defa
 """Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
 raises ends the wait."""
 
-Arrivals = list[tuple[float, bytes]]
-"""Pieces of bytes, and when the last byte of each arrived, on the link's clock [s]."""
+Arrivals = list[tuple[float, bytes]]  # pieces, and when the last byte of each arrived [s]
 
 
 class Link(Protocol):
@@ -73,16 +72,6 @@ class Link(Protocol):
         """Stop the motors, then close the connection. Idempotent."""
 
 
-@runtime_checkable
-class CameraLink(Protocol):
-    """A link that may have a camera: a simulated one, or a wrapper around one."""
-
-    @property
-    def camera(self) -> Camera | None:
-        """The camera; None if there is none."""
-
-
-@runtime_checkable
 class ScannedLink(Protocol):
     """A link that has the revolutions of a LiDAR: a recording."""
 
@@ -96,15 +85,6 @@ class ScannedLink(Protocol):
         """Age that one of its measurements reaches while its revolution is the newest one [s]."""
 
 
-@runtime_checkable
-class ClockedLink(Protocol):
-    """A link whose `now` stands still between periods: one that is recorded."""
-
-    def clock(self) -> float:
-        """Return the link's time as it goes on [s]."""
-
-
-@runtime_checkable
 class MeteredLink(Protocol):
     """A simulated link, which can measure the work of the robot's motors."""
 
@@ -115,18 +95,10 @@ class MeteredLink(Protocol):
     see `Body.power`, times the period."""
 
 
-@runtime_checkable
-class LinkWrapper(Protocol):
-    """A link around another one."""
-
-    @property
-    def link(self) -> Link:
-        """The inner link."""
-
-
 def camera_of(link: Link) -> Camera | None:
     """Return the camera of a link; None if it has none, as on hardware."""
-    return link.camera if isinstance(link, CameraLink) else None
+    camera: Camera | None = getattr(link, "camera", None)
+    return camera
 
 
 def arrivals_of(link: Link) -> Arrivals:
@@ -135,7 +107,7 @@ def arrivals_of(link: Link) -> Arrivals:
     To 1 ms or better on a serial device, in the period after each call, and exactly in simulation;
     nothing for links that know no more than the end of the period.
     """
-    pieces: Arrivals = getattr(link, "arrivals", [])  # isinstance of a Protocol takes 15 us
+    pieces: Arrivals = getattr(link, "arrivals", [])
     return pieces
 
 
@@ -147,8 +119,8 @@ def echoes_of(link: Link) -> bool | None:
 
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
-    found: ScannedLink | None = _find_inner(link, ScannedLink)
-    return found
+    tape: ScannedLink | None = _find_inner(link, "revolution")
+    return tape
 
 
 def clock_of(link: Link) -> Callable[[], float]:
@@ -156,29 +128,26 @@ def clock_of(link: Link) -> Callable[[], float]:
 
     `link.now` itself stands still there where the link is recorded.
     """
-    found: ClockedLink | None = _find_inner(link, ClockedLink)
-    return link.now if found is None else found.clock
+    recorded = _find_inner(link, "clock")
+    clock: Callable[[], float] = link.now if recorded is None else recorded.clock
+    return clock
 
 
 def meter_of(link: Link) -> MeteredLink | None:
     """Return the link, or the one that it wraps, that can measure work; None on hardware."""
-    found: MeteredLink | None = _find_inner(link, MeteredLink)
-    return found
+    meter: MeteredLink | None = _find_inner(link, "metered")
+    return meter
 
 
-def _find_inner(link: Any, kind: Any) -> Any:
-    while not isinstance(link, kind):
-        if not isinstance(link, LinkWrapper):
-            return None
-        link = link.link
+def _find_inner(link: Any, attribute: str) -> Any:
+    """The link, or the outermost one that it wraps, with an attribute; None where none has it."""
+    while link is not None and not hasattr(link, attribute):
+        link = getattr(link, "link", None)
     return link
 
 
 class ForwardingLink:
     """Forwards everything to the link inside; subclasses override what they change.
-
-    Args:
-        link: the link inside.
 
     Attributes: `link`, the one inside.
     """

@@ -62,8 +62,7 @@ BACKENDS = {
 } | {"replay:": Backend(_make_replay), "serial": Backend(_make_serial, is_real=True)}
 """All kinds of links. Devices and URLs that no entry names are serial."""
 
-LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")
-"""What a URL may be like, for messages."""
+LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")  # for messages
 _DEVICE = re.compile(r"(/|\./|COM\d+$|usb:.|(socket|rfc2217)://)", re.IGNORECASE)
 
 

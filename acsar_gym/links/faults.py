@@ -11,7 +11,7 @@ import copy
 import math
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
@@ -25,20 +25,13 @@ from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
 from acsar_gym.worlds import Scene
 
-MAX_EVENT_RATE = 1000.0
-"""Highest rate of any event [1/s]."""
-LONGEST_FAULT = 60.0
-"""Longest duration of any fault [s]."""
-LARGEST_BURST = 4096
-"""Longest burst of garbage [bytes]."""
-MAX_BURSTS = 16
-"""Bursts of garbage in one period, at most."""
-WIRE_BUFFER = 65536
-"""Most bytes that wait behind a late line; more are lost, as in a driver's buffer."""
-TIME_TOLERANCE = 1e-9
-"""Tolerance for comparing times that are sums of periods [s]."""
-REPLUG_POLL = 0.01
-"""Steps in which `open` waits for a cable to be plugged in again [s]."""
+MAX_EVENT_RATE = 1000.0  # highest rate of any event [1/s]
+LONGEST_FAULT = 60.0  # longest duration of any fault [s]
+LARGEST_BURST = 4096  # longest burst of garbage [bytes]
+MAX_BURSTS = 16  # bursts of garbage in one period, at most
+WIRE_BUFFER = 65536  # most bytes that wait behind a late line, as in a driver's buffer
+TIME_TOLERANCE = 1e-9  # tolerance for comparing times that are sums of periods [s]
+REPLUG_POLL = 0.01  # steps in which `open` waits for a cable to be plugged in again [s]
 STOPPED_PART = b"p00.00"
 STOP_COMMAND = b"\r\n" + encode(ZERO)
 """Command that stops the motors while the board isn't running; the line end ends a half command
@@ -54,20 +47,14 @@ OTHER_FAULTS = {
 }
 """The other fields that cause faults, and their values without a fault."""
 
-# Random numbers for the faults of single lines
-
-
-FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
-"""What a number is for: a line of one direction, or the whole episode."""
-FAULT_KINDS = 8
-"""Largest number of kinds of faults per line."""
+FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2  # what a random number is for
+FAULT_KINDS = 8  # largest number of kinds of faults per line
 
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
-_BITS = 9007199254740992.0
-"""2^53, which scales doubles in [0, 1) to integers."""
+_BITS = 9007199254740992.0  # 2^53, which scales doubles in [0, 1) to integers
 
 
 @loop
@@ -76,10 +63,6 @@ def hash_sample(key: float, number: int) -> float:
 
     So a single robot and the robots of a batch draw the same one, in any order. The hash is
     SplitMix64 of Steele, Lea and Flood (2014).
-
-    Args:
-        key: key of the episode, in [0, 1).
-        number: of the sample, from 0.
     """
     word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST
@@ -90,18 +73,8 @@ def hash_sample(key: float, number: int) -> float:
 
 @loop
 def line_hash(key: float, whose: int, number: float, kind: int) -> float:
-    """Return a uniform random number in [0, 1) for one line and one kind of fault.
-
-    Args:
-        key: key of the episode, in [0, 1).
-        whose: FEEDBACK_LINE, COMMAND_LINE or WHOLE_EPISODE.
-        number: number of the line.
-        kind: kind of fault, below FAULT_KINDS.
-    """
+    """Return a uniform random number in [0, 1) for one line and one kind of fault."""
     return hash_sample(key, (int(number) * 3 + whose) * FAULT_KINDS + kind)
-
-
-# What may be asked for
 
 
 def _check_number(value: Any) -> Any:
@@ -233,9 +206,6 @@ class Faults(Section):
         """Whether any fault can occur."""
         others = any(getattr(self, name) not in none for name, none in OTHER_FAULTS.items())
         return self.episodes > 0.0 and (self.lines_suffer or others)
-
-
-# Lines, wheels and events
 
 
 @dataclass(frozen=True, slots=True)
@@ -408,7 +378,6 @@ class FaultyWire:
         return out
 
     def _send(self, line: bytes, now: float) -> None:
-        """Queue a complete line with its faults."""
         hits: set[str] = set()
         if line.strip():  # the second half of a line end that was split isn't a line
             key, whose, number = self._key, self._whose, self._number
@@ -444,9 +413,6 @@ class FaultyWire:
         return data
 
 
-# The link
-
-
 FaultSeed = int | np.integer[Any] | np.random.Generator | None
 
 
@@ -461,13 +427,6 @@ class FaultyLink(ForwardingLink):
     again: `open` waits for the rest of `replug_time`, or raises PortNotFoundError where the cable
     stays out. The device then has another name.
 
-    Args:
-        link: the link behind this one.
-        faults: a mapping, Faults, or None.
-        seed: a whole number, a generator, or None for a random one.
-        relink: makes the link for the device that appears after a replug, where it has another
-            name (two emulators, two boards).
-
     Attributes: `faults`; `injected`, how often each fault has happened since the last reset, by
     name; `wheels`, the wheels that fail in this episode; `device`; `link`, the link behind it.
     """
@@ -477,13 +436,11 @@ class FaultyLink(ForwardingLink):
         link: Link,
         faults: Mapping[str, Any] | Faults | None,
         seed: FaultSeed = None,
-        relink: Callable[[], Link] | None = None,
     ) -> None:
         super().__init__(link)
         self.faults = Faults.of(faults)
         self.injected: Counter[str] = Counter()
         self.wheels = WheelFaults()
-        self._relink = relink
         self._first_seed = copy.deepcopy(seed)  # a generator goes on
         self._replugs = 0
         self._back_at: float | None = None
@@ -492,9 +449,6 @@ class FaultyLink(ForwardingLink):
 
     def seed(self, seed: FaultSeed) -> None:
         """Set what the next resets draw from.
-
-        Args:
-            seed: a whole number or None; of a generator one number is taken, and no more.
 
         Raises:
             ConfigError: for anything else.
@@ -525,8 +479,6 @@ class FaultyLink(ForwardingLink):
         wait = self._back_at - self.link.now()
         if wait == math.inf:
             raise PortNotFoundError(f"{self.device}: no such device", "plug the cable in again")
-        if self._relink is not None:
-            self.link = self._relink()
         try:
             self.link.open()
             for _ in range(math.ceil(wait / REPLUG_POLL - TIME_TOLERANCE)):
@@ -590,7 +542,7 @@ class FaultyLink(ForwardingLink):
 
     def __reduce__(self) -> tuple[type[FaultyLink], tuple[object, ...]]:
         """Copies and pickles have a link of their own and begin with the first seed."""
-        return FaultyLink, (self.link, self.faults, self._first_seed, self._relink)
+        return FaultyLink, (self.link, self.faults, self._first_seed)
 
     def close(self) -> None:
         """Close the link. Faults end until the next reset, but a pulled cable stays out."""

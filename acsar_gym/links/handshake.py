@@ -11,18 +11,13 @@ from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError
 from acsar_gym.links.base import WHILE_WAITING
 from acsar_gym.protocol import ECHO_PROBE, Decoder, EchoDecoder, Speeds, line_end
 
-LINE_CHARACTERS = frozenset(b"abcdpn0123456789.,+- ")
-"""Bytes of a line."""
-MAX_SHOWN_BYTES = 40
-"""Most received bytes that a message shows."""
-BOARD_POLL = 0.01
-"""Interval of polling for the first valid line [s]."""
-ECHO_INTERVAL = 0.03
-"""Interval of the commands whose echo is looked for [s]."""
+LINE_CHARACTERS = frozenset(b"abcdpn0123456789.,+- ")  # bytes of a line
+MAX_SHOWN_BYTES = 40  # most received bytes that a message shows
+BOARD_POLL = 0.01  # interval of polling for the first valid line [s]
+ECHO_INTERVAL = 0.03  # interval of the commands whose echo is looked for [s]
 ECHO_WAIT, ECHO_TIMEOUT = 0.1, 0.5
 """How long an echo may take, at least, and the longest wait for lines without one [s]."""
-ECHO_LINES = 3
-"""A board that has sent so many lines meanwhile doesn't echo."""
+ECHO_LINES = 3  # a board that has sent so many lines meanwhile doesn't echo
 FEWEST_VALID, FEWEST_REFUSED = 3, 10
 """A board that has sent so many valid lines has the right baud rate; one that then sends fewer
 refused parts than these before it is silent was reset, where a bad cable goes on."""
@@ -38,17 +33,11 @@ FORMATS: tuple[tuple[str, bytes, bytes], ...] = (
     ("no decimals", rb"(?<=[0-9])(?=,|$)(?<![.0-9][0-9][0-9])", b".00"),
 )
 """What a line may have instead of the wire's format, and how it is mended."""
-TWO_WHEELS = re.compile(rb"(?:[rl][pn][0-9. ]+,?){2}")
-"""A line of a relative of this protocol."""
+TWO_WHEELS = re.compile(rb"(?:[rl][pn][0-9. ]+,?){2}")  # a line of a relative of this protocol
 
 
 def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) -> None:
     """Wait for the first valid line of the board, for `connect_timeout` at most.
-
-    Args:
-        read: returns the bytes that have arrived.
-        device: name of the device, for messages.
-        config: configuration of the robot.
 
     Raises:
         BoardSilentError: nothing arrived, or only the beginning of a line.
@@ -95,12 +84,6 @@ def find_echo(
 ) -> bool:
     """Find whether a board sends commands back, by zero commands that no feedback is like.
 
-    Args:
-        write: sends bytes.
-        read: returns the bytes that have arrived.
-        device: name of the device, for messages.
-        config: configuration of the robot.
-
     Raises:
         BoardSilentError: it sends nothing else, for `connect_timeout`.
     """
@@ -115,9 +98,9 @@ def find_echo(
             due = now + ECHO_INTERVAL + 2.0 * line
         WHILE_WAITING.get()()
         time.sleep(BOARD_POLL)
-        known = decoder.echoes
+        before = decoder.echoes
         lines = len(decoder.feed(read()))
-        feedback = feedback + lines if known or not decoder.echoes else 0  # what came before it
+        feedback = feedback + lines if before or not decoder.echoes else 0  # what came before it
         now = time.monotonic()
         if decoder.echoes and feedback:
             return True
@@ -132,12 +115,7 @@ def find_echo(
 
 
 def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
-    """Return the error for a board in use that sends no valid feedback.
-
-    Args:
-        age: time since the newest valid line [s].
-        decoder: what it decoded.
-    """
+    """Return the error for a board in use that sends no valid feedback."""
     if isinstance(decoder, EchoDecoder) and decoder.only_echoes:
         return BoardSilentError(
             f"no feedback for {age:.2f} s but this board's echo of the commands, or what equals it",
@@ -170,9 +148,6 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
 def describe_format(line: bytes) -> str:
     """Say in what a line differs from the wire's format, if that is all that is wrong with it.
 
-    Args:
-        line: as it was received.
-
     Returns:
         Such as "upper-case letters"; empty for a line that is right, or something else.
     """
@@ -199,12 +174,7 @@ def shown_bytes(data: bytes) -> str:
 
 
 def still_turning_error(waited: float, speeds: Speeds) -> LinkError:
-    """Return the error for wheels that turn in spite of a stop command.
-
-    Args:
-        waited: time since the stop command [s].
-        speeds: wheel speeds [rad/s].
-    """
+    """Return the error for wheels that turn in spite of a stop command."""
     listed = ", ".join(f"{speed:.2f}" for speed in speeds)
     return LinkError(
         f"the wheels still turn {waited:g} s after the stop command ({listed} rad/s)",

@@ -1,34 +1,22 @@
-"""Statistics of tick lateness, feedback age and round trip time, in bounded memory.
-
-Durations are counted in buckets that are linear within each octave, so a percentile is at most 3 %
-too large, and adding one costs less than a microsecond. Extremes and counts are exact.
-"""
+"""Statistics of tick lateness, feedback age and round trip time, in bounded memory."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from array import array
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+
+import numpy as np
 
 from acsar_gym.config import RobotConfig
 
-STANDSTILL = 0.1
-"""Wheels slower than this count as standing still [rad/s]."""
-VISIBLE_SPEED = 0.005
-"""Wheels faster than this, and than twice what they showed before, show a command [rad/s]."""
+STANDSTILL = 0.1  # wheels slower than this count as standing still [rad/s]
+VISIBLE_SPEED = 0.005  # wheels faster than this, and than twice before, show a command [rad/s]
 
-KEPT_TRIPS = 1000
-"""Round trips of an episode that are kept one by one."""
-BUCKETS_PER_OCTAVE = 32
-SHORTEST_DURATION = 2.0**-20
-"""Shorter durations count as zero [s]."""
-LONGEST_DURATION = 64.0
-"""Durations from here on are in the last bucket [s]; `worst` stays exact."""
-_FIRST = math.frexp(SHORTEST_DURATION)[1]
-_BUCKETS = (math.frexp(LONGEST_DURATION)[1] - _FIRST) * BUCKETS_PER_OCTAVE + 2
+KEPT_TRIPS = 1000  # round trips of an episode that are kept one by one
+KEPT_DURATIONS = 1_000_000  # durations that percentiles are of, at least: those of 2.8 h at 100 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,63 +63,40 @@ class EpisodeTiming:
     """Each of them [s], the newest `KEPT_TRIPS` at most."""
 
 
-class DurationHistogram:
-    """Counts any number of durations [s]; negative ones count as zero."""
+class DurationRecord:
+    """Keeps durations [s], the newest `KEPT_DURATIONS` at least; negative ones count as zero.
+
+    Attributes: `count`, of all; `worst`, the longest of all [s], NaN if there is none.
+    """
 
     def __init__(self) -> None:
         self.count = 0
-        self._worst = 0.0
-        self._buckets = [0] * _BUCKETS
+        self.worst = math.nan
+        self._newest = array("d")
 
     def add(self, seconds: float) -> None:
         """Add a duration [s]."""
+        seconds = max(seconds, 0.0)
+        if not (self.count and seconds <= self.worst):
+            self.worst = seconds
         self.count += 1
-        self._worst = max(self._worst, seconds)
-        if seconds < SHORTEST_DURATION:
-            bucket = 0
-        elif seconds < LONGEST_DURATION:
-            fraction, octave = math.frexp(seconds)
-            place = int(2 * BUCKETS_PER_OCTAVE * fraction)
-            bucket = (octave - _FIRST - 1) * BUCKETS_PER_OCTAVE + place + 1
-        else:
-            bucket = -1
-        self._buckets[bucket] += 1
-
-    @property
-    def worst(self) -> float:
-        """The longest duration [s], exact; NaN if there is none."""
-        return self._worst if self.count else math.nan
+        self._newest.append(seconds)
+        if len(self._newest) > 2 * KEPT_DURATIONS:
+            del self._newest[:KEPT_DURATIONS]
 
     def percentile(self, q: float) -> float:
-        """Return a percentile [s]; NaN if there are no durations.
-
-        At most 3 % too large; never too small, except durations that count as zero.
-
-        Args:
-            q: 0 to 100.
-        """
-        if not self.count:
+        """Return a percentile, 0 to 100, by nearest rank [s]; NaN if there are no durations."""
+        if not self._newest:
             return math.nan
-        wanted = max(1, math.ceil(q / 100.0 * self.count))
-        bucket = bisect_left(list(accumulate(self._buckets)), wanted)
-        if bucket == 0:
-            return 0.0
-        if bucket == _BUCKETS - 1:
-            return self._worst
-        octave, part = divmod(bucket - 1, BUCKETS_PER_OCTAVE)
-        fraction = (BUCKETS_PER_OCTAVE + part + 1) / (2 * BUCKETS_PER_OCTAVE)
-        return min(math.ldexp(fraction, _FIRST + octave), self._worst)
+        return float(np.percentile(np.array(self._newest), q, method="inverted_cdf"))
 
     def spread(self) -> DurationSpread:
         """Return percentiles and maximum."""
         return DurationSpread(self.count, self.percentile(50.0), self.percentile(99.0), self.worst)
 
 
-class LatenessHistogram(DurationHistogram):
-    """Counts the lateness of ticks.
-
-    Args:
-        config: of the robot, for its control period and what it calls late.
+class LatenessRecord(DurationRecord):
+    """Keeps the lateness of ticks.
 
     Attributes:
         late: ticks that ended more than `limit` after their deadline.
@@ -160,15 +125,11 @@ class LatenessHistogram(DurationHistogram):
 
 
 class EpisodeStopwatch:
-    """Measures the timing of one episode.
-
-    Args:
-        config: of the robot.
-    """
+    """Measures the timing of one episode."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._lateness = LatenessHistogram(config)
-        self._ages, self._trips = DurationHistogram(), DurationHistogram()
+        self._lateness = LatenessRecord(config)
+        self._ages, self._trips = DurationRecord(), DurationRecord()
         self._newest_trips: deque[float] = deque(maxlen=KEPT_TRIPS)
         self._begun = False
         self._asked: float | None = None
@@ -176,10 +137,6 @@ class EpisodeStopwatch:
 
     def tick(self, lateness: float, age: float) -> float | None:
         """Add a tick.
-
-        Args:
-            lateness: time from its deadline to its end [s].
-            age: age of the newest feedback [s].
 
         Returns:
             The lateness; None for the first tick, whose deadline is the reset's: nothing drove
@@ -195,11 +152,6 @@ class EpisodeStopwatch:
     def commanded(self, written: float, fastest: float, *, drives: bool) -> bool:
         """Add a command, and what the feedback of its period shows.
 
-        Args:
-            written: time at which its last byte has left the port [s].
-            fastest: highest absolute wheel speed of the newest feedback [rad/s].
-            drives: whether the command isn't zero.
-
         Returns:
             Whether a command to wheels that stood waits for a line that shows it, or this period
             brought it: call `heard` then.
@@ -212,12 +164,7 @@ class EpisodeStopwatch:
         return self._asked is not None
 
     def heard(self, arrivals: Sequence[tuple[float, bytes]], end: float) -> None:
-        """End the round trip if the wheels turn by now.
-
-        Args:
-            arrivals: what arrived in the period, as for `first_byte`.
-            end: end of the period [s].
-        """
+        """End the round trip if the wheels turn by now."""
         if self._asked is not None and self._fastest > self._shows:
             trip = first_byte(arrivals, end) - self._asked
             self._trips.add(trip)
@@ -231,13 +178,7 @@ class EpisodeStopwatch:
 
 
 def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
-    """Return when the first byte of the newest line of a period arrived [s].
-
-    Args:
-        arrivals: pieces of what arrived in the period, with the time of each [s]; a line that began
-            earlier counts from the first piece on. Empty where the link doesn't tell.
-        end: end of the period [s], which is the answer then.
-    """
+    """Return when the first byte of the newest line of a period arrived [s]."""
 
     def after_line(data: bytes) -> int:
         return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1

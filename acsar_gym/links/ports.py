@@ -32,12 +32,9 @@ from acsar_gym.errors import (
 )
 from acsar_gym.links.base import WHILE_WAITING
 
-SerialPort = Any
-"""An open port of pyserial, which has no type annotations."""
-BY_ID_FOLDER = Path("/dev/serial/by-id")
-"""Folder of persistent names of USB adapters on Linux: vendor, product, serial number."""
-SERIAL_NUMBER_PREFIX = "usb:"
-"""Prefix of a name that is the USB serial number of an adapter."""
+SerialPort = Any  # an open port of pyserial, which has no type annotations
+BY_ID_FOLDER = Path("/dev/serial/by-id")  # by vendor, product, serial number
+SERIAL_NUMBER_PREFIX = "usb:"  # prefix of a name that is the USB serial number of an adapter
 
 PORT_ERRORS: tuple[type[Exception], ...] = (serial.SerialException, OSError, TypeError)
 """Exceptions of pyserial when a port disappears while in use."""
@@ -48,20 +45,14 @@ with contextlib.suppress(ImportError):  # Windows has no termios
 
 WAIT_ERRORS: tuple[type[Exception], ...] = (ValueError, *PORT_ERRORS)
 """The same where a port can't be waited for."""
-WRITE_TIMEOUT = 0.2
-"""A socket that accepts no bytes for this time is lost [s]."""
-WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
-"""Pauses between attempts to write, while another process writes to the port [s]."""
-BUSY_TIMEOUT = 0.7
-"""Longest time for which the watchdog of a killed program keeps its port [s]."""
+WRITE_TIMEOUT = 0.2  # a socket that accepts no bytes for this time is lost [s]
+WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)  # while others write [s]
+BUSY_TIMEOUT = 0.7  # longest time for which the watchdog of a killed program keeps its port [s]
 OPEN_PAUSES = (0.02, 0.1)
 """First and longest pause between attempts to open a port [s]; each is twice the last."""
-READ_CHUNK = 4096
-"""Bytes read from the port by one call."""
-MAX_READ_CHUNKS = 256
-"""Most chunks per read: enough to empty a driver's buffer, but not an endless stream."""
-DRAIN_TIMEOUT = 0.05
-"""Longest wait for sent bytes to leave the port when it is closed [s]."""
+READ_CHUNK = 4096  # bytes read from the port by one call
+MAX_READ_CHUNKS = 256  # most chunks per read: empties a driver's buffer, but no endless stream
+DRAIN_TIMEOUT = 0.05  # longest wait for sent bytes to leave the port when it is closed [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +76,6 @@ def find_ports() -> list[PortInfo]:
 def locate_port(name: str) -> str:
     """Find the device of a name.
 
-    Args:
-        name: a device, which is returned unchanged, or "usb:" with the USB serial number of an
-            adapter.
-
     Raises:
         PortNotFoundError: no adapter has this serial number.
         ConfigError: several adapters have it.
@@ -96,16 +83,16 @@ def locate_port(name: str) -> str:
     if not name.startswith(SERIAL_NUMBER_PREFIX):
         return name
     number = name.removeprefix(SERIAL_NUMBER_PREFIX)
-    known = find_ports()
-    found = [port.device for port in known if port.serial_number == number]
-    if len(found) > 1:
-        raise ConfigError(f"{name}: {', '.join(found)} have this serial number: name one of them")
-    if not found:
-        numbers = ", ".join(port.serial_number for port in known if port.serial_number) or "none"
+    ports = find_ports()
+    devices = [port.device for port in ports if port.serial_number == number]
+    if len(devices) > 1:
+        raise ConfigError(f"{name}: {', '.join(devices)} have this serial number: name one of them")
+    if not devices:
+        numbers = ", ".join(port.serial_number for port in ports if port.serial_number) or "none"
         raise PortNotFoundError(
             f"{name}: no USB adapter with this serial number", f"serial numbers here: {numbers}"
         )
-    return found[0]
+    return devices[0]
 
 
 def find_lasting_name(device: str) -> str:
@@ -119,11 +106,11 @@ def find_lasting_name(device: str) -> str:
         path = Path(device)
         if path.is_symlink():
             return device
-        known = [port for port in find_ports() if port.serial_number]
-        own = {
-            port.serial_number for port in known if Path(port.device).resolve() == path.resolve()
+        ports = [port for port in find_ports() if port.serial_number]
+        numbers = {
+            port.serial_number for port in ports if Path(port.device).resolve() == path.resolve()
         }
-        if sum(port.serial_number in own for port in known) != 1:
+        if sum(port.serial_number in numbers for port in ports) != 1:
             return device
         for name in sorted(BY_ID_FOLDER.iterdir()):
             if name.resolve() == path.resolve():
@@ -133,9 +120,6 @@ def find_lasting_name(device: str) -> str:
 
 class PortLocation:
     """The name of a port, and the name under which it reappears after it was lost.
-
-    Args:
-        name: a device, URL, or "usb:" and a serial number.
 
     Attributes:
         path: persistent name of the open or lost port; None before the first opening.
@@ -161,11 +145,6 @@ class PortLocation:
         self, config: RobotConfig, make_way: Callable[[], None] = lambda: None
     ) -> SerialPort:
         """Open the port; a lost one has `reconnect_timeout` to reappear.
-
-        Args:
-            config: configuration of the robot.
-            make_way: called if the port is busy, and after it was opened, to end this program's
-                own watchdog that searches for the port.
 
         Raises:
             LinkError: the port can't be opened.
@@ -203,10 +182,6 @@ class PortLocation:
 
 def open_port(device: str, config: RobotConfig) -> SerialPort:
     """Open a port exclusively, with non-blocking reads.
-
-    Args:
-        device: a device or URL.
-        config: configuration of the robot; has the baud rate.
 
     Raises:
         LinkError: the port can't be opened; the message says why and what to do.
@@ -256,15 +231,14 @@ def _check_url(url: str) -> None:
 
 
 def _opening_error(device: str, error: Exception) -> LinkError:
-    """Convert an exception of pyserial to a LinkError with advice."""
     code = getattr(error, "errno", None)
     text = str(error)
     gone = code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError)
     if gone or errno.ENOTTY in getattr(error.__context__, "args", ()):  # of termios
-        known = ", ".join(port.device for port in find_ports()) or "none"
+        ports = ", ".join(port.device for port in find_ports()) or "none"
         if gone:
-            return PortNotFoundError(f"{device}: no such device", f"serial ports here: {known}")
-        return LinkError(f"{device}: isn't a serial port", f"serial ports here: {known}")
+            return PortNotFoundError(f"{device}: no such device", f"serial ports here: {ports}")
+        return LinkError(f"{device}: isn't a serial port", f"serial ports here: {ports}")
     if code in (errno.EACCES, errno.EPERM):
         return PortPermissionError(
             f"{device}: permission denied",
@@ -319,10 +293,6 @@ class OpenPort:
 
     `write`, `read`, `drop_input` and `drop_output` raise LinkLostError if the device is gone. The
     others raise nothing, so that stopping can't fail halfway.
-
-    Args:
-        port: pyserial's port.
-        device: its name, for messages.
     """
 
     def __init__(self, port: SerialPort, device: str) -> None:
@@ -409,7 +379,7 @@ class OpenPort:
 
     def detach(self) -> None:
         """Close this process's copy of a socket, without ending the parent's connection."""
-        own = getattr(self._port, "_socket", None)
-        if own is not None:
-            os.close(own.detach())
+        connection = getattr(self._port, "_socket", None)
+        if connection is not None:
+            os.close(connection.detach())
             self._port.is_open = False

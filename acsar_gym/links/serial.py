@@ -22,12 +22,9 @@ ECHO_WARNING = (
     "this board echoes: it sends each command back, and the echoes don't count as feedback; take "
     "the echo out of its program, or write echo: true into the robot's file"
 )
-SILENT_SHARE = 0.5
-"""A board silent for this share of `feedback_timeout` may not have received zero commands."""
-WRITER_TIMEOUT = 1.0
-"""Longest wait for another thread's write [s]; a socket's takes at most 0.2 s."""
-EMPTY_READ_PAUSE = 0.001
-"""Pause where a port says that there are bytes and has none [s]."""
+SILENT_SHARE = 0.5  # a board silent for this share of feedback_timeout may have missed zeros
+WRITER_TIMEOUT = 1.0  # longest wait for another thread's write [s]; a socket's takes at most 0.2 s
+EMPTY_READ_PAUSE = 0.001  # pause where a port says that there are bytes and has none [s]
 
 
 class SerialLink:
@@ -39,11 +36,6 @@ class SerialLink:
 
     Attributes: `device`; `lateness`; `watchdog`; `echoes`, whether the board sends every command
     back, as far as `open` or the config tells.
-
-    Args:
-        device: a device, a URL, or "usb:" and the serial number of a USB adapter.
-        config: configuration of the robot.
-        zeros: zero commands, where that of the config isn't enough.
     """
 
     truth = None

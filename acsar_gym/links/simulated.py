@@ -19,10 +19,6 @@ class SimulatedLink:
 
     Attributes: `body`, the physics, None while closed; `metered` and `work`, as in
     `links.base.MeteredLink`.
-
-    Args:
-        config: configuration of the robot.
-        make_body: makes the physics; called by `open`.
     """
 
     lateness = None
@@ -107,9 +103,6 @@ class PacedLink(ForwardingLink):
 
     `advance` doesn't return before its absolute deadline; clock and bytes are those of the inner
     link.
-
-    Args:
-        link: the inner link.
     """
 
     def __init__(self, link: Link) -> None:

@@ -39,7 +39,6 @@ from acsar_gym.reading import explain_error, open_file, parse_yaml, read_file
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Began, Encoder, Event, Exchange, Scanned, Tick, Written
 from acsar_gym.recording.messages import EPISODE, HEADER_RECORD, make_header
-from acsar_gym.recording.reader import hash_file
 from acsar_gym.recording.sinks import McapFile
 from acsar_gym.recording.stream import (
     CHANNEL,
@@ -64,20 +63,11 @@ ROLES = {
     "scans": ((LASER_SCAN,), "/scan"),
 }
 """What is read of a bag: types, and the usual name of the topic."""
-MAX_METADATA = 4_000_000
-"""Largest metadata.yaml [bytes]."""
-MAX_BEAMS = 100_000
-"""Most measurements of a scan."""
-IDENTIFYING_BYTES = 5_000_000
-"""A recording of this package shows within so many bytes what it is."""
-BATCH = 64
-"""Events that are encoded at once."""
-MAX_TIME = 2**62
-"""Times are smaller [ns]."""
-MAX_TWIST = 1e6
-"""Velocities are smaller, either sign [m/s, rad/s]; others are no numbers."""
-FASTEST_WHEEL = 99.99
-"""What a line can say, either sign [rad/s]."""
+MAX_METADATA = 4_000_000  # largest metadata.yaml [bytes]
+IDENTIFYING_BYTES = 5_000_000  # a recording of this package shows within them what it is
+BATCH = 64  # events that are encoded at once
+MAX_TIME = 2**62  # times are smaller [ns]
+FASTEST_WHEEL = 99.99  # what a line can say, either sign [rad/s]
 
 SIDE_WORDS = {"left": "l", "l": "l", "right": "r", "r": "r"}
 END_WORDS = {
@@ -94,8 +84,7 @@ CORNER_WORDS = {
     }.items()
     for word in words
 }
-CORNERS = ("fr", "fl", "bl", "br")
-"""Of the wheels a, b, c, d."""
+CORNERS = ("fr", "fl", "bl", "br")  # of the wheels a, b, c, d
 
 
 class BagMessage(NamedTuple):
@@ -112,9 +101,6 @@ class BagMessage(NamedTuple):
 
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording of this package.
-
-    Args:
-        path: a file or folder.
 
     Raises:
         ConfigError: it can't be read, or is neither a recording nor a bag.
@@ -139,11 +125,6 @@ def is_recording(path: Path) -> bool:
 def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] = ()) -> Path:
     """Return a recording of this package: the file itself, or one that is made of a bag.
 
-    Args:
-        path: a recording, or a bag: a file or folder.
-        robot: that the bag is of; its geometry and its wheels' joints are needed.
-        topics: names of topics, or namespaces, that are used of a bag; all where there are none.
-
     Raises:
         ConfigError: it can't be read, or the bag has no wheel speeds, several of a kind, or no
             `robot` is told.
@@ -162,14 +143,7 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
 
 
 def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[str] = ()) -> None:
-    """Write what a bag holds as a recording. See `open_recording`.
-
-    Args:
-        path: of the bag.
-        robot: that it is of.
-        target: the recording, which is written.
-        topics: that are used.
-    """
+    """Write what a bag holds as a recording. See `open_recording`."""
     files = find_files(path)
     chosen = choose_topics(path, survey_topics(files), topics, robot)
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
@@ -185,13 +159,13 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
                 file = McapFile(target, header)
             events += converter.take(message)
             if len(events) >= BATCH:
-                for one in encoder.encode(events, 0):
-                    file.add(one)
+                for encoded in encoder.encode(events, 0):
+                    file.add(encoded)
                 events.clear()
         if file is None or not converter.has_feedback:
             raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
-        for one in encoder.encode([*events, *converter.finish()], 0):
-            file.add(one)
+        for encoded in encoder.encode([*events, *converter.finish()], 0):
+            file.add(encoded)
         file.close({"dropped": 0})
     finally:
         if file is not None:
@@ -207,33 +181,32 @@ def find_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     metadata = path / "metadata.yaml"
-    found = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+    files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
     if metadata.exists():
-        told = parse_yaml(read_file(metadata, MAX_METADATA).decode("utf-8", "replace"))
-        told = told.get("rosbag2_bagfile_information") if isinstance(told, dict) else None
-        if not isinstance(told, dict):
+        content = parse_yaml(read_file(metadata, MAX_METADATA).decode("utf-8", "replace"))
+        information = isinstance(content, dict) and content.get("rosbag2_bagfile_information")
+        if not isinstance(information, dict):
             raise ConfigError(f"{metadata}: isn't that of a ROS 2 bag")
-        if told.get("compression_mode") or told.get("compression_format"):
+        if information.get("compression_mode") or information.get("compression_format"):
             return [path]
-        names = told.get("relative_file_paths")
+        names = information.get("relative_file_paths")
         if isinstance(names, list) and names:
-            found = [path / Path(str(name)).name for name in names]
-    if not found:
+            files = [path / Path(str(name)).name for name in names]
+    if not files:
         raise ConfigError(f"{path}: holds no ROS 2 bag: no metadata.yaml, .mcap or .db3")
-    return found
+    return files
 
 
 def hash_bag(files: Sequence[Path]) -> str:
     """First 16 hex digits of a hash of all files of a bag."""
     digests = []
     for path in files:
-        for each in sorted(path.iterdir()) if path.is_dir() else [path]:
-            with open_file(each, None) as file:
-                digests.append(hash_file(file, None))
-    whole = (
-        digests if len(digests) == 1 else [hashlib.sha256("".join(digests).encode()).hexdigest()]
-    )
-    return whole[0][:16]
+        for part in sorted(path.iterdir()) if path.is_dir() else [path]:
+            with open_file(part, None) as file:
+                digests.append(hashlib.file_digest(file, "sha256").hexdigest()[:16])
+    if len(digests) == 1:
+        return digests[0]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
 
 
 def survey_topics(files: Sequence[Path]) -> dict[str, tuple[str, int, bytes]]:
@@ -273,7 +246,7 @@ def choose_topics(
             name
             for name, (kind, _, first) in found.items()
             if kind in kinds
-            and (not given or any(is_below(name, one) for one in given))
+            and (not given or any(is_below(name, wanted) for wanted in given))
             and (role != "joint states" or has_wheels(first, robot))
         ]
         if role == "odometry" and "joint states" in chosen:
@@ -296,11 +269,11 @@ def choose_topics(
             if kind == JOINT_STATE
             for name in _joint_names(first)
         ]
-        told = f"its joints are {_short(', '.join(joints))}" if joints else ""
-        told = told or f"it has {_short(listed) or 'no messages'}"
+        holds = f"its joints are {_short(', '.join(joints))}" if joints else ""
+        holds = holds or f"it has {_short(listed) or 'no messages'}"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
-            f"odometry: {told}"
+            f"odometry: {holds}"
         )
     return chosen
 
@@ -324,7 +297,6 @@ def deserialize(message: bytes, kind: str) -> Any:
 
 
 def _joint_names(data: bytes) -> list[str]:
-    """Names of the joints in joint states."""
     state = deserialize(data, JOINT_STATE)
     return [] if state is None else [str(name) for name in state.name]
 
@@ -346,9 +318,9 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
     Returns:
         The places of four names; None where there aren't.
     """
-    told = robot.wheel_joints
-    if all(name in names for name in told):
-        return tuple(names.index(name) for name in told)
+    wheel_joints = robot.wheel_joints
+    if all(name in names for name in wheel_joints):
+        return tuple(names.index(name) for name in wheel_joints)
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         corner = find_corner(name)
@@ -387,10 +359,6 @@ def find_corner(name: str) -> str:
 
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:
     """Yield the messages of a bag that are of a type that is read.
-
-    Args:
-        files: of the bag.
-        topics: names of topics that are wanted; None for all.
 
     Raises:
         ConfigError: a file can't be read.
@@ -435,7 +403,6 @@ def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
 
 
 def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    """Read an SQLite file of rosbag2."""
     with open_file(path, None):  # only regular files
         pass
     query = (
@@ -470,10 +437,6 @@ class BagConverter:
     """Makes events of a robot's messages, as a recorder gets them.
 
     Attributes: `has_feedback`, whether there were wheel speeds.
-
-    Args:
-        robot: whose messages they are.
-        topics: by role, see `choose_topics`.
     """
 
     def __init__(self, robot: RobotConfig, topics: dict[str, str]) -> None:
@@ -519,7 +482,7 @@ class BagConverter:
     def _take_command(self, content: Any, stamp: float) -> list[Event]:
         twist = getattr(content, "twist", content)
         linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if abs(linear) < MAX_TWIST and abs(angular) < MAX_TWIST:
+        if math.isfinite(linear) and math.isfinite(angular):
             self._asked = self._command = linear, angular
             speeds, letters = self._make_speeds(linear, angular), self._robot.wheels.motors
             line = encode(speeds if letters is None else letters.to_wire(speeds))
@@ -527,7 +490,6 @@ class BagConverter:
         return []
 
     def _make_speeds(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds of a twist."""
         radii = self._robot.wheel_radii
         right, left = kinematics.compute_sides(
             linear, angular, *radii, self._robot.effective_separation, FASTEST_WHEEL
@@ -537,7 +499,7 @@ class BagConverter:
     def _take_odometry(self, content: Any, stamp: float) -> list[Event]:
         twist = content.twist.twist
         linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if not (abs(linear) < MAX_TWIST and abs(angular) < MAX_TWIST):
+        if not (math.isfinite(linear) and math.isfinite(angular)):
             return []
         return self._exchange(self._make_speeds(linear, angular), stamp)
 
@@ -596,7 +558,7 @@ class BagConverter:
     def _take_scan(self, content: Any, stamp: float) -> list[Event]:
         """A scan, sorted into the rays of the robot's LiDAR; and as it was measured."""
         distances = np.asarray(content.ranges, np.float64)
-        if not (self._number and 0 < len(distances) <= MAX_BEAMS):
+        if not (self._number and len(distances)):
             return []
         increment = float(content.angle_increment)
         bearings = float(content.angle_min) + increment * np.arange(len(distances))

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import math
 import struct
 from collections import deque
 from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import explain_error, open_file, replace_file
 from acsar_gym.recording import messages
-from acsar_gym.recording.episodes import (
-    EpisodeOpening,
-    parse_array,
-    parse_mapping,
-    parse_section,
-)
+from acsar_gym.recording.episodes import parse_array, parse_opening, parse_sealed
 from acsar_gym.recording.messages import (
     ACTION,
     END_RECORD,
@@ -33,10 +30,8 @@ from acsar_gym.recording.messages import (
     TICKS,
     WIRE_RECEIVED,
     WIRE_SENT,
-    is_sealed,
     seal_text,
 )
-from acsar_gym.recording.reader import hash_file
 from acsar_gym.recording.sinks import CHUNK_SIZE
 from acsar_gym.recording.stream import (
     ATTACHMENT,
@@ -51,23 +46,9 @@ from acsar_gym.recording.stream import (
     parse_record,
 )
 
-NUMBER_PLACE = 20
-"""Where the first number of a row is in its message [bytes]."""
-MOST_ROWS = 1e15
-"""Numbers of rows, and times, are smaller."""
-KEPT_BEFORE = ("durability: 1\n", "transient_local")
-"""What marks a topic whose newest message late listeners get, in its quality of service."""
-
-
-class Span(NamedTuple):
-    """A span of time on a file's time line [ns]: first is in it, last isn't."""
-
-    first: int
-    last: int
-
-    def holds(self, time: int) -> bool:
-        """Whether a time is in it."""
-        return self.first <= time < self.last
+NUMBER_PLACE = 20  # where the first number of a row is in its message [bytes]
+MOST_ROWS = 1e15  # numbers of rows, and times, are smaller
+LATCHED_MARKS = ("durability: 1\n", "transient_local")  # in a topic's quality of service
 
 
 class CutResult(NamedTuple):
@@ -107,39 +88,45 @@ def cut_recording(path: Path, begin: float, end: float, target: Path) -> CutResu
         lasts = (survey.last - survey.first) / 1e9
         if begin > lasts:
             raise ConfigError(f"lasts {lasts:.1f} s: nothing is there from {begin:g} s on")
-        last = survey.last + 1
-        if end < lasts:
-            last = survey.first + round(end * 1e9)
-        span = Span(survey.first + round(begin * 1e9), last)
+        last = survey.first + round(end * 1e9) if end < lasts else survey.last + 1
+        span = range(survey.first + round(begin * 1e9), last)
+        part = {"of": survey.digest, "from": begin, "to": None if math.isinf(end) else end}
         try:
             with replace_file(target) as new, new.open("wb") as output:
-                cutter = make_cutter(survey, output, span, begin, end)
-                for opcode, content in survey.read_all(file):
+                if survey.is_ours:
+                    cutter: FileCutter = RecordingCutter(output, span, survey, part)
+                else:
+                    cutter = FileCutter(output, span, survey)
+                for opcode, content in read_records(RecordStream(file)):
                     cutter.take(opcode, content)
                 cutter.finish()
         except OSError as error:
             raise ConfigError(f"{target}: can't be written: {explain_error(error)}") from error
-    seconds = (min(span.last, survey.last) - span.first) / 1e9
+    seconds = (min(span.stop, survey.last) - span.start) / 1e9
     return CutResult(seconds, cutter.episodes, survey.damages)
+
+
+def read_records(stream: RecordStream) -> Iterator[tuple[int, bytes]]:
+    """Yield all records, also of a file without its end."""
+    with contextlib.suppress(FileCut):
+        yield from stream
 
 
 class Survey:
     """What an MCAP file holds.
 
-    Attributes: `first` and `last`, times [ns]; `is_ours`, whether it is a recording of this
-    package; `digest`, its hash; `damages`, a line for each damaged place; `pose` and `revolution`,
-    by odometry and with its channel, the newest of the episode when the part begins.
-
-    Args:
-        file: the file.
-        begin: of the part [s].
+    Attributes: `first` and `last`, times [ns]; `profile` and `library`, of its header; `is_ours`,
+    whether it is a recording of this package; `digest`, its hash; `damages`, a line for each
+    damaged place; `pose` and `revolution`, by odometry and with its channel, the newest of the
+    episode when the part begins.
 
     Raises:
         ConfigError: it holds no message.
     """
 
-    def __init__(self, file: IO[bytes], begin: float) -> None:
+    def __init__(self, file: BufferedReader, begin: float) -> None:
         stream = RecordStream(file)
+        self.profile, self.library = "ros2", ""
         self.is_ours = False
         self.pose = [0.0, 0.0, 0.0]
         self.revolution: tuple[int, bytes] | None = None
@@ -147,24 +134,27 @@ class Survey:
         self._opened = -1
         self._begin = round(begin * 1e9)
         first, self.last = 2**64, -1
-        with contextlib.suppress(FileCut):
-            for opcode, content in stream:
-                if opcode == MESSAGE:
-                    channel, _, time, _ = MESSAGE_HEAD.unpack_from(content)
-                    first, self.last = min(first, time), max(self.last, time)
-                    self._note(self._topics.get(channel, ""), channel, time, content)
-                elif opcode == METADATA:
-                    self.is_ours |= parse_record("Metadata", content).name == HEADER_RECORD
-                elif opcode == CHANNEL:
-                    record = parse_record("Channel", content)
-                    self._topics[record.id] = record.topic
+        for opcode, content in read_records(stream):
+            if opcode == MESSAGE:
+                channel, _, time, _ = MESSAGE_HEAD.unpack_from(content)
+                first, self.last = min(first, time), max(self.last, time)
+                self._note(self._topics.get(channel, ""), channel, time, content[22:])
+            elif opcode == METADATA:
+                self.is_ours |= parse_record("Metadata", content).name == HEADER_RECORD
+            elif opcode == CHANNEL:
+                record = parse_record("Channel", content)
+                self._topics[record.id] = record.topic
+            elif opcode == HEADER:
+                record = parse_record("Header", content)
+                self.profile, self.library = record.profile, record.library
         if self.last < 0:
             raise ConfigError("holds no messages")
         self.first = self._opened if self._opened >= 0 else first
         self.damages = tuple(stream.damages)
-        self.digest = hash_file(file, None)
+        file.seek(0)
+        self.digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
-    def _note(self, name: str, channel: int, time: int, content: bytes) -> None:
+    def _note(self, name: str, channel: int, time: int, data: bytes) -> None:
         """Note what an episode has when the part begins."""
         if name == EPISODE.name and self._opened < 0:
             self._opened = time
@@ -172,96 +162,68 @@ class Survey:
             return
         if name == EPISODE.name:
             self.pose, self.revolution = [0.0, 0.0, 0.0], None
-        elif name == TICKS.name and len(content) >= 22 + NUMBER_PLACE + 40:
-            self.pose = list(struct.unpack_from("<3d", content, 22 + NUMBER_PLACE + 16))
+        elif name == TICKS.name and len(data) >= NUMBER_PLACE + 40:
+            self.pose = list(struct.unpack_from("<3d", data, NUMBER_PLACE + 16))
         elif name == REVOLUTIONS.name:
-            self.revolution = channel, content[22:]
-
-    def read_all(self, file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-        """Yield all records once more."""
-        stream = RecordStream(file)
-        if not self._topics:
-            yield from stream.read_summary()
-        with contextlib.suppress(FileCut):
-            yield from stream
-
-
-def make_cutter(
-    survey: Survey, output: IO[bytes], span: Span, begin: float, end: float
-) -> FileCutter:
-    """Make what cuts a file of this kind."""
-    if not survey.is_ours:
-        return FileCutter(output, span)
-    told = {"of": survey.digest, "from": begin, "to": None if math.isinf(end) else end}
-    return RecordingCutter(output, span, survey, told)
+            self.revolution = channel, data
 
 
 class FileCutter:
     """Copies the messages of a span of time, and all that isn't a message.
 
     Attributes: `episodes`, how many were written.
-
-    Args:
-        output: the new file.
-        span: what is copied.
     """
 
-    def __init__(self, output: IO[bytes], span: Span) -> None:
+    def __init__(self, output: IO[bytes], span: range, survey: Survey) -> None:
         with require_extra("recording", "record"):
             from mcap.writer import Writer  # noqa: PLC0415 - optional
         self.episodes = 0
         self._span = span
         self._writer: Any = Writer(output, chunk_size=CHUNK_SIZE)
-        self._started = False
+        self._writer.start(survey.profile, survey.library)
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}
         self._topics: dict[int, str] = {}
-        self._kept_before: dict[int, bytes | None] = {}
+        self._latched: dict[int, bytes | None] = {}
 
     def take(self, opcode: int, content: bytes) -> None:
         """Take a record of the file; ConfigError for one that is damaged."""
-        if not self._started:
-            header = parse_record("Header", content) if opcode == HEADER else None
-            self._writer.start(*((header.profile, header.library) if header else ("ros2", "")))
-            self._started = True
-        try:
-            if opcode == MESSAGE:
-                channel, sequence, time, published = MESSAGE_HEAD.unpack_from(content)
-                if channel in self._channels:
-                    self._take_message(channel, sequence, time, published, content[22:])
-            elif opcode == SCHEMA:
-                self._take_schema(parse_record("Schema", content))
-            elif opcode == CHANNEL:
-                self._take_channel(parse_record("Channel", content))
-            elif opcode == METADATA:
-                self._take_metadata(parse_record("Metadata", content))
-            elif opcode == ATTACHMENT:
-                self._take_attachment(parse_record("Attachment", content))
-        except struct.error as error:
-            raise ConfigError("is damaged: a broken message") from error
-
-    def _take_schema(self, schema: Any) -> None:
-        if schema.id not in self._schemas:
-            number = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            self._schemas[schema.id] = number
-
-    def _take_attachment(self, record: Any) -> None:
-        self._writer.add_attachment(
-            record.create_time, record.log_time, record.name, record.media_type, record.data
-        )
+        if opcode == MESSAGE:
+            channel, sequence, time, published = MESSAGE_HEAD.unpack_from(content)
+            if channel in self._channels:
+                self._take_message(channel, sequence, time, published, content[22:])
+        elif opcode == SCHEMA:
+            schema = parse_record("Schema", content)
+            if schema.id not in self._schemas:
+                number = self._writer.register_schema(schema.name, schema.encoding, schema.data)
+                self._schemas[schema.id] = number
+        elif opcode == CHANNEL:
+            self._take_channel(parse_record("Channel", content))
+        elif opcode == METADATA:
+            self._take_metadata(parse_record("Metadata", content))
+        elif opcode == ATTACHMENT:
+            attachment = parse_record("Attachment", content)
+            self._writer.add_attachment(
+                attachment.create_time,
+                attachment.log_time,
+                attachment.name,
+                attachment.media_type,
+                attachment.data,
+            )
 
     def _take_channel(self, channel: Any) -> None:
-        if channel.id not in self._channels:
-            self._topics[channel.id] = channel.topic
-            self._channels[channel.id] = self._writer.register_channel(
-                channel.topic,
-                channel.message_encoding,
-                self._schemas.get(channel.schema_id, 0),
-                channel.metadata,
-            )
-            quality = channel.metadata.get("offered_qos_profiles", "")
-            if channel.topic == TF_STATIC.name or any(m in quality for m in KEPT_BEFORE):
-                self._kept_before[channel.id] = None
+        if channel.id in self._channels:
+            return
+        self._topics[channel.id] = channel.topic
+        self._channels[channel.id] = self._writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            self._schemas.get(channel.schema_id, 0),
+            channel.metadata,
+        )
+        quality = channel.metadata.get("offered_qos_profiles", "")
+        if channel.topic == TF_STATIC.name or any(mark in quality for mark in LATCHED_MARKS):
+            self._latched[channel.id] = None
 
     def _take_metadata(self, record: Any) -> None:
         self._writer.add_metadata(record.name, record.metadata)
@@ -269,19 +231,15 @@ class FileCutter:
     def _take_message(
         self, channel: int, sequence: int, time: int, published: int, data: bytes
     ) -> None:
-        if time < self._span.first:
-            if channel in self._kept_before:
-                self._kept_before[channel] = data
-        elif self._span.holds(time):
-            self._repeat_kept(self._span.first, sequence)
+        if time < self._span.start:
+            if channel in self._latched:
+                self._latched[channel] = data
+        elif time in self._span:
+            for latched, newest in self._latched.items():
+                if newest is not None:
+                    self._write(latched, self._span.start, newest, sequence, self._span.start)
+            self._latched.clear()
             self._write(channel, time, data, sequence, published)
-
-    def _repeat_kept(self, time: int, sequence: int) -> None:
-        """Write what late listeners get."""
-        for channel, data in self._kept_before.items():
-            if data is not None:
-                self._write(channel, time, data, sequence, time)
-        self._kept_before.clear()
 
     def _write(self, channel: int, time: int, data: bytes, sequence: int, published: int) -> None:
         self._writer.add_message(self._channels[channel], time, data, published, sequence)
@@ -292,27 +250,21 @@ class FileCutter:
 
 
 class RecordingCutter(FileCutter):
-    """Copies a part of a recording of this package, so that it can be read as one.
+    """Copies a part of a recording of this package, so that it can be read as one."""
 
-    Args:
-        output: the new file.
-        span: what is copied.
-        survey: of the file.
-        told: what the header says about it.
-    """
-
-    def __init__(self, output: IO[bytes], span: Span, survey: Survey, told: dict[str, Any]) -> None:
-        super().__init__(output, span)
+    def __init__(
+        self, output: IO[bytes], span: range, survey: Survey, part: dict[str, Any]
+    ) -> None:
+        super().__init__(output, span, survey)
         self._survey = survey
-        self._told = told
+        self._part = part
         self._header: dict[str, str] | None = None
         self._begin_episode(None, 0)
 
     def _begin_episode(self, opening: dict[str, Any] | None, channel: int) -> None:
-        """Forget what was there of the episode before."""
         self._opening, self._opening_channel = opening, channel
         self._is_open = self._has_stepped = False
-        self._first_exchange = self._first_step = 0
+        self._first_exchange = self._first_step = 0.0
         self._stamp: float | None = None
         self._pieces: dict[str, deque[tuple[int, int, bytes]]] = {
             WIRE_SENT.name: deque(),
@@ -321,12 +273,12 @@ class RecordingCutter(FileCutter):
         self._reset_time = -1
 
     def _take_metadata(self, record: Any) -> None:
-        if record.name == HEADER_RECORD:
-            text = record.metadata.get("header", "")
-            if self._header is None and is_sealed(text, record.metadata):
-                self._header = seal_text("header", parse_mapping(text) | {"cut": self._told})
+        if record.name == HEADER_RECORD and self._header is None:
+            with contextlib.suppress(ConfigError):  # there is a second one at the end
+                header = parse_sealed(record.metadata, "header")
+                self._header = seal_text("header", header | {"cut": self._part})
                 self._writer.add_metadata(HEADER_RECORD, self._header)
-        elif record.name != END_RECORD:
+        elif record.name not in (HEADER_RECORD, END_RECORD):
             super()._take_metadata(record)
 
     def _take_message(
@@ -335,57 +287,53 @@ class RecordingCutter(FileCutter):
         name = self._topics[channel]
         if name == EPISODE.name:
             self._flush_pieces()
-            opening = parse_mapping(data[8:-1].decode("ascii", "replace"))
-            parse_section(EpisodeOpening, opening)
-            self._begin_episode(opening, channel)
-            if self._span.holds(time):
+            self._begin_episode(parse_opening(data), channel)
+            if time in self._span:
                 self._open_episode()
         elif name in self._pieces:
             self._pieces[name].append((channel, time, data))
         elif name == EXCHANGES.name:
             self._take_exchange(channel, time, data)
         elif name == TF_STATIC.name and not self._is_open:
-            self._kept_before[channel] = data
-        elif self._span.holds(time) and self._is_open:
+            self._latched[channel] = data
+        elif time in self._span and self._is_open:
             self._copy_message(name, channel, time, data)
 
     def _copy_message(self, name: str, channel: int, time: int, data: bytes) -> None:
         """Copy a message of the part; rows tell the new numbers of exchange and step."""
         if name in (TICKS.name, SCANS.name, REVOLUTIONS.name):
-            number = read_number(data) - self._first_exchange
+            number = read_numbers(data, 1)[0] - self._first_exchange
             if number >= 0:
                 self._put(channel, time, write_number(data, number))
         elif name == STEPS.name:
+            (number,) = read_numbers(data, 1)
             if not self._has_stepped:
                 self._has_stepped = True
-                self._first_step = int(read_number(data))
-                self._reset_time = time if self._first_step else -1
-            self._put(channel, time, write_number(data, read_number(data) - self._first_step))
+                self._first_step = number
+                self._reset_time = time if number else -1
+            self._put(channel, time, write_number(data, number - self._first_step))
         elif name != ACTION.name or time != self._reset_time:  # a reset has no action
             self._put(channel, time, data)
 
     def _take_exchange(self, channel: int, time: int, data: bytes) -> None:
         """Take the row of a control period, and the bytes that belong to it."""
-        number, stamp, writes, pieces = struct.unpack_from("<4d", parse_array(data, 8))
-        if not all(abs(one) < MOST_ROWS for one in (number, stamp, writes, pieces)):
-            raise ConfigError("is damaged: a row with a broken number")
-        counts = (WIRE_SENT.name, writes), (WIRE_RECEIVED.name, pieces)
-        is_kept = self._span.holds(time)
-        if is_kept and not self._is_open:
-            self._open_part(int(number))
-        for name, count in counts:
+        parse_array(data, 8)
+        number, stamp, writes, pieces = read_numbers(data, 4)
+        if time in self._span and not self._is_open:
+            self._open_part(number)
+        is_kept = time in self._span and self._is_open
+        for name, count in ((WIRE_SENT.name, writes), (WIRE_RECEIVED.name, pieces)):
             queue = self._pieces[name]
             for _ in range(min(int(count), len(queue))):
                 piece = queue.popleft()
-                if is_kept and self._is_open:
+                if is_kept:
                     self._put(*piece)
-        if is_kept and self._is_open:
+        if is_kept:
             self._put(channel, time, write_number(data, number - self._first_exchange))
-        elif time < self._span.first:
+        elif time < self._span.start:
             self._stamp = stamp
 
     def _open_episode(self) -> None:
-        """Write what begins an episode."""
         if self._opening is not None:
             opening = self._opening | {"episode": self.episodes}
             time = round(float(opening["start"]) * 1e9) + int(opening["offset"])
@@ -393,25 +341,24 @@ class RecordingCutter(FileCutter):
             self.episodes += 1
             self._put(self._opening_channel, time, messages.pack_text(json.dumps(opening)))
 
-    def _open_part(self, first_exchange: int) -> None:
-        """Write what begins a part of an episode."""
+    def _open_part(self, first_exchange: float) -> None:
         self._first_exchange = first_exchange
         if self._opening is not None and self._stamp is not None:
             self._opening = begin_anew(self._opening, self._stamp, self._survey.pose)
         self._open_episode()
         if self._is_open:
-            for channel, data in self._kept_before.items():
+            for channel, data in self._latched.items():
                 if data is not None and self._topics[channel] == TF_STATIC.name:
-                    self._put(channel, self._span.first, data)
+                    self._put(channel, self._span.start, data)
             if self._survey.revolution is not None:
                 channel, data = self._survey.revolution
-                self._put(channel, self._span.first, write_number(data, -1.0))
+                self._put(channel, self._span.start, write_number(data, -1.0))
 
     def _flush_pieces(self) -> None:
         """Write what was sent after the last period of an episode, such as the stop at its end."""
         for queue in self._pieces.values():
             for channel, time, data in queue:
-                if self._is_open and self._span.holds(time):
+                if self._is_open and time in self._span:
                     self._put(channel, time, data)
 
     def _put(self, channel: int, time: int, data: bytes) -> None:
@@ -429,13 +376,7 @@ class RecordingCutter(FileCutter):
 
 
 def begin_anew(opening: dict[str, Any], stamp: float, pose: list[float]) -> dict[str, Any]:
-    """What begins a part of an episode.
-
-    Args:
-        opening: what began the episode.
-        stamp: of the last exchange before the part [s].
-        pose: by odometry at that time: x [m], y [m], theta [rad].
-    """
+    """Make what begins a part of an episode."""
     info, lasted = opening["info"], stamp - opening["start"]
     before = info.get("part")
     began = before.get("from") if isinstance(before, dict) else None
@@ -448,12 +389,15 @@ def begin_anew(opening: dict[str, Any], stamp: float, pose: list[float]) -> dict
     return opening | changed
 
 
-def read_number(data: bytes) -> float:
-    """Return the first number of a row; ConfigError where it is none."""
-    (number,) = struct.unpack_from("<d", data, NUMBER_PLACE)
-    if not abs(number) < MOST_ROWS:
+def read_numbers(data: bytes, count: int) -> tuple[float, ...]:
+    """Return the first numbers of a row; ConfigError where one is none."""
+    try:
+        numbers = struct.unpack_from(f"<{count}d", data, NUMBER_PLACE)
+    except struct.error as error:
+        raise ConfigError("is damaged: a broken row") from error
+    if not all(abs(number) < MOST_ROWS for number in numbers):
         raise ConfigError("is damaged: a row with a broken number")
-    return float(number)
+    return numbers
 
 
 def write_number(data: bytes, number: float) -> bytes:

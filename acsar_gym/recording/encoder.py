@@ -33,38 +33,26 @@ from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
 Pair = tuple[float, float]
-Pieces = tuple[tuple[float, bytes], ...]
-"""Bytes with the times at which they were sent or arrived [s]."""
+Pieces = tuple[tuple[float, bytes], ...]  # with the times at which they were sent or arrived [s]
 
-EPISODE_GAP = 1_000_000
-"""Time between two episodes whose clocks both begin at zero [ns]."""
-DIAGNOSTICS_PERIOD = 1.0
-"""Time between two messages of /diagnostics [s]."""
-SPLIT_TOLERANCE = 1e-6
-"""Rounding of times when a file ends [s]."""
-SPLIT_PATIENCE = 10.0
-"""How long a file waits for the end of an env's step [s]."""
+EPISODE_GAP = 1_000_000  # time between two episodes whose clocks both begin at zero [ns]
+DIAGNOSTICS_PERIOD = 1.0  # time between two messages of /diagnostics [s]
+SPLIT_TOLERANCE = 1e-6  # rounding of times when a file ends [s]
+SPLIT_PATIENCE = 10.0  # how long a file waits for the end of an env's step [s]
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
-NORMAL_REASONS = ("NONE", "LIMITS")
-"""Reasons of the safety layer that are part of normal driving."""
-INTERVAL_DEVIATIONS = 2.0 * 1.959964
-"""Width of a 95 % interval of a normal distribution, in standard deviations."""
+NORMAL_REASONS = ("NONE", "LIMITS")  # reasons of the safety layer that are part of normal driving
+INTERVAL_DEVIATIONS = 2.0 * 1.959964  # standard deviations in a 95 % interval
 TURNING_FIELDS = ("wheel_separation_multiplier", "body.turn_factor")
 ROLLING_FIELDS = ("wheel_radius", "left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
-LEAST_DEVIATION = 0.005
-"""Standard deviation of each part of a pose at the start [m], [rad]: a tyre and a gear give."""
-SLIP_SHARE = 0.02
-"""Share of a way or a turn by which tyres slip otherwise than where they were calibrated."""
-UNKNOWN_VARIANCE = 0.01
-"""Variance that the robot's own driver publishes [m^2], [rad^2]."""
+LEAST_DEVIATION = 0.005  # of each part of a pose at the start [m], [rad]: a tyre and a gear give
+SLIP_SHARE = 0.02  # of a way or a turn, by which tyres slip otherwise than where calibrated
+UNKNOWN_VARIANCE = 0.01  # variance that the robot's own driver publishes [m^2], [rad^2]
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
-X, Y, YAW = 0, 7, 35
-"""Places of the variances in a row-major 6 x 6 matrix."""
+X, Y, YAW = 0, 7, 35  # places of the variances in a row-major 6 x 6 matrix
 DIAGONAL = np.arange(0, 36, 7)
-UNMEASURED = DIAGONAL[2:5]
-"""Places of z, roll and pitch, or of their rates."""
+UNMEASURED = DIAGONAL[2:5]  # places of z, roll and pitch, or of their rates
 
 
 class Began(NamedTuple):
@@ -164,10 +152,8 @@ class Message(NamedTuple):
     data: bytes
 
 
-NEW_FILE = Message(Topic("", ""), 0, b"")
-"""What is yielded where a new file begins."""
-State = tuple[str, int, str, Mapping[str, Any]]
-"""Name, level, text and values of a part of /diagnostics."""
+NEW_FILE = Message(Topic("", ""), 0, b"")  # what is yielded where a new file begins
+State = tuple[str, int, str, Mapping[str, Any]]  # name, level, text, values
 
 
 class OdometryCovariance:
@@ -181,9 +167,6 @@ class OdometryCovariance:
     path changes. A twist also has the resolution of encoders and printed numbers, and what it
     changed within their lag. What wasn't measured keeps the constant variance that the robot's own
     driver publishes.
-
-    Args:
-        config: of the robot; `measured` has the intervals.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -207,10 +190,6 @@ class OdometryCovariance:
 
     def update(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
         """Continue with the next ticks.
-
-        Args:
-            stamps: (n,) [s].
-            twists: (n, 2): linear [m/s], angular [rad/s].
 
         Returns:
             Covariances of pose and twist, (n, 36) each.
@@ -247,13 +226,13 @@ def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | N
     None if none of these fields was measured.
     """
     measured: Any = getattr(config, "measured", {})
-    found = [measured[name] for name in names if name in measured]
-    if not found:
+    intervals = [measured[name] for name in names if name in measured]
+    if not intervals:
         return None
-    middles = [abs(one.low + one.high) / 2.0 for one in found]
+    middles = [abs(interval.low + interval.high) / 2.0 for interval in intervals]
     shares = [
-        abs(one.high - one.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
-        for one, middle in zip(found, middles, strict=True)
+        abs(interval.high - interval.low) / INTERVAL_DEVIATIONS / middle if middle else 0.0
+        for interval, middle in zip(intervals, middles, strict=True)
     ]
     return math.hypot(math.sqrt(sum(share**2 for share in shares) / len(shares)), SLIP_SHARE)
 
@@ -262,9 +241,6 @@ class Diagnostics:
     """What /diagnostics tells once a second: lateness, safety, refused input, drops; and faults.
 
     Attributes: `dropped`, what the recorder has dropped so far.
-
-    Args:
-        config: of the robot.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -334,9 +310,6 @@ class FileSplitter:
 
     Attributes: `began`, what began the episode; `last`, `step` and `scan`, the newest exchange,
     step and scan of it, None where there is none; `pose`, by odometry.
-
-    Args:
-        duration: of a file [s].
     """
 
     def __init__(self, duration: float) -> None:
@@ -386,12 +359,7 @@ class FileSplitter:
 
 
 class Encoder:
-    """Makes messages of events.
-
-    Args:
-        config: of the robot.
-        split: how long a file is before another one begins [s]; None for one file.
-    """
+    """Makes messages of events."""
 
     def __init__(self, config: RobotConfig, split: float | None = None) -> None:
         self._config = config
@@ -424,12 +392,7 @@ class Encoder:
         }
 
     def encode(self, events: Sequence[Event], dropped: int) -> Iterator[Message]:
-        """Make the messages of some events: episode by episode, and kind by kind.
-
-        Args:
-            events: what was handed over since the last call.
-            dropped: events that were dropped so far.
-        """
+        """Make the messages of some events: episode by episode, and kind by kind."""
         self._diagnostics.dropped = dropped
         run: list[Event] = []
         for event in events:
@@ -459,7 +422,6 @@ class Encoder:
                     yield message
 
     def _encode_part(self) -> Iterator[Message]:
-        """Begin a part of the episode that goes on, in a new file."""
         splitter = self._splitter
         if splitter is None or splitter.began is None or splitter.last is None:
             return
@@ -495,7 +457,6 @@ class Encoder:
         yield from self._open_episode(self._episode, event)
 
     def _open_episode(self, number: int, event: Began) -> Iterator[Message]:
-        """What begins an episode, or a part of one."""
         time = round(event.stamp * 1e9) + self._offset
         opening = {"episode": number, "start": event.stamp, "offset": self._offset}
         opening |= {"wall": event.wall, "info": messages.to_plain_json(dict(event.info))}
@@ -540,9 +501,9 @@ class Encoder:
             if event.truth is not None:
                 row[5:] = *event.truth.pose, *event.truth.twist, event.truth.contact
         yield from self._encode_table(messages.EXCHANGES, rows[:, 1], rows)
-        known = rows[~np.isnan(rows[:, 5])]
-        fields = pose_fields(known[:, 5:8]) | twist_fields(known[:, 8:10])
-        yield from self._pack(messages.TRUTH, known[:, 1], fields, stamped=True)
+        simulated = rows[~np.isnan(rows[:, 5])]
+        fields = pose_fields(simulated[:, 5:8]) | twist_fields(simulated[:, 8:10])
+        yield from self._pack(messages.TRUTH, simulated[:, 1], fields, stamped=True)
 
     def _encode_writes(self, events: Sequence[Written]) -> Iterator[Message]:
         for event in events:
@@ -559,18 +520,18 @@ class Encoder:
             [
                 (
                     *(
-                        one.exchange - first,
-                        one.stamp,
-                        *one.pose,
-                        *one.twist,
-                        *one.speeds,
-                        *one.angles,
+                        tick.exchange - first,
+                        tick.stamp,
+                        *tick.pose,
+                        *tick.twist,
+                        *tick.speeds,
+                        *tick.angles,
                     ),
-                    *(*one.asked, *one.sent, int(one.reason)),
-                    *(math.nan if one.lateness is None else one.lateness,),
-                    *(one.feedback_age, one.refused),
+                    *(*tick.asked, *tick.sent, int(tick.reason)),
+                    *(math.nan if tick.lateness is None else tick.lateness,),
+                    *(tick.feedback_age, tick.refused),
                 )
-                for one in events
+                for tick in events
             ]
         )
         stamps, pose, twists = rows[:, 1], pose_fields(rows[:, 2:5]), rows[:, 5:7]
@@ -619,7 +580,6 @@ class Encoder:
             yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
 
     def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
-        """Observations, actions and rewards."""
         for event in events:
             stamps = np.array([event.stamp])
             number = event.step - self._first_step
@@ -638,7 +598,6 @@ class Encoder:
             yield Message(messages.DIAGNOSTICS, time, self._diagnostics.pack(time, states))
 
     def _encode_clocks(self, events: Sequence[Clock]) -> Iterator[Message]:
-        """Wall clock and link's clock."""
         for event in events:
             time = self._file_time(event.stamp)
             fields = {"header": make_ros_header(time), "time_ref": make_time(event.wall)}
@@ -647,7 +606,6 @@ class Encoder:
             yield Message(messages.TIME_REFERENCE, time, data)
 
     def _encode_table(self, topic: Topic, stamps: Floats, rows: NDArray[Any]) -> Iterator[Message]:
-        """Rows of numbers, one message each."""
         self._packers[topic] = array_packer(rows.dtype.str, rows.shape[1])
         return self._pack(topic, stamps, {"data": rows})
 
@@ -661,5 +619,4 @@ class Encoder:
         yield from map(Message, [topic] * len(packed), when.tolist(), packed)
 
     def _file_time(self, stamp: float) -> int:
-        """A time on the file's time line [ns]."""
         return max(round(stamp * 1e9) + self._offset, 0)

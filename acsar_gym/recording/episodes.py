@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import struct
 from array import array
-from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -17,28 +16,28 @@ from pydantic import ConfigDict, Field
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
 from acsar_gym.reading import parse_json
-from acsar_gym.recording import messages
 from acsar_gym.recording.messages import (
+    ACTION,
     ARRAY_HEADER,
     DOUBLES_TYPE,
     END_RECORD,
+    EPISODE,
     EXCHANGES,
     HEADER_RECORD,
+    OBSERVATION,
+    OCTETS_TYPE,
     RECORDING_FORMAT,
     REVOLUTIONS,
     SCANS,
+    SINGLES_TYPE,
     STEPS,
     TICKS,
+    WIRE_RECEIVED,
+    WIRE_SENT,
     Topic,
     is_sealed,
 )
-from acsar_gym.recording.stream import (
-    CHANNEL,
-    MESSAGE,
-    MESSAGE_HEAD,
-    METADATA,
-    parse_record,
-)
+from acsar_gym.recording.stream import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, parse_record
 from acsar_gym.recording.types import (
     MAX_DISTANCE,
     MAX_STAMP,
@@ -51,25 +50,12 @@ from acsar_gym.recording.types import (
     WireLog,
 )
 
-MAX_EPISODES = 50_000
-"""Most episodes; one that isn't kept takes 3 kB of memory."""
-MAX_OPENINGS = 10_000_000
-"""Most bytes of what begins the episodes; of JSON, which takes 25 times the memory."""
-MAX_DESCRIBED = 4_000_000
-"""Most bytes of channels and metadata, which are slow to read; a recording's are 30,000."""
-MAX_BEARING = 100.0
-"""Largest bearing of a LiDAR's measurement, either sign [rad]."""
-MAX_OFFSET = 2**62
-"""Largest offset of an episode, either sign [ns]; times of the file then fit into 64 bits."""
-COMPACT_PIECES = 100_000
-"""From so many on, pieces of bytes stay in one buffer."""
-TOO_MUCH = "holds more episodes than can be read: record fewer to a file"
-
+MAX_BEARING = 100.0  # largest bearing of a LiDAR's measurement, either sign [rad]
+MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns]; its times then fit 64 bits
+COMPACT_PIECES = 100_000  # from so many on, pieces of bytes stay in one buffer
 TABLE_TOPICS = EXCHANGES, TICKS, STEPS
-LIST_TOPICS = (
-    *(messages.WIRE_SENT, messages.WIRE_RECEIVED, SCANS, messages.OBSERVATION, messages.ACTION),
-)
-ELEMENT_SIZES = {DOUBLES_TYPE: 8, messages.SINGLES_TYPE: 4, messages.OCTETS_TYPE: 1}
+LIST_TOPICS = WIRE_SENT, WIRE_RECEIVED, SCANS, OBSERVATION, ACTION
+ELEMENT_SIZES = {DOUBLES_TYPE: 8, SINGLES_TYPE: 4, OCTETS_TYPE: 1}
 _NUMBER_AND_STAMP = struct.Struct("<dd")
 _TRUE_X = struct.Struct("<d")
 
@@ -95,10 +81,7 @@ class EpisodeOpening(Section):
 
 
 class PieceBuffer:
-    """Content and times of a topic's messages.
-
-    Attributes: `data`, all content; `ends`, where that of each message ends; `times` [ns].
-    """
+    """Content of a topic's messages in one buffer, where each ends, and their times [ns]."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -118,6 +101,10 @@ class PieceBuffer:
             raise ConfigError("is damaged: a time that is out of range")
         return check_stamps((times.astype(np.int64) - offset).astype(np.float64) / 1e9)
 
+    def pieces(self) -> Pieces:
+        """The content of each message."""
+        return Pieces(self.data, self.ends)
+
     def rows(self, kind: str, least: int) -> NDArray[Any]:
         """Messages of one length, at least so many numbers each, (n, length)."""
         if not self.ends:
@@ -129,65 +116,47 @@ class PieceBuffer:
         return np.frombuffer(self.data, kind).reshape(len(lengths), -1)
 
 
-class ChunkPlace(NamedTuple):
-    """Where messages of an episode are: the place of a record, and what came before it."""
-
-    at: int
-    episode: int
-    sequence: int
-    exchange: float
-
-
 class EpisodeParts:
     """What was read of one episode so far.
 
-    Attributes: `start` [s], `offset` [ns], `info`; `tables`, the rows of each table; `lists`,
-    messages of the other topics; `places`, where they are in the file; `counts` and `sizes`
-    [bytes], by topic, also of what was forgotten; `last_step`, the newest row of that table; `end`,
-    time of the last exchange [s]; `missing`, numbers of exchanges that weren't there; `simulated`,
-    whether the truth is known; `newest`, times of the tables' last rows [s].
+    Attributes: `start` [s], `offset` [ns], `info`; `buffers`, content by topic; `places`, where its
+    messages are: place of a chunk, first and last number of a message in it; `counts` and `sizes`
+    [bytes], by topic, also of what isn't kept; `last_step`, the newest row of that table; `end`,
+    time of the last exchange [s]; `highest`, its number; `simulated`, whether the truth is known;
+    `newest`, times of the tables' last rows [s].
     """
 
-    def __init__(self, opening: EpisodeOpening | None) -> None:
+    def __init__(self, opening: EpisodeOpening | None = None) -> None:
         self.is_lost = opening is None  # then it begins with what is there
         self.start, self.offset = (opening.start, opening.offset) if opening else (math.nan, 0)
         self.info: Mapping[str, Any] = opening.info if opening else {}
-        self.places: list[ChunkPlace] = []
+        self.buffers: defaultdict[str, PieceBuffer] = defaultdict(PieceBuffer)
+        self.places: list[list[int]] = []
         self.counts: Counter[str] = Counter()
         self.sizes: Counter[str] = Counter()
         self.last_step: tuple[float, ...] = ()
-        self.end = self.start
-        self.highest = -1.0
+        self.end, self.highest = self.start, -1.0
         self.newest: dict[str, float] = {}
         self.simulated = False
-        self.forget()
 
-    def forget(self) -> None:
-        """Forget what was read, but not how much it was."""
-        self.tables: dict[str, bytearray] = {topic.name: bytearray() for topic in TABLE_TOPICS}
-        self.lists: dict[str, PieceBuffer] = {}
+    def make_blank(self) -> EpisodeParts:
+        """Make parts of the same episode without content."""
+        parts = EpisodeParts()
+        parts.start, parts.offset, parts.info = self.start, self.offset, self.info
+        return parts
 
     @property
     def missing(self) -> int:
         """Exchanges that aren't there."""
         return max(int(self.highest) + 1 - self.counts[EXCHANGES.name], 0)
 
-    def add(self, topic: Topic, time: int, data: bytes) -> None:
-        """Take a message; ConfigError for one that is damaged."""
+    def note(self, topic: Topic, time: int, content: bytes) -> None:
+        """Note what a message tells about the episode, without keeping it."""
         name = topic.name
-        size = ELEMENT_SIZES.get(topic.kind)
-        content = parse_array(data, size) if size else data
         self.counts[name] += 1
         self.sizes[name] += len(content)
-        table = self.tables.get(name)
-        if table is None:
-            if name not in self.lists:
-                self.lists[name] = PieceBuffer()
-            self.lists[name].add(time, content)
+        if topic not in TABLE_TOPICS:
             return
-        if len(content) != 8 * len(topic.columns):
-            raise ConfigError(f"is damaged: a broken row of {name}")
-        table += content
         number, stamp = _NUMBER_AND_STAMP.unpack_from(content)
         self.newest[name] = stamp
         if self.is_lost and not stamp >= self.start and abs(stamp) <= MAX_STAMP:
@@ -204,26 +173,33 @@ class EpisodeParts:
 
     def table(self, topic: Topic) -> Floats:
         """The rows of a table, (n, columns); ConfigError where their times go backwards."""
-        rows = np.frombuffer(self.tables[topic.name], "<f8").reshape(-1, len(topic.columns))
+        rows = np.frombuffer(self.buffers[topic.name].data, "<f8").reshape(-1, len(topic.columns))
         rows = rows.astype(np.float64, copy=False)
         stamps = check_stamps(rows[:, 1])
         if len(stamps) and (stamps[0] < self.start or (np.diff(stamps) < 0.0).any()):
             raise ConfigError("is damaged: its times go backwards")
         return rows
 
-    def pieces(self, topic: Topic) -> PieceBuffer:
-        """The messages of a topic that isn't a table."""
-        return self.lists.get(topic.name) or PieceBuffer()
-
     def take_table(self, topic: Topic) -> Floats:
         """Return the rows of a table, and forget them."""
-        data, self.tables[topic.name] = self.tables[topic.name], bytearray()
+        data = self.buffers.pop(topic.name, PieceBuffer()).data
         return np.frombuffer(data, "<f8").reshape(-1, len(topic.columns))
 
     def take_list(self, topic: Topic) -> tuple[list[int], list[bytes]]:
         """Return times [ns] and content of a topic's messages, and forget them."""
-        buffer = self.lists.pop(topic.name, PieceBuffer())
-        return buffer.times.tolist(), list(Pieces(buffer.data, buffer.ends))
+        buffer = self.buffers.pop(topic.name, PieceBuffer())
+        return buffer.times.tolist(), list(buffer.pieces())
+
+
+def parse_content(topic: Topic, data: bytes) -> bytes:
+    """Return what counts of a message: of an array its elements; ConfigError if it is damaged."""
+    size = ELEMENT_SIZES.get(topic.kind)
+    if size is None:
+        return data
+    content = parse_array(data, size)
+    if topic in TABLE_TOPICS and len(content) != 8 * len(topic.columns):
+        raise ConfigError(f"is damaged: a broken row of {topic.name}")
+    return content
 
 
 def parse_array(data: bytes, size: int) -> bytes:
@@ -239,96 +215,91 @@ def parse_array(data: bytes, size: int) -> bytes:
     return payload
 
 
-def parse_mapping(text: str) -> dict[str, Any]:
-    """Parse JSON that must be a mapping."""
-    mapping = parse_json(text)
-    if not isinstance(mapping, dict):
-        raise ConfigError("is damaged: its header is no mapping")
-    return mapping
-
-
 Parsed = TypeVar("Parsed", bound=Section)
 
 
-def parse_section(kind: type[Parsed], mapping: dict[str, Any]) -> Parsed:
-    """Parse a mapping of a file; ConfigError where a field is missing or wrong."""
+def parse_section(kind: type[Parsed], mapping: Any) -> Parsed:
+    """Parse what JSON holds; ConfigError where it is no mapping, or a field is missing or wrong."""
+    if not isinstance(mapping, dict):
+        raise ConfigError("is damaged: what begins an episode is no mapping")
     try:
         return kind.model_validate(mapping)
     except ConfigError as error:
         raise ConfigError(f"is damaged: {error}") from error
 
 
+def parse_opening(data: bytes) -> dict[str, Any]:
+    """Parse the message that begins an episode."""
+    opening: Any = parse_json(data[8:-1].decode("ascii", "replace"))
+    parse_section(EpisodeOpening, opening)
+    return dict(opening)
+
+
+def parse_sealed(metadata: Mapping[str, str], name: str) -> dict[str, Any]:
+    """Parse the JSON of metadata; ConfigError where it isn't what was written."""
+    text = metadata.get(name, "")
+    if not is_sealed(text, metadata):
+        raise ConfigError(f"is damaged: {name} with a wrong checksum")
+    mapping = parse_json(text)
+    if not isinstance(mapping, dict):
+        raise ConfigError(f"is damaged: its {name} is no mapping")
+    return mapping
+
+
+def parse_header(metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Parse the header of a recording; ConfigError for one that is damaged or of another format."""
+    header = parse_sealed(metadata, "header")
+    if header.get("format") != RECORDING_FORMAT:
+        raise ConfigError(
+            f"is a recording of format {str(header.get('format'))[:20]}: "
+            f"this version reads format {RECORDING_FORMAT}"
+        )
+    parse_section(RecordingHeader, header)
+    return header
+
+
 class EpisodeCollector:
     """Collects the episodes of a file.
 
-    Attributes: `header` and `end`, None until they were read; `parts`, the episodes; `topics`, by
-    the numbers of the channels that are wanted; `kept`, bytes that are in memory; `is_whole`,
-    whether nothing was forgotten; `is_damaged`, whether chunks are left out; `damages`, a line for
-    each record that isn't what was written; `problem`, what is wrong with a header that was left
-    out.
-
-    Args:
-        wanted: the topics that are wanted, besides that of the episodes.
-
-    Raises:
-        ConfigError: by `take`, for a record that is damaged or of another version.
+    Attributes: `header` and `end`, None until they were read; `parts`, the episodes; `names`, of
+    all topics by channel, and `topics`, those that are wanted; `kept`, bytes that are in memory;
+    `is_whole`, whether nothing was forgotten; `is_damaged`, whether chunks are left out; `damages`,
+    a line for each record that isn't what was written; `problem`, what is wrong with a header.
     """
 
-    def __init__(self, wanted: Sequence[Topic] = (*TABLE_TOPICS, *LIST_TOPICS)) -> None:
+    def __init__(self, wanted: Sequence[Topic]) -> None:
         self.header: dict[str, Any] | None = None
         self.end: dict[str, Any] | None = None
         self.parts: list[EpisodeParts] = []
+        self.names: dict[int, str] = {}
         self.topics: dict[int, Topic] = {}
         self.kept = 0
-        self.damages: list[str] = []
-        self.problem = ""
-        self._wanted = {topic.name: topic for topic in (messages.EPISODE, *wanted)}
-        self._openings = self._described = 0
         self.is_whole = True
         self.is_damaged = False
-        self._only: tuple[int, EpisodeParts, Container[Topic]] | None = None
-        self._current: EpisodeParts | None = None
-        self._at = -1
-        self._place = ChunkPlace(-1, -1, 0, -1.0)
-        self._episode, self._sequence, self._exchange = -1, 0, -1.0
+        self.damages: list[str] = []
+        self.problem = ""
+        self._wanted = {topic.name: topic for topic in (EPISODE, *wanted)}
+        self._sequence = 0
 
     def forget(self) -> None:
         """Forget the content of all episodes."""
         for parts in self.parts:
-            parts.forget()
+            parts.buffers.clear()
         self.kept = 0
         self.is_whole = False
 
-    def begin_again(
-        self, place: ChunkPlace, number: int, parts: EpisodeParts, topics: Container[Topic]
-    ) -> None:
-        """Read a chunk again, of one episode only.
-
-        Args:
-            place: of the chunk.
-            number: of the episode.
-            parts: takes its messages.
-            topics: whose messages it takes.
-        """
-        self._episode, self._sequence, self._exchange = place[1:]
-        self._only = number, parts, topics
-        self._current = parts if self._episode == number else None
-
-    def take(self, opcode: int, content: bytes, at: int = 0) -> None:
-        """Take a record; `at` is the place of it or its chunk in the file."""
+    def take(self, opcode: int, content: bytes, at: int = 0, index: int = 0) -> None:
+        """Take a record; ConfigError for one that is damaged or of another version."""
         if opcode == MESSAGE:
-            self._take_message(content, at)
-        elif opcode in (CHANNEL, METADATA):
-            self._described += len(content)
-            if self._described > MAX_DESCRIBED:
-                raise ConfigError("is damaged: too many channels or metadata")
-            if opcode == CHANNEL:
-                self._take_channel(parse_record("Channel", content))
-            else:
-                self._take_metadata(parse_record("Metadata", content))
+            self._take_message(content, at, index)
+        elif opcode == CHANNEL:
+            self._take_channel(parse_record("Channel", content))
+        elif opcode == METADATA:
+            self._take_metadata(parse_record("Metadata", content))
 
     def _take_channel(self, channel: Any) -> None:
         topic = self._wanted.get(channel.topic)
+        self.names[channel.id] = channel.topic
         self.topics.pop(channel.id, None)
         if topic is not None:
             columns = channel.metadata.get("columns", "")
@@ -340,92 +311,67 @@ class EpisodeCollector:
 
     def _take_metadata(self, record: Any) -> None:
         if record.name == HEADER_RECORD and self.header is None:
-            text = record.metadata.get("header", "")
-            if not is_sealed(text, record.metadata):
-                self.problem = "is damaged: a header with a wrong checksum"
-                return
             try:
-                header = parse_mapping(text)
-                if header.get("format") == RECORDING_FORMAT:
-                    parse_section(RecordingHeader, header)
+                self.header = parse_header(record.metadata)
             except ConfigError as error:  # a second one is at the end
                 self.problem = self.problem or str(error)
-                return
-            if header.get("format") != RECORDING_FORMAT:
-                raise ConfigError(
-                    f"is a recording of format {str(header.get('format'))[:20]}: "
-                    f"this version reads format {RECORDING_FORMAT}"
-                )
-            self.header = header
-            if self.problem:
-                self.damages.append("the first header")
-        elif record.name == END_RECORD and self.end is None:
-            text = record.metadata.get("end", "")
-            if is_sealed(text, record.metadata):
-                self.end = parse_mapping(text)
             else:
+                self.damages += ["the first header"] if self.problem else []
+        elif record.name == END_RECORD and self.end is None:
+            try:
+                self.end = parse_sealed(record.metadata, "end")
+            except ConfigError:
                 self.end = {}
                 self.damages.append("the number of drops")
 
-    def _take_message(self, content: bytes, at: int) -> None:
-        try:
-            channel, sequence, time, _ = MESSAGE_HEAD.unpack_from(content)
-        except struct.error as error:
-            raise ConfigError("is damaged: a broken message") from error
+    def _take_message(self, content: bytes, at: int, index: int) -> None:
+        channel, sequence, time, _ = MESSAGE_HEAD.unpack_from(content)
         topic = self.topics.get(channel)
         if topic is None:
             return
-        if at != self._at:
-            self._at = at
-            self._place = ChunkPlace(at, self._episode, self._sequence, self._exchange)
-        data = content[MESSAGE_HEAD.size :]
-        if topic is messages.EPISODE:
+        data = parse_content(topic, content[MESSAGE_HEAD.size :])
+        if topic is EPISODE:
+            self.parts.append(EpisodeParts(EpisodeOpening(**parse_opening(data))))
             self._sequence = sequence
-            self._open_episode(data)
             return
-        if sequence != self._sequence:  # the opening is lost
+        if sequence != self._sequence or self._is_of_another(topic, sequence, data):
+            self.parts.append(EpisodeParts())  # whose opening is lost
             self._sequence = sequence
-            self._open_episode(None)
-        if topic in TABLE_TOPICS and len(data) >= 36:
-            self._look_at_row(topic, sequence, *_NUMBER_AND_STAMP.unpack_from(data, 20))
-        parts = self._current
-        if parts is None or (self._only is not None and topic not in self._only[2]):
+        if not self.parts:
             return
+        parts = self.parts[-1]
+        parts.note(topic, time, data)
+        parts.buffers[topic.name].add(time, data)
         self.kept += len(data) + 16
-        parts.add(topic, time, data)
-        if self._only is None and (not parts.places or parts.places[-1].at != at):
-            parts.places.append(self._place)
-
-    def _look_at_row(self, topic: Topic, sequence: int, number: float, stamp: float) -> None:
-        """Begin an episode where a row of an older version's file is of one with a lost opening."""
-        if self._current is not None:
-            newest = self._current.newest.get(topic.name, -math.inf)
-            begins = self.is_damaged and stamp < newest
+        if parts.places and parts.places[-1][0] == at:
+            parts.places[-1][2] = index
         else:
-            begins = self.is_damaged and self._only is None
-        if not sequence and (begins or (topic is EXCHANGES and number < self._exchange)):
-            self._open_episode(None)
-        if topic is EXCHANGES:
-            self._exchange = number
+            parts.places.append([at, index, index])
 
-    def _open_episode(self, data: bytes | None) -> None:
-        """Begin an episode; None where its opening is lost."""
-        self._episode += 1
-        self._exchange = -1.0
-        if self._only is not None:
-            number, parts, _ = self._only
-            self._current = parts if self._episode == number else None
-            return
-        opening = None
-        if data is not None:
-            self._openings += len(data)
-            opening = parse_section(
-                EpisodeOpening, parse_mapping(data[8:-1].decode("ascii", "replace"))
-            )
-        if len(self.parts) >= MAX_EPISODES or self._openings > MAX_OPENINGS:
-            raise ConfigError(TOO_MUCH)
-        self._current = EpisodeParts(opening)
-        self.parts.append(self._current)
+    def _is_of_another(self, topic: Topic, sequence: int, data: bytes) -> bool:
+        """Whether a row is of an episode with a lost opening.
+
+        For files of earlier versions, whose messages don't tell their episode by their sequence.
+        """
+        if sequence or topic not in TABLE_TOPICS:
+            return False
+        if not self.parts:
+            return self.is_damaged
+        newest, (number, stamp) = self.parts[-1], _NUMBER_AND_STAMP.unpack_from(data)
+        is_earlier = self.is_damaged and stamp < newest.newest.get(topic.name, -math.inf)
+        return is_earlier or (topic is EXCHANGES and number < newest.highest)
+
+
+def check_stamps(stamps: Floats) -> Floats:
+    """Return times [s]; ConfigError where one is out of range or no number."""
+    if not (np.abs(stamps) <= MAX_STAMP).all():
+        raise ConfigError("is damaged: a time that is out of range")
+    return stamps
+
+
+def to_integers(numbers: Floats) -> NDArray[np.int64]:
+    """Numbers of a file as integers, whatever they are."""
+    return np.nan_to_num(np.clip(numbers, -1e15, 1e15)).astype(np.int64)
 
 
 def make_ticks(parts: EpisodeParts) -> dict[str, Any]:
@@ -461,34 +407,28 @@ def join_truth(ticks: Floats, exchanges: Floats) -> Floats:
 def make_exchanges(parts: EpisodeParts) -> dict[str, Any]:
     """The control periods of the wire."""
     rows = parts.table(EXCHANGES)
-    found = Exchanges(
-        to_integers(rows[:, 0]),
-        rows[:, 1],
-        to_integers(rows[:, 2]),
-        to_integers(rows[:, 3]),
-        rows[:, 4],
-        rows[:, 5:],
-    )
-    return {"exchanges": found}
+    numbers, writes, pieces = (to_integers(rows[:, column]) for column in (0, 2, 3))
+    return {"exchanges": Exchanges(numbers, rows[:, 1], writes, pieces, rows[:, 4], rows[:, 5:])}
 
 
 def make_wire(parts: EpisodeParts) -> dict[str, Any]:
     """The bytes of the wire."""
     fields: list[Any] = []
-    for topic in (messages.WIRE_SENT, messages.WIRE_RECEIVED):
-        buffer = parts.pieces(topic)
-        pieces: Sequence[bytes] = Pieces(buffer.data, buffer.ends)
-        if len(pieces) < COMPACT_PIECES:
-            pieces = tuple(pieces)
-        fields += [buffer.stamps(parts.offset), pieces]
+    for topic in (WIRE_SENT, WIRE_RECEIVED):
+        buffer = parts.buffers[topic.name]
+        pieces: Sequence[bytes] = buffer.pieces()
+        fields += [
+            buffer.stamps(parts.offset),
+            tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
+        ]
     return {"wire": WireLog(*fields)}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:
     """What an env recorded."""
     steps = parts.table(STEPS)
-    actions = parts.pieces(messages.ACTION).rows("<f4", 0)
-    observations = parts.pieces(messages.OBSERVATION).rows("<f4", 0)[: len(steps)]
+    actions = parts.buffers[ACTION.name].rows("<f4", 0)
+    observations = parts.buffers[OBSERVATION.name].rows("<f4", 0)[: len(steps)]
     return {
         "observations": observations.astype(np.float32, copy=False),
         "actions": actions.astype(np.float32) if len(actions) else np.zeros((0, 2), np.float32),
@@ -499,7 +439,7 @@ def make_steps(parts: EpisodeParts) -> dict[str, Any]:
 
 def make_scans(parts: EpisodeParts) -> dict[str, Any]:
     """The scans of a LiDAR."""
-    scans = parts.pieces(SCANS).rows("<f8", 2)
+    scans = parts.buffers[SCANS.name].rows("<f8", 2)
     if not np.isfinite(scans).all():
         raise ConfigError("is damaged: a scan that isn't finite")
     return {"scans": Scans(check_stamps(scans[:, 1]), scans[:, 2:], to_integers(scans[:, 0]))}
@@ -507,8 +447,7 @@ def make_scans(parts: EpisodeParts) -> dict[str, Any]:
 
 def make_revolutions(parts: EpisodeParts) -> dict[str, Any]:
     """What a LiDAR measured."""
-    buffer = parts.pieces(REVOLUTIONS)
-    rows = [parse_revolution(data) for data in Pieces(buffer.data, buffer.ends)]
+    rows = [parse_revolution(data) for data in parts.buffers[REVOLUTIONS.name].pieces()]
     heads = np.array([head for head, _ in rows], np.float64).reshape(-1, 2)
     turns = tuple(turn for _, turn in rows)
     return {"revolutions": Revolutions(check_stamps(heads[:, 1]), turns, to_integers(heads[:, 0]))}
@@ -528,36 +467,27 @@ def parse_revolution(data: bytes) -> tuple[Floats, Floats]:
     return row[:2], turn
 
 
-@dataclass(frozen=True)
-class FieldGroup:
+class FieldGroup(NamedTuple):
     """Fields of an episode that are made together, and the topics that they are made of."""
 
-    topics: tuple[Topic, ...]
     make: Callable[[EpisodeParts], dict[str, Any]]
-    fields: tuple[str, ...]
+    topics: tuple[Topic, ...]
 
 
 FIELD_GROUPS = (
-    FieldGroup(
-        (TICKS,),
-        make_ticks,
-        ("stamps", "poses", "twists", "speeds", "asked", "sent", "reasons", "lateness"),
-    ),
-    FieldGroup((TICKS, EXCHANGES), make_truth, ("truth",)),
-    FieldGroup((EXCHANGES,), make_exchanges, ("exchanges",)),
-    FieldGroup((messages.WIRE_SENT, messages.WIRE_RECEIVED), make_wire, ("wire",)),
-    FieldGroup(
-        (STEPS, messages.OBSERVATION, messages.ACTION),
-        make_steps,
-        ("observations", "actions", "rewards", "step_stamps"),
-    ),
-    FieldGroup((SCANS,), make_scans, ("scans",)),
-    FieldGroup((REVOLUTIONS,), make_revolutions, ("revolutions",)),
+    FieldGroup(make_ticks, (TICKS,)),
+    FieldGroup(make_truth, (TICKS, EXCHANGES)),
+    FieldGroup(make_exchanges, (EXCHANGES,)),
+    FieldGroup(make_wire, (WIRE_SENT, WIRE_RECEIVED)),
+    FieldGroup(make_steps, (STEPS, OBSERVATION, ACTION)),
+    FieldGroup(make_scans, (SCANS,)),
+    FieldGroup(make_revolutions, (REVOLUTIONS,)),
 )
+GROUP_OF_FIELD = {name: group for group in FIELD_GROUPS for name in group.make(EpisodeParts())}
 
 
 def describe_parts(parts: EpisodeParts) -> dict[str, Any]:
-    """Fields of an episode that are known without its tables."""
+    """Fields of an episode that are known without its content."""
     last, steps = parts.last_step, parts.counts[STEPS.name]
     return {
         "start": parts.start,
@@ -570,24 +500,8 @@ def describe_parts(parts: EpisodeParts) -> dict[str, Any]:
 
 
 def make_episode(parts: EpisodeParts) -> Episode:
-    """Make an episode of what was read of it.
-
-    Raises:
-        ConfigError: it is damaged.
-    """
+    """Make an episode of what was read of it; ConfigError if it is damaged."""
     fields = describe_parts(parts)
     for group in FIELD_GROUPS:
         fields |= group.make(parts)
     return Episode(**fields)
-
-
-def check_stamps(stamps: Floats) -> Floats:
-    """Return times [s]; ConfigError where one is out of range or no number."""
-    if not (np.abs(stamps) <= MAX_STAMP).all():
-        raise ConfigError("is damaged: a time that is out of range")
-    return stamps
-
-
-def to_integers(numbers: Floats) -> NDArray[np.int64]:
-    """Numbers of a file as integers, whatever they are."""
-    return np.nan_to_num(np.clip(numbers, -1e15, 1e15)).astype(np.int64)

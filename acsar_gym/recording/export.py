@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import csv
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +17,15 @@ from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import iterate_blocks, read
 from acsar_gym.recording.types import Episode, Recording, WireLog
 
-TABLE_FORMATS = ("parquet", "csv")
 TABLES = ("ticks", "wire", "steps", "scans")
-BLOCK_ROWS = 5_000
-"""Rows of steps and scans that are written at once."""
-DISORDER = 1.0
-"""Bytes are recorded at most so long after others that came later [s]."""
-TableColumns = dict[str, Any]
-"""Arrays of one length by name."""
+BLOCK_ROWS = 5_000  # rows of steps and scans that are written at once
+DISORDER = 1.0  # bytes are recorded at most so long after others that came later [s]
+TableColumns = dict[str, Any]  # arrays of one length by name
+AddRows = Callable[[TableColumns], None]  # writes rows; ConfigError for other columns than before
 
 
 def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
     """Convert a recording to tables.
-
-    Args:
-        path: the recording.
-        to: one of TABLE_FORMATS.
-        folder: to write to; made if it isn't there.
 
     Returns:
         The files or folders that were written.
@@ -50,23 +41,19 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         last = "the last episode is incomplete"
         last = last if is_incomplete(recording) else "what followed is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=2)
-    tables: dict[str, ParquetTable | CsvTable] = {}
+    writers: dict[str, AddRows] = {}
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
             for name, columns in iterate_tables(recording):
                 if len(columns["episode"]):
-                    if name not in tables:
-                        target = folder / f"{name}.{to}"
-                        table: ParquetTable | CsvTable = CsvTable(target)
-                        if to == "parquet":
-                            table = ParquetTable(target)
-                        stack.enter_context(table)
-                        tables[name] = table
-                    tables[name].add(columns)
+                    if name not in writers:
+                        table = TABLE_FORMATS[to](folder / f"{name}.{to}")
+                        writers[name] = stack.enter_context(table)
+                    writers[name](columns)
     except OSError as error:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
-    return [tables[name].path for name in TABLES if name in tables]
+    return [folder / f"{name}.{to}" for name in TABLES if name in writers]
 
 
 def is_incomplete(recording: Recording) -> bool:
@@ -119,14 +106,12 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
 
 
 def _add_times(number: int, episode: Episode, columns: TableColumns) -> TableColumns:
-    """Add number of the episode and time of the file to rows."""
     stamps = columns["stamp"]
     times = np.rint(stamps * 1e9).astype(np.int64) + episode.offset
     return {"episode": np.full(len(stamps), number), "time": times, **columns}
 
 
 def _list_ticks(episode: Episode) -> TableColumns:
-    """The columns of the ticks."""
     pose, twist = "x y theta", "linear angular"
     return {
         "stamp": episode.stamps,
@@ -176,7 +161,6 @@ def _list_pieces(wire: WireLog) -> TableColumns:
 
 
 def _list_steps(episode: Episode) -> TableColumns:
-    """Observations, with what led to them."""
     count = len(episode.step_stamps)
     none = np.full((min(count, 1), episode.actions.shape[1]), np.nan)
     return {
@@ -189,88 +173,52 @@ def _list_steps(episode: Episode) -> TableColumns:
 
 
 def _list_scans(episode: Episode) -> TableColumns:
-    """The LiDAR's scans."""
     scans = episode.scans
     return {"stamp": scans.stamps, **_name_columns("range_", scans.ranges)}
 
 
 def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:
     """The columns of rows by name; by number where none are given."""
-    found = names.split() or map(str, range(rows.shape[1]))
-    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(found)}
+    column_names = names.split() or map(str, range(rows.shape[1]))
+    return {f"{prefix}{name}": rows[:, number] for number, name in enumerate(column_names)}
 
 
-class CsvTable:
-    """A table that is written to a CSV file; it replaces an older one when it is whole.
+@contextlib.contextmanager
+def open_csv(path: Path) -> Iterator[AddRows]:
+    """Write rows to a CSV file, which replaces an older one when it is whole."""
+    names: list[str] = []
+    with replace_file(path) as new, new.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
 
-    Args:
-        path: of the file.
-    """
+        def add_rows(columns: TableColumns) -> None:
+            if not names:
+                names.extend(columns)
+                writer.writerow(columns)
+            check_columns(path.stem, names, list(columns))
+            writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._stack = contextlib.ExitStack()
-        self._columns: list[str] = []
-
-    def __enter__(self) -> Self:
-        new = self._stack.enter_context(replace_file(self.path))
-        file = self._stack.enter_context(new.open("w", newline="", encoding="utf-8"))
-        self._writer = csv.writer(file)
-        return self
-
-    def add(self, columns: TableColumns) -> None:
-        """Write rows; ConfigError where they have other columns than those before."""
-        if not self._columns:
-            self._columns = list(columns)
-            self._writer.writerow(columns)
-        check_columns(self.path.stem, self._columns, list(columns))
-        self._writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+        yield add_rows
 
 
-class ParquetTable:
-    """A table that is written to a Parquet file; it replaces an older one when it is whole.
+@contextlib.contextmanager
+def open_parquet(path: Path) -> Iterator[AddRows]:
+    """Write rows to a Parquet file, which replaces an older one when it is whole."""
+    with require_extra("export to Parquet", "export"):
+        import pyarrow as pa  # noqa: PLC0415 - optional
+        from pyarrow import parquet  # noqa: PLC0415 - optional
+    writer: Any = None
+    with contextlib.ExitStack() as stack:
+        new = stack.enter_context(replace_file(path))
 
-    Args:
-        path: of the file.
+        def add_rows(columns: TableColumns) -> None:
+            nonlocal writer
+            table = pa.table(columns)
+            if writer is None:
+                writer = stack.enter_context(parquet.ParquetWriter(new, table.schema))
+            check_columns(path.stem, writer.schema.names, table.column_names)
+            writer.write_table(table)
 
-    Raises:
-        MissingExtraError: pyarrow isn't installed.
-    """
+        yield add_rows
 
-    def __init__(self, path: Path) -> None:
-        with require_extra("export to Parquet", "export"):
-            import pyarrow as pa  # noqa: PLC0415 - optional
-            from pyarrow import parquet  # noqa: PLC0415 - optional
-        self.path = path
-        self._stack = contextlib.ExitStack()
-        self._make: Any = pa.table
-        self._open: Any = parquet.ParquetWriter
-        self._writer: Any = None
 
-    def __enter__(self) -> Self:
-        self._new = self._stack.enter_context(replace_file(self.path))
-        return self
-
-    def add(self, columns: TableColumns) -> None:
-        """Write rows; ConfigError where they have other columns than those before."""
-        table = self._make(columns)
-        if self._writer is None:
-            self._writer = self._stack.enter_context(self._open(self._new, table.schema))
-        check_columns(self.path.stem, self._writer.schema.names, table.column_names)
-        self._writer.write_table(table)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+TABLE_FORMATS = {"parquet": open_parquet, "csv": open_csv}

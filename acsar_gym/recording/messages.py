@@ -42,10 +42,8 @@ from acsar_gym.protocol import WHEELS
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 RECORDING_FORMAT = 1
-HEADER_RECORD = "acsar_gym"
-"""Name of the metadata record that holds the header."""
-END_RECORD = "acsar_gym_end"
-"""Name of the metadata record at the end of a complete recording."""
+HEADER_RECORD = "acsar_gym"  # name of the metadata record that holds the header
+END_RECORD = "acsar_gym_end"  # name of the metadata record at the end of a complete recording
 
 
 def package_version() -> str:
@@ -62,12 +60,7 @@ def to_plain_json(value: Any) -> Any:
 
 
 def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Make the header of a recording that begins now.
-
-    Args:
-        config: of the robot.
-        about: what the program says about it, ready for JSON.
-    """
+    """Make the header of a recording that begins now."""
     return {
         "format": RECORDING_FORMAT,
         "config": config.model_dump(mode="json"),
@@ -99,12 +92,9 @@ def is_sealed(text: str, metadata: Mapping[str, str]) -> bool:
 
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
-BASE_FOOTPRINT = "base_footprint"
-"""Frame on the ground below the base frame; odometry moves it."""
-WORLD_FRAME = "world"
-"""Frame of the ground truth."""
-JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)
-"""Names of the wheels' joints, as in assets/robots/acsar.urdf."""
+BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
+WORLD_FRAME = "world"  # frame of the ground truth
+JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)  # as in acsar.urdf
 LATCHED_QOS = """- history: 3
   depth: 0
   reliability: 1
@@ -155,8 +145,8 @@ class Topic:
     @property
     def metadata(self) -> dict[str, str]:
         """What its channel tells besides."""
-        found = {"offered_qos_profiles": LATCHED_QOS if self.latched else ""}
-        return found | ({"columns": ",".join(self.columns)} if self.columns else {})
+        metadata = {"offered_qos_profiles": LATCHED_QOS if self.latched else ""}
+        return metadata | ({"columns": ",".join(self.columns)} if self.columns else {})
 
 
 DOUBLES_TYPE = "std_msgs/msg/Float64MultiArray"
@@ -218,8 +208,8 @@ def type_definition(kind: str) -> bytes:
 
 def make_time(nanoseconds: int) -> Any:
     """Return a builtin_interfaces/Time."""
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
-    return make_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+    seconds, nanosec = divmod(nanoseconds, 1_000_000_000)
+    return make_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanosec)
 
 
 def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
@@ -227,19 +217,13 @@ def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
     return make_message("std_msgs/msg/Header", stamp=make_time(nanoseconds), frame_id=frame)
 
 
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""What a CDR message begins with; alignment counts from behind it."""
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # begins a CDR message; alignment counts from behind it
 ARRAY_HEADER = struct.Struct("<4sIII")
-Field = tuple[str, str, Any]
-"""Name, numpy's type, and the value that is the same in all messages; None for one that isn't."""
+Field = tuple[str, str, Any]  # name, numpy's type, value that is the same in all messages or None
 
 
 class Packer:
-    """Packs messages of one kind, whose fields have fixed sizes.
-
-    Args:
-        *fields: in the order of the message's definition.
-    """
+    """Packs messages of one kind, whose fields have fixed sizes."""
 
     def __init__(self, *fields: Field) -> None:
         kinds = [np.dtype(kind) for _, kind, _ in fields]

@@ -1,4 +1,4 @@
-"""Which episodes of two recordings belong together: those of the same seed and goal."""
+"""Which recordings are of one robot, and which of their episodes have the same seed and goal."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-SAME_GOAL_DISTANCE = 0.01
-"""Goals that are nearer to each other are one [m]."""
-SeedKey = tuple[int | None, int]
-"""A seed, and how many episodes before have the same one."""
+from acsar_gym.config import RobotConfig
+from acsar_gym.config.robot import WIRE_LETTERS
+from acsar_gym.errors import ConfigError
+from acsar_gym.recording.types import Recording
+
+ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
+LENGTH_TOLERANCE = 0.1  # lengths of one robot differ by less; a calibration changes them a little
+SAME_GOAL_DISTANCE = 0.01  # goals that are nearer to each other are one [m]
+SeedKey = tuple[int | None, int]  # a seed, and how many episodes before have the same one
 
 
 def number_seeds(seeds: Iterable[int | None]) -> list[SeedKey]:
-    """Tell episodes with the same seed apart.
-
-    Args:
-        seeds: of the episodes, in their order; None where one isn't known.
-    """
+    """Tell episodes with the same seed apart."""
     seen: Counter[int | None] = Counter()
     keys = []
     for seed in seeds:
@@ -29,3 +30,48 @@ def number_seeds(seeds: Iterable[int | None]) -> list[SeedKey]:
 def have_same_goal(goal: Sequence[float] | None, other: Sequence[float] | None) -> bool:
     """Whether two goals (x, y) in odometry frames [m] are one; true where one isn't told."""
     return not (goal and other) or math.dist(goal, other) < SAME_GOAL_DISTANCE
+
+
+def find_difference(
+    one: RobotConfig, other: RobotConfig, *, wire: bool
+) -> tuple[str, str, str] | None:
+    """Return the first field in which two robots differ, and both values; None if they don't."""
+    for field in ROBOT_LENGTHS:
+        first, second = getattr(one, field), getattr(other, field)
+        if abs(first - second) > LENGTH_TOLERANCE * max(first, second):
+            return field, f"{first:g} m", f"{second:g} m"
+    if not wire:
+        return None
+    for field in ("name", "baud_rate"):
+        first, second = getattr(one, field), getattr(other, field)
+        if first != second:
+            return field, repr(first), repr(second)
+    for letter in WIRE_LETTERS:
+        wheels = [getattr(config.wheels, letter) for config in (one, other)]
+        wirings = [
+            f"motor {'-' if wheel.motor_sign < 0 else ''}{wheel.motor}, "
+            f"encoder {'-' if wheel.sign < 0 else ''}{wheel.encoder}"
+            for wheel in wheels
+        ]
+        if wirings[0] != wirings[1]:
+            return f"wheels.{letter}", wirings[0], wirings[1]
+    return None
+
+
+def check_same_robot(
+    logs: Sequence[tuple[str, Recording]], doing: str, *, wire: bool = True
+) -> None:
+    """Check that recordings are of one robot.
+
+    Raises:
+        ConfigError: the message names the first file of another robot, and the field.
+    """
+    first_name, first = logs[0]
+    for name, recording in logs[1:]:
+        difference = find_difference(recording.config, first.config, wire=wire)
+        if difference is not None:
+            field, theirs, expected = difference
+            raise ConfigError(
+                f"{name}: is of another robot: {field} is {theirs}, but {expected} in "
+                f"{first_name}; {doing} one robot at a time"
+            )

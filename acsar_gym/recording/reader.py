@@ -6,7 +6,7 @@ import hashlib
 import os
 import warnings
 from bisect import bisect_right
-from collections import OrderedDict
+from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, overload
@@ -17,10 +17,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable, shorten_text
 from acsar_gym.reading import open_file
 from acsar_gym.recording.episodes import (
-    FIELD_GROUPS,
+    GROUP_OF_FIELD,
     LIST_TOPICS,
     TABLE_TOPICS,
-    ChunkPlace,
     EpisodeCollector,
     EpisodeParts,
     FieldGroup,
@@ -28,14 +27,17 @@ from acsar_gym.recording.episodes import (
     describe_parts,
     join_truth,
     make_episode,
+    make_scans,
+    make_steps,
     make_ticks,
+    make_truth,
     make_wire,
+    parse_content,
     parse_revolution,
     to_integers,
 )
 from acsar_gym.recording.messages import (
     ACTION,
-    EPISODE,
     EXCHANGES,
     REVOLUTIONS,
     SCANS,
@@ -44,19 +46,13 @@ from acsar_gym.recording.messages import (
     WIRE_SENT,
     Topic,
 )
-from acsar_gym.recording.stream import CHANNEL, MESSAGE, FileCut, RecordStream, parse_record
-from acsar_gym.recording.types import Episode, Floats, Pieces, Recording, Revolutions
+from acsar_gym.recording.stream import MESSAGE, MESSAGE_HEAD, FileCut, RecordStream
+from acsar_gym.recording.types import Episode, Floats, Recording, Revolutions
 
-KEPT_BYTES = 100_000_000
-"""Recordings with less content than this are kept in memory; at 100 Hz that is half an hour."""
-CACHED_BYTES = 200_000_000
-"""Most bytes of a larger recording that are kept for when they are asked for again."""
-BLOCK_BYTES = 4_000_000
-"""About so many bytes of a large recording are read at once by `iterate_blocks`."""
-CARRIED_ROWS = 64
-"""Exchanges of the block before that a tick may belong to."""
-DIGEST_BLOCK = 1 << 20
-GROUP_OF_FIELD = {name: group for group in FIELD_GROUPS for name in group.fields}
+KEPT_BYTES = 60_000_000  # less content than this is kept in memory; at 100 Hz that of 20 minutes
+CACHED_BYTES = 200_000_000  # most bytes of a larger recording that are kept for another look
+BLOCK_BYTES = 4_000_000  # of a large recording, about so many are read at once, where all are read
+CARRIED_ROWS = 64  # exchanges of the block before that a tick may belong to
 
 
 def read(path: str | Path, *, revolutions: bool = False) -> Recording:
@@ -89,34 +85,31 @@ def _read_counted(
     wanted = (*TABLE_TOPICS, *LIST_TOPICS, *((REVOLUTIONS,) if revolutions else ()))
     with open_file(path, None) as file:
         collector = EpisodeCollector(wanted)
-        names: dict[int, str] = {}
-        stream, cut = _collect(file, collector, names)
-        if not collector.topics and stream.damages and collector.header is not None:
-            collector = EpisodeCollector(wanted)  # the chunk with the channels is damaged
-            stream = RecordStream(file)
-            for opcode, content in stream.read_summary():
-                _take(collector, names, opcode, content, 0)
-            stream, cut = _collect(file, collector, names)
+        stream = RecordStream(file, collector.topics)
+        cut: FileCut | None = None
+        try:
+            for opcode, content in stream:
+                collector.is_damaged = bool(stream.damages)
+                collector.take(opcode, content, stream.at, stream.index)
+                if collector.kept > KEPT_BYTES:
+                    collector.forget()
+        except FileCut as error:
+            cut = error
         damages = (*collector.damages, *stream.damages)
         if cut is not None and cut.damaged:
             damages += (f"all from byte {stream.at:,} on",)
-        if collector.header is None:
-            found = f"is damaged: {damages[0]}" if damages else "isn't a recording of acsar_gym"
-            raise ConfigError(collector.problem or found)
-        config = RobotConfig.model_validate(collector.header["config"])
-        source = EpisodeSource(path, file, collector, wanted)
         parts = [one for one in collector.parts if one.start == one.start]
-        numbers = [number for number, one in enumerate(collector.parts) if one.start == one.start]
-        if not parts:
-            raise ConfigError(
-                f"is damaged: holds no episode but {damages[0]}" if damages else "holds no episode"
-            )
-        kept = source.is_kept
-        episodes = tuple(
-            make_episode(one) if kept else source.make_lazy(number, one)
-            for number, one in zip(numbers, parts, strict=True)
-        )
-        digest = hash_file(file, stream.at if cut is not None else None)
+        if collector.header is None or not parts:
+            raise ConfigError(_explain_nothing(collector, damages, is_cut=cut is not None))
+        config = RobotConfig.model_validate(collector.header["config"])
+        if collector.is_whole:
+            episodes = tuple(map(make_episode, parts))
+        else:
+            collector.forget()
+            source = EpisodeSource(path, file, collector.topics)
+            episodes = tuple(source.make_lazy(one) for one in parts)
+        file.seek(0)
+        digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
     missing = sum(one.missing for one in parts)
     dropped = (collector.end or {}).get("dropped", 0)
     dropped = dropped if isinstance(dropped, int) and dropped > 0 else 0
@@ -133,223 +126,151 @@ def _read_counted(
     if damages:
         text = f"{shorten_text(str(path))}: is damaged: {recording.describe_damage()}"
         warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=3)
-    counts = {name: stream.counts[number] for number, name in names.items()}
+    counts = {name: stream.counts[number] for number, name in collector.names.items()}
     return recording, parts, {name: count for name, count in counts.items() if count}
 
 
-def _collect(
-    file: IO[bytes], collector: EpisodeCollector, names: dict[int, str]
-) -> tuple[RecordStream, FileCut | None]:
-    """Take all records of a file; keeps no more of them than fits into memory."""
-    stream = RecordStream(file, collector.topics)
-    try:
-        for opcode, content in stream:
-            collector.is_damaged = bool(stream.damages)
-            _take(collector, names, opcode, content, stream.at)
-            if collector.kept > KEPT_BYTES:
-                collector.forget()
-    except FileCut as cut:
-        return stream, cut
-    return stream, None
-
-
-def _take(
-    collector: EpisodeCollector, names: dict[int, str], opcode: int, content: bytes, at: int
-) -> None:
-    """Take a record, and note the names of channels."""
-    if opcode == CHANNEL:
-        channel = parse_record("Channel", content)
-        names[channel.id] = channel.topic
-    collector.take(opcode, content, at)
-
-
-def hash_file(file: IO[bytes], end: int | None) -> str:
-    """First 16 hex digits of the SHA-256 of a file, up to a place."""
-    digest, place = hashlib.sha256(), 0
-    file.seek(0)
-    while block := file.read(DIGEST_BLOCK if end is None else min(DIGEST_BLOCK, end - place)):
-        digest.update(block)
-        place += len(block)
-    return digest.hexdigest()[:16]
+def _explain_nothing(collector: EpisodeCollector, damages: Sequence[str], *, is_cut: bool) -> str:
+    if collector.header is not None:
+        if damages:
+            return f"is damaged: holds no episode but {damages[0]}"
+        return "is cut before its first episode" if is_cut else "holds no episode"
+    if collector.problem:
+        return collector.problem
+    return f"is damaged: {damages[0]}" if damages else "isn't a recording of acsar_gym"
 
 
 class RecordedEpisode(Episode):
     """An episode whose fields are read from the file when they are asked for."""
 
     _source: EpisodeSource
-    _number: int
+    _parts: EpisodeParts
 
     def __getattr__(self, name: str) -> Any:
         """Read a field that isn't in memory."""
         group = GROUP_OF_FIELD.get(name)
         if group is None or "_source" not in self.__dict__:
             raise AttributeError(name)
-        self._source.load(self, self._number, group)
+        self._source.load(self, group)
         return self.__dict__[name]
 
     def __repr__(self) -> str:
-        return f"<episode {self._number}, read when it is asked for>"
+        return f"<episode from {self.start:g} s on, read when it is asked for>"
 
     def iterate_blocks(self) -> Iterator[Episode]:
         """Yield ticks, truth and wire in blocks."""
-        return self._source.iterate_blocks(self._number)
+        return self._source.iterate_blocks(self._parts)
 
 
 class EpisodeSource:
-    """A recording's file, from which episodes are read piece by piece.
+    """A recording's file, from which episodes are read piece by piece."""
 
-    Attributes: `is_kept`, whether all of them are in memory.
-
-    Args:
-        path: of the file.
-        file: the file itself, open.
-        collector: what was found in it.
-        wanted: topics that are wanted.
-    """
-
-    def __init__(
-        self, path: Path, file: IO[bytes], collector: EpisodeCollector, wanted: Sequence[Topic]
-    ) -> None:
-        self.is_kept = collector.is_whole
+    def __init__(self, path: Path, file: IO[bytes], topics: dict[int, Topic]) -> None:
         self._path = path
         self._identity = _identify_file(file)
-        self._channels = dict(collector.topics)
-        self._wanted = wanted
-        self._parts: dict[int, EpisodeParts] = {}
-        self._cached: OrderedDict[tuple[int, int], tuple[RecordedEpisode, int]] = OrderedDict()
+        self._topics = dict(topics)
+        self._loaded: deque[tuple[RecordedEpisode, list[str], int]] = deque()
 
-    def make_lazy(self, number: int, parts: EpisodeParts) -> RecordedEpisode:
-        """Make an episode that is read when it is asked for; `number` is that in the file."""
-        parts.forget()
-        self._parts[number] = parts
+    def make_lazy(self, parts: EpisodeParts) -> RecordedEpisode:
+        """Make an episode that is read when it is asked for."""
         episode = object.__new__(RecordedEpisode)
-        for name, value in (describe_parts(parts) | {"_source": self, "_number": number}).items():
-            object.__setattr__(episode, name, value)
+        episode.__dict__.update(describe_parts(parts), _source=self, _parts=parts)
         return episode
 
-    def load(self, episode: RecordedEpisode, number: int, group: FieldGroup) -> None:
+    def load(self, episode: RecordedEpisode, group: FieldGroup) -> None:
         """Read a group of fields; others are forgotten where there are too many."""
-        size = self._size_of(number, group)
-        while self._cached and size + sum(s for _, s in self._cached.values()) > CACHED_BYTES:
-            (_, place), (other, _) = self._cached.popitem(last=False)
-            for name in FIELD_GROUPS[place].fields:
+        parts = episode._parts  # noqa: SLF001 - made here
+        size = sum(parts.sizes[t.name] + 24 * parts.counts[t.name] for t in group.topics)
+        while self._loaded and size + sum(one[2] for one in self._loaded) > CACHED_BYTES:
+            other, names, _ = self._loaded.popleft()
+            for name in names:
                 other.__dict__.pop(name, None)
         if REVOLUTIONS in group.topics and size > BLOCK_BYTES:
-            fields = {"revolutions": self._list_revolutions(number)}
+            fields: dict[str, Any] = {"revolutions": self._list_revolutions(parts)}
             size = 0
         else:
-            fields = group.make(self._read_parts(number, group.topics))
-        if group.fields == ("truth",):  # of which the tables aren't kept
-            size = 24 * self._parts[number].counts[TICKS.name]
-        for name, value in fields.items():
-            object.__setattr__(episode, name, value)
-        self._cached[number, FIELD_GROUPS.index(group)] = episode, size
+            fields = group.make(self._read_parts(parts, group.topics, parts.places))
+        if group.make is make_truth:  # the tables that it is made of aren't kept
+            size = 24 * parts.counts[TICKS.name]
+        episode.__dict__.update(fields)
+        self._loaded.append((episode, list(fields), size))
 
-    def _size_of(self, number: int, group: FieldGroup) -> int:
-        """About how many bytes it takes to read a group of fields."""
-        parts = self._parts[number]
-        return sum(parts.sizes[t.name] + 24 * parts.counts[t.name] for t in group.topics)
-
-    def _open_parts(self, number: int) -> EpisodeParts:
-        """Parts of an episode without content."""
-        known, parts = self._parts[number], EpisodeParts(None)
-        parts.start, parts.offset, parts.info = known.start, known.offset, known.info
-        parts.is_lost = False
-        return parts
-
-    def _read_parts(self, number: int, topics: Sequence[Topic]) -> EpisodeParts:
-        """Read topics of an episode."""
-        parts = self._open_parts(number)
-        for _ in self._read_chunks(number, topics, parts, self._parts[number].places):
+    def _read_parts(
+        self, parts: EpisodeParts, topics: Sequence[Topic], places: Sequence[list[int]]
+    ) -> EpisodeParts:
+        read_parts = parts.make_blank()
+        for _ in self._fill_parts(read_parts, topics, places):
             pass
-        return parts
+        return read_parts
 
-    def _read_chunks(
-        self,
-        number: int,
-        topics: Sequence[Topic],
-        parts: EpisodeParts,
-        places: Sequence[ChunkPlace],
-    ) -> Iterator[ChunkPlace]:
-        """Read topics of an episode chunk by chunk into `parts`."""
-        topics = [topic for topic in topics if topic in self._wanted]
+    def _fill_parts(
+        self, parts: EpisodeParts, topics: Sequence[Topic], places: Sequence[list[int]]
+    ) -> Iterator[int]:
+        """Read topics of an episode chunk by chunk into `parts`; yields how many bytes that was."""
+        wanted = {number: topic for number, topic in self._topics.items() if topic in topics}
         with open_file(self._path, None) as file:
             if _identify_file(file) != self._identity:
                 raise ConfigError("has changed since it was read: read it again")
-            collector = EpisodeCollector()
-            read_topics = (EPISODE, EXCHANGES, *topics)  # the first two tell episodes apart
-            collector.topics = {n: t for n, t in self._channels.items() if t in read_topics}
-            stream = RecordStream(file, collector.topics)
-            for place in places:
-                collector.begin_again(place, number, parts, topics)
-                for opcode, content in stream.read_again(place.at):
-                    if opcode == MESSAGE:
-                        collector.take(opcode, content, place.at)
-                yield place
+            stream = RecordStream(file, wanted)
+            for at, first, last in places:
+                size = 0
+                for opcode, content in stream.read_again(at):
+                    if opcode == MESSAGE and first <= stream.index <= last:
+                        channel, _, time, _ = MESSAGE_HEAD.unpack_from(content)
+                        if channel in wanted:
+                            data = parse_content(wanted[channel], content[MESSAGE_HEAD.size :])
+                            parts.buffers[wanted[channel].name].add(time, data)
+                            size += len(data)
+                yield size
 
-    def iterate_blocks(self, number: int) -> Iterator[Episode]:
+    def iterate_blocks(self, parts: EpisodeParts) -> Iterator[Episode]:
         """Yield ticks, truth and wire of an episode in blocks."""
-        parts, carried = self._open_parts(number), np.zeros((0, len(EXCHANGES.columns)))
-        topics, places = (TICKS, EXCHANGES, WIRE_SENT, WIRE_RECEIVED), self._parts[number].places
-        fields = describe_parts(self._parts[number])
-        for place in self._read_chunks(number, topics, parts, places):
-            if sum(parts.sizes.values()) < BLOCK_BYTES and place is not places[-1]:
+        block, carried = parts.make_blank(), np.zeros((0, len(EXCHANGES.columns)))
+        topics, size = (TICKS, EXCHANGES, WIRE_SENT, WIRE_RECEIVED), 0
+        fields = describe_parts(parts) | make_steps(block) | make_scans(block)
+        for number, read_bytes in enumerate(self._fill_parts(block, topics, parts.places), 1):
+            size += read_bytes
+            if size < BLOCK_BYTES and number < len(parts.places):
                 continue
-            exchanges = np.concatenate([carried, parts.table(EXCHANGES)])
+            exchanges = np.concatenate([carried, block.table(EXCHANGES)])
             carried = exchanges[-CARRIED_ROWS:].copy()
-            truth = join_truth(parts.table(TICKS), exchanges)
-            made = make_ticks(parts) | make_wire(parts) | {"truth": truth}
-            for group in FIELD_GROUPS:
-                if "observations" in group.fields or "scans" in group.fields:
-                    made |= group.make(parts)
-            yield Episode(**fields | made)
-            parts.forget()
-            parts.sizes.clear()
+            truth = join_truth(block.table(TICKS), exchanges)
+            yield Episode(**fields | make_ticks(block) | make_wire(block) | {"truth": truth})
+            block.buffers.clear()
+            size = 0
 
-    def _list_revolutions(self, number: int) -> Revolutions:
+    def _list_revolutions(self, parts: EpisodeParts) -> Revolutions:
         """List the revolutions of an episode; what was measured is read when it is asked for."""
         heads: list[tuple[float, ...]] = []
         ends: list[int] = []
-        parts, places = self._open_parts(number), self._parts[number].places
-        for _ in self._read_chunks(number, (REVOLUTIONS,), parts, places):
-            heads += (tuple(head.tolist()) for head, _ in _parse_revolutions(parts))
+        read_parts = parts.make_blank()
+        for _ in self._fill_parts(read_parts, (REVOLUTIONS,), parts.places):
+            turns = read_parts.buffers.pop(REVOLUTIONS.name, None)
+            heads += (
+                tuple(parse_revolution(turn)[0]) for turn in (turns.pieces() if turns else ())
+            )
             ends.append(len(heads))
-            parts.forget()
         rows = np.array(heads, np.float64).reshape(-1, 2)
-        turns = StoredRevolutions(self, number, ends)
-        return Revolutions(check_stamps(rows[:, 1]), turns, to_integers(rows[:, 0]))
+        measured = StoredRevolutions(self, parts, ends)
+        return Revolutions(check_stamps(rows[:, 1]), measured, to_integers(rows[:, 0]))
 
-    def read_revolutions(self, number: int, chunk: int) -> list[Floats]:
+    def read_revolutions(self, parts: EpisodeParts, chunk: int) -> list[Floats]:
         """Read what was measured in the revolutions of one chunk of an episode."""
-        parts, places = self._open_parts(number), self._parts[number].places[chunk : chunk + 1]
-        for _ in self._read_chunks(number, (REVOLUTIONS,), parts, places):
-            pass
-        return [turn for _, turn in _parse_revolutions(parts)]
-
-
-def _parse_revolutions(parts: EpisodeParts) -> Iterator[tuple[Floats, Floats]]:
-    """Heads and measurements of the revolutions that were read."""
-    buffer = parts.pieces(REVOLUTIONS)
-    return map(parse_revolution, Pieces(buffer.data, buffer.ends))
+        read_parts = self._read_parts(parts, (REVOLUTIONS,), parts.places[chunk : chunk + 1])
+        turns = read_parts.buffers[REVOLUTIONS.name].pieces()
+        return [parse_revolution(turn)[1] for turn in turns]
 
 
 def _identify_file(file: IO[bytes]) -> tuple[int, ...]:
-    """What tells whether a file has changed."""
     status = os.fstat(file.fileno())
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class StoredRevolutions(Sequence[Floats]):
-    """What was measured in each revolution of a long episode, read chunk by chunk.
+    """What was measured in each revolution of a long episode, read chunk by chunk."""
 
-    Args:
-        source: the file.
-        number: of the episode.
-        ends: how many revolutions there are up to the end of each chunk.
-    """
-
-    def __init__(self, source: EpisodeSource, number: int, ends: list[int]) -> None:
-        self._source, self._number, self._ends = source, number, ends
+    def __init__(self, source: EpisodeSource, parts: EpisodeParts, ends: list[int]) -> None:
+        self._source, self._parts, self._ends = source, parts, ends
         self._chunk = -1
         self._turns: list[Floats] = []
 
@@ -366,20 +287,15 @@ class StoredRevolutions(Sequence[Floats]):
         number = range(len(self))[place]
         chunk = bisect_right(self._ends, number)
         if chunk != self._chunk:
-            self._turns = self._source.read_revolutions(self._number, chunk)
+            self._turns = self._source.read_revolutions(self._parts, chunk)
             self._chunk = chunk
         return self._turns[number - (self._ends[chunk - 1] if chunk else 0)]
 
 
 def iterate_blocks(episode: Episode) -> Iterator[Episode]:
-    """Yield ticks, truth and wire of an episode in blocks of moderate size.
+    """Yield ticks, truth and wire of an episode in blocks of moderate size, one after the other.
 
-    Args:
-        episode: of a recording.
-
-    Yields:
-        Parts of the episode, one after the other. Steps and scans are those of the whole episode
-        where there is one part only, and else empty.
+    Steps and scans are those of the whole episode where there is one block only, and else empty.
     """
     if isinstance(episode, RecordedEpisode):
         yield from episode.iterate_blocks()
@@ -388,14 +304,7 @@ def iterate_blocks(episode: Episode) -> Iterator[Episode]:
 
 
 def summarize(path: Path) -> dict[str, Any]:
-    """Sum up a recording, ready for JSON.
-
-    Args:
-        path: the recording.
-
-    Raises:
-        ConfigError: it can't be read.
-    """
+    """Sum up a recording, ready for JSON; ConfigError if it can't be read."""
     with warnings.catch_warnings():  # the summary says it
         warnings.simplefilter("ignore", RecordingWarning)
         recording, counted, topics = _read_counted(path, revolutions=False)
@@ -430,24 +339,24 @@ def summarize(path: Path) -> dict[str, Any]:
     }
 
 
-def summary_lines(found: dict[str, Any]) -> list[str]:
+def summary_lines(summary: dict[str, Any]) -> list[str]:
     """Return a summary as lines of text."""
-    about, robot, episodes = found["about"], found["robot"], found["episodes"]
+    about, robot, episodes = summary["about"], summary["robot"], summary["episodes"]
     kind = "simulated" if robot["simulated"] else "real"
-    whole = "whole" if found["whole"] else "cut: what followed is missing"
-    if found["damage"]:
-        whole = "damaged" if found["whole"] else f"damaged; {whole}"
+    whole = "whole" if summary["whole"] else "cut: what followed is missing"
+    if summary["damage"]:
+        whole = "damaged" if summary["whole"] else f"damaged; {whole}"
     count = f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''}"
     lost = "drops unknown"  # the end, which would tell them, is missing
-    if found["dropped"] is not None:
-        least = "" if found["whole"] else "at least "
-        lost = f"{least}{found['dropped']:,} dropped" if found["dropped"] else "nothing dropped"
+    if summary["dropped"] is not None:
+        least = "" if summary["whole"] else "at least "
+        lost = f"{least}{summary['dropped']:,} dropped" if summary["dropped"] else "nothing dropped"
     lines = [
-        f"{found['file']}: {whole}; {count}, {found['duration']:.1f} s, {lost}",
-        f"{kind} robot, config {robot['sha256']}; file {found['sha256']}",
+        f"{summary['file']}: {whole}; {count}, {summary['duration']:.1f} s, {lost}",
+        f"{kind} robot, config {robot['sha256']}; file {summary['sha256']}",
     ]
-    if found["damage"]:
-        lines.append(found["damage"])
+    if summary["damage"]:
+        lines.append(summary["damage"])
     if about:
         lines.append(", ".join(f"{name} {_shorten(value)}" for name, value in about.items()))
     lines += [
@@ -457,10 +366,9 @@ def summary_lines(found: dict[str, Any]) -> list[str]:
     ]
     if len(episodes) > 20:
         lines.append(f"... and {len(episodes) - 20} more episodes")
-    return lines + [f"{name:<20} {count:>9,}" for name, count in found["topics"].items()]
+    return lines + [f"{name:<20} {count:>9,}" for name, count in summary["topics"].items()]
 
 
 def _shorten(value: Any) -> str:
-    """A value of the header on one line."""
     text = " ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
     return shorten_text(text, 100)

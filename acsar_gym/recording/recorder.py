@@ -20,37 +20,22 @@ from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, 
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.sinks import McapFile, Sink, SplitFile, check_target, next_number
 
-QUEUE_CAPACITY = 20_000
-"""Most events that wait for the writer: at 100 Hz more than a minute's."""
-WRITER_TIMEOUT = 10.0
-"""Longest wait of a simulation for the writer [s]; from then on it drops, too."""
-ROOM_POLL = 0.001
-"""How often a simulation looks whether the writer has caught up [s]."""
-SHORTEST_FILE = 1.0
-"""Shortest time after which a new file may begin [s]."""
-WRITER_PAUSE = 0.02
-"""How often the writer looks for events [s]."""
-WRITER_BATCH = 16
-"""Events that the writer handles at once, so that the control loop never waits for it."""
-WRITER_YIELD = 0.0002
-"""How long it lets others run after each batch [s]."""
-FLUSH_PERIOD = 0.5
-"""How often what was written is made safe from crashes [s]."""
-HANG_WAIT = 1.0
-"""How often the end looks whether the writer makes progress [s]."""
-HANG_WAITS = 10
-"""A writer that has made none in so many looks hangs; a program that was stopped loses only one."""
+QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
+WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from then on it drops, too
+ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
+SHORTEST_FILE = 1.0  # shortest time after which a new file may begin [s]
+WRITER_PAUSE = 0.02  # how often the writer looks for events [s]
+WRITER_BATCH = 16  # events that are handled at once: the control loop never waits for the writer
+WRITER_YIELD = 0.0002  # how long it lets others run after each batch [s]
+FLUSH_PERIOD = 0.5  # how often what was written is made safe from crashes [s]
+HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
+HANG_WAITS = 10  # a writer without progress in so many looks hangs; a suspended program loses one
 
 
 class WriterThread(threading.Thread):
     """Encodes events and passes the messages on.
 
     Attributes: `dropped`, events that were dropped; `pid`, the process that it belongs to.
-
-    Args:
-        queue: of events.
-        encoder: makes messages.
-        sinks: take them.
     """
 
     def __init__(self, queue: deque[Event], encoder: Encoder, sinks: Sequence[Sink]) -> None:
@@ -307,7 +292,6 @@ class Recorder:
             self._warn(writer)
 
     def _warn(self, writer: WriterThread) -> None:
-        """Warn once where writing has failed."""
         problem = writer.problem
         if problem is not None and self.problem is None:
             self.problem = f"{self._name}: {problem}"

@@ -17,23 +17,16 @@ from typing import IO, Any
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.recording.messages import MCAP_MAGIC
 
-MAX_RECORD = 2**26 - 1
-"""Longest accepted record, and chunk once it is unpacked [bytes]."""
-MAX_RATIO = 32
-"""Most unpacked bytes for each byte of the file, beyond FREE_UNPACKED; a robot that stands has
-10."""
-FREE_UNPACKED = 8_000_000
-"""Bytes that may be unpacked from however few."""
-MAX_DAMAGES = 100
-"""Most damaged places of a file that is read all the same."""
-SEARCH_BLOCK = 1 << 20
-"""Bytes that are searched at once for the next record."""
+MAX_RECORD = 2**26 - 1  # longest accepted record, and chunk once it is unpacked [bytes]
+MAX_RATIO = 32  # most unpacked bytes for each byte of the file; a robot that stands has 10
+FREE_UNPACKED = 8_000_000  # bytes that may be unpacked from however few
+MAX_DAMAGES = 100  # most damaged places of a file that is read all the same
+SEARCH_BLOCK = 1 << 20  # bytes that are searched at once for the next record
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = range(1, 8)
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15
 DATA_OPCODES = {*range(HEADER, MESSAGE_INDEX + 1), ATTACHMENT, METADATA, DATA_END} - {FOOTER}
-SUMMARY_OPCODES = {FOOTER, 8, 10, 11, 13, 14}
-"""What an index is made of besides schemas and channels."""
+SUMMARY_OPCODES = {FOOTER, 8, 10, 11, 13, 14}  # of an index, besides schemas and channels
 PARSED_KINDS = {
     HEADER: "Header",
     SCHEMA: "Schema",
@@ -41,14 +34,12 @@ PARSED_KINDS = {
     ATTACHMENT: "Attachment",
     METADATA: "Metadata",
 }
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel, sequence, and two times [ns] of a message."""
+MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, and two times [ns] of a message
 _RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
-"""First and last time, unpacked size, checksum, and length of the name of the compression."""
+_CHUNK = struct.Struct("<QQQII")  # two times, unpacked size, checksum, length of the packer's name
 _FOOTER_SIZE = _RECORD.size + 20 + len(MCAP_MAGIC)
+# The beginning of a record of MAX_RECORD bytes at most.
 _PLAUSIBLE = re.compile(rb"[\x03-\x07\x09\x0c\x0f](?=.{3}[\x00-\x03]\x00{4})", re.DOTALL)
-"""Beginning of a record of MAX_RECORD bytes at most."""
 
 
 class FileCut(Exception):  # noqa: N818 - not an error
@@ -66,12 +57,8 @@ class RecordStream:
     """The records of a file, chunks unpacked. What is damaged is left out.
 
     Attributes: `place`, where the next record of the file begins, and `at`, that of the newest one
-    [bytes]; `counts`, messages by channel, wanted or not; `damages`, a line for each place that was
-    left out.
-
-    Args:
-        file: an MCAP file.
-        wanted: the channels whose messages are of interest; None for all.
+    [bytes]; `index`, number of the newest message in its chunk; `counts`, messages by channel,
+    wanted or not; `damages`, a line for each place that was left out.
 
     Raises:
         ConfigError: it is another file.
@@ -79,10 +66,12 @@ class RecordStream:
 
     def __init__(self, file: IO[bytes], wanted: Container[int] | None = None) -> None:
         self.place = self.at = len(MCAP_MAGIC)
+        self.index = 0
         self.counts: Counter[int] = Counter()
         self.damages: list[str] = []
         self._file, self._wanted = file, wanted
         self._packed = self._unpacked = 0
+        self._has_channels = False
         magic = self._read_at(0, len(MCAP_MAGIC))
         if magic.startswith(b"{"):
             raise ConfigError("is a recording of an older version, in JSON: record again")
@@ -95,37 +84,32 @@ class RecordStream:
     def __iter__(self) -> Iterator[tuple[int, bytes]]:
         """Yield opcode and content of every record from `place` to the end of the data.
 
+        Where the chunk with the channels is damaged, those at the end of the file take their place.
+
         Raises:
             FileCut: the file's end is missing.
             ConfigError: the file is damaged in too many places.
         """
         while True:
             opcode, content = self._read_record()
-            if opcode == CHUNK:
-                yield from self.read_chunk(content)
-            elif opcode == DATA_END:
+            if opcode == DATA_END:
                 self.place = self.at  # it is read again where the index isn't written yet
                 break
-            else:
-                if opcode == MESSAGE and len(content) > 1:
-                    self.counts[content[0] | content[1] << 8] += 1
-                yield opcode, content
+            if self.damages and not self._has_channels:
+                yield from self._read_summary()
+                self._has_channels = True
+            yield from self._open_record(opcode, content)
         if not self._has_end():
             raise FileCut
-
-    def _has_end(self) -> bool:
-        """Whether the file ends as a whole one does."""
-        size = self._file.seek(0, io.SEEK_END)
-        return self._read_at(size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
 
     def read_again(self, place: int) -> Iterator[tuple[int, bytes]]:
         """Yield the records of the chunk at a place, or the one record that is there."""
         self.place, self._packed, self._unpacked = place, 0, 0
-        opcode, content = self._read_record()
-        if opcode == CHUNK:
-            yield from self.read_chunk(content)
-        else:
-            yield opcode, content
+        yield from self._open_record(*self._read_record())
+
+    def _has_end(self) -> bool:
+        size = self._file.seek(0, io.SEEK_END)
+        return self._read_at(size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
 
     def _read_record(self) -> tuple[int, bytes]:
         """Read the next record that is whole."""
@@ -151,8 +135,14 @@ class RecordStream:
             self._note(f"{following - at:,} bytes from byte {at:,} on")
             self.place = following
 
-    def read_chunk(self, content: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield the records of a chunk; none where it is damaged."""
+    def _open_record(self, opcode: int, content: bytes) -> Iterator[tuple[int, bytes]]:
+        """Yield a record of the file, or those of a chunk; none where that is damaged."""
+        self.index = 0
+        if opcode != CHUNK:
+            if opcode == MESSAGE:
+                self.counts[content[0] | content[1] << 8] += 1
+            yield opcode, content
+            return
         unpacked = self._unpack(content)
         if unpacked is None:
             self._note(f"a chunk of {len(content):,} bytes at byte {self.at:,}")
@@ -163,7 +153,10 @@ class RecordStream:
             opcode, length = unpack(unpacked, place)
             first = place + head
             place = first + length
-            if opcode == MESSAGE and length > 1:
+            if opcode == MESSAGE:
+                if length < MESSAGE_HEAD.size or place > len(unpacked):
+                    raise ConfigError("is damaged: a broken message")
+                self.index += 1
                 channel = unpacked[first] | unpacked[first + 1] << 8
                 counts[channel] += 1
                 if wanted is not None and channel not in wanted:
@@ -171,6 +164,7 @@ class RecordStream:
             if place > len(unpacked):
                 raise ConfigError("is damaged: a broken record in a chunk")
             if opcode in (MESSAGE, CHANNEL, SCHEMA):
+                self._has_channels = self._has_channels or opcode == CHANNEL
                 yield opcode, unpacked[first:place]
 
     def _unpack(self, content: bytes) -> bytes | None:
@@ -186,11 +180,11 @@ class RecordStream:
         self._unpacked += size
         return data
 
-    def read_summary(self) -> Iterator[tuple[int, bytes]]:
-        """Yield the schemas and channels that are repeated at the end of a whole file."""
+    def _read_summary(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the schemas and channels at the end of a whole file."""
         size = self._file.seek(0, io.SEEK_END)
         footer = self._read_at(max(size - _FOOTER_SIZE, 0), _FOOTER_SIZE)
-        if len(footer) < _FOOTER_SIZE or footer[0] != FOOTER:
+        if len(footer) < _FOOTER_SIZE or footer[0] != FOOTER or not footer.endswith(MCAP_MAGIC):
             return
         place = int.from_bytes(footer[9:17], "little")
         while 0 < place < size and self._is_record(place):
@@ -223,7 +217,6 @@ class RecordStream:
         return head[0] in DATA_OPCODES | SUMMARY_OPCODES and _RECORD.unpack(head)[1] <= MAX_RECORD
 
     def _note(self, damage: str) -> None:
-        """Note what is left out."""
         self.damages.append(damage)
         if len(self.damages) > MAX_DAMAGES:
             raise ConfigError(f"is damaged in more than {MAX_DAMAGES} places")
@@ -243,14 +236,14 @@ def is_consistent(opcode: int, content: bytes) -> bool:
         return length >= _CHUNK.size + 8 and first + 8 + data == length
     if opcode == MESSAGE_INDEX:
         return length >= 6 and 6 + int.from_bytes(content[2:6], "little") == length
-    if opcode in (MESSAGE, DATA_END):
-        return length >= MESSAGE_HEAD.size if opcode == MESSAGE else length == 4
+    if opcode == MESSAGE:
+        return length >= MESSAGE_HEAD.size
     if opcode in PARSED_KINDS:
         try:
             parse_record(PARSED_KINDS[opcode], content)
         except ConfigError:
             return False
-    return True
+    return opcode != DATA_END or length == 4
 
 
 def parse_record(kind: str, content: bytes) -> Any:

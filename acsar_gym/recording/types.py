@@ -17,19 +17,12 @@ from acsar_gym.protocol import ECHO_ZERO, ZERO, Decoder, EchoDecoder, Reading, S
 
 Floats = NDArray[np.float64]
 
-MAX_STAMP = 4e9
-"""Largest time on a link's clock, either sign [s]: 126 years."""
-MAX_DISTANCE = 1e6
-"""Largest distance of a LiDAR's measurement [m]."""
+MAX_STAMP = 4e9  # largest time on a link's clock, either sign [s]: 126 years
+MAX_DISTANCE = 1e6  # largest distance of a LiDAR's measurement [m]
 
 
 class Pieces(Sequence[bytes]):
-    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory.
-
-    Args:
-        data: all of them.
-        ends: where each ends.
-    """
+    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory."""
 
     def __init__(self, data: bytes | bytearray, ends: array[int]) -> None:
         self._data = data
@@ -116,22 +109,14 @@ def _decode_lines(
     decoder: Decoder | None = None,
     prepare: Callable[[float], None] = lambda _: None,
 ) -> tuple[Floats, Floats]:
-    """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it.
-
-    Args:
-        stamps: of the pieces [s].
-        pieces: of the stream.
-        letters: of motors or encoders.
-        decoder: decodes them; None for a new one.
-        prepare: is called with the stamp of each piece before it is decoded.
-    """
+    """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it."""
     decoder, speeds = decoder or Decoder(), ZERO
     when: list[float] = []
     rows: list[Speeds] = []
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
         prepare(stamp)
-        for each in decoder.feed(piece):
-            reading = Reading(letters.to_wheels(each.speeds)) if letters else each
+        for line in decoder.feed(piece):
+            reading = Reading(letters.to_wheels(line.speeds)) if letters else line
             speeds = reading.over(speeds)
             when.append(stamp)
             rows.append(speeds)
@@ -252,11 +237,7 @@ class Episode:
 
 
 def begin_at_part(episode: Episode) -> Episode:
-    """Return an episode whose odometry begins with it, as after a reset.
-
-    Args:
-        episode: the poses and the goal of a part of an episode are moved; others stay as they are.
-    """
+    """Return an episode whose odometry begins with it, as after a reset."""
     part = episode.info.get("part")
     pose = part.get("pose") if isinstance(part, Mapping) else None
     if not isinstance(pose, list) or len(pose) != 3 or not np.isfinite(pose).all():

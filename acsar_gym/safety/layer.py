@@ -78,9 +78,6 @@ class Safety:
     def halt(self, reason: Reason) -> Speeds:
         """Set the wheels to zero at once; acceleration limits don't apply to stops.
 
-        Args:
-            reason: to be told for this tick.
-
         Returns:
             Four wheel speeds of zero.
         """
@@ -95,12 +92,6 @@ class Safety:
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
         """Compute the wheel speeds that may be sent in this tick for a wanted twist.
-
-        Args:
-            linear: wanted velocity [m/s].
-            angular: wanted turn rate [rad/s]; (0, 0) is a stop, which is immediate.
-            pose: by odometry (x [m], y [m], theta [rad]).
-            feedback_age: time since the last valid line [s].
 
         Returns:
             Four wheel speeds [rad/s]; the same tuple object for as long as they don't change.
@@ -124,11 +115,6 @@ class Safety:
 
         All are scaled by one factor where a wheel, or their twist, is too fast.
 
-        Args:
-            speeds: four wanted wheel speeds, wheels a to d [rad/s].
-            pose: by odometry (x [m], y [m], theta [rad]).
-            feedback_age: time since the last valid line [s].
-
         Raises:
             CommandError: unless `speeds` are four finite numbers.
         """
@@ -136,34 +122,34 @@ class Safety:
         reason = rules.update_holds(pose[0], pose[1], feedback_age, self._memory, self._numbers)
         if reason:
             return self.halt(Reason(int(reason)))
-        own = self._rules
-        top = _scale_into(max(map(abs, (a, b, c, d))), -own.top, own.top)
+        numbers = self._rules
+        top = _scale_into(max(map(abs, (a, b, c, d))), -numbers.top, numbers.top)
         a, b, c, d = top * a, top * b, top * c, top * d
-        radii = own.left_radius, own.right_radius
-        linear, angular = kinematics.compute_twist(a, b, c, d, *radii, own.separation)
+        radii = numbers.left_radius, numbers.right_radius
+        linear, angular = kinematics.compute_twist(a, b, c, d, *radii, numbers.separation)
         share = min(
-            _scale_into(linear, own.linear.min_velocity, own.linear.max_velocity),
-            _scale_into(angular, own.angular.min_velocity, own.angular.max_velocity),
+            _scale_into(linear, numbers.linear.min_velocity, numbers.linear.max_velocity),
+            _scale_into(angular, numbers.angular.min_velocity, numbers.angular.max_velocity),
         )
         a, b, c, d = share * a, share * b, share * c, share * d
         limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
         twist = share * linear, share * angular
-        sent = kinematics.compute_twist(a, b, c, d, *radii, own.separation)
+        sent = kinematics.compute_twist(a, b, c, d, *radii, numbers.separation)
         self._remember(SafetyMemory(0.0, limited, *twist, *twist, *sent))
         self._speeds = ZERO
         return a, b, c, d
 
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, at most the top speed, at the same turn radius."""
-        own = self._rules
+        numbers = self._rules
         return kinematics.inverse(
             linear,
             angular,
             1.0,
-            own.separation,
-            own.top,
-            left_wheel_radius_multiplier=own.left_radius,
-            right_wheel_radius_multiplier=own.right_radius,
+            numbers.separation,
+            numbers.top,
+            left_wheel_radius_multiplier=numbers.left_radius,
+            right_wheel_radius_multiplier=numbers.right_radius,
         )
 
 

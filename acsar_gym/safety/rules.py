@@ -20,8 +20,7 @@ from acsar_gym.jit import jit, loop
 # goes forward and one that goes backward. These are pure functions, so that numba can compile them
 # for batches.
 
-NO_LIMIT = 1e18
-"""Number that stands for no limit."""
+NO_LIMIT = 1e18  # number that stands for no limit
 
 
 class AxisLimits(NamedTuple):
@@ -45,12 +44,7 @@ class AxisLimits(NamedTuple):
 
 
 def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
-    """Convert the limits of one axis to numbers.
-
-    Args:
-        config: of the axis; a missing minimum is minus the maximum.
-        top: bounds the velocity in both directions [m/s or rad/s].
-    """
+    """Convert the limits of one axis to numbers."""
 
     def complete(low: float | None, high: float | None) -> tuple[float, float]:
         high = NO_LIMIT if high is None else high
@@ -83,13 +77,6 @@ def limit_velocity(wanted: float, last: float, before: float, dt: float, axis: A
     """Compute the velocity that may follow the last two.
 
     As in the ROS controller, jerk is the change of the change of velocity over 2 dt^2.
-
-    Args:
-        wanted: velocity of one axis [m/s or rad/s].
-        last: velocity one period ago.
-        before: velocity two periods ago.
-        dt: period [s].
-        axis: limits of the axis.
     """
     step, scale = last - before, 2.0 * dt * dt
     change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
@@ -100,12 +87,9 @@ def limit_velocity(wanted: float, last: float, before: float, dt: float, axis: A
     return min(max(last + rise, axis.min_velocity), axis.max_velocity)
 
 
-STALE_SHARE = 0.8
-"""Feedback older than this share of `feedback_timeout` stops the wheels until it is fresh again."""
-TWIST_TOLERANCE = 1e-9
-"""A sent twist that differs by less than this counts as the one asked for [m/s, rad/s]."""
-TIME_SLACK = 1e-9
-"""Tolerance for comparing ages, which are sums of periods [s]."""
+STALE_SHARE = 0.8  # of feedback_timeout: older feedback stops the wheels until it is fresh again
+TWIST_TOLERANCE = 1e-9  # a sent twist this near is the one asked for [m/s, rad/s]
+TIME_SLACK = 1e-9  # tolerance for comparing ages, which are sums of periods [s]
 
 _sides = jit(kinematics.compute_sides)
 _twist = jit(kinematics.compute_twist)
@@ -133,8 +117,7 @@ HELD_REASONS = {
     Reason.EMERGENCY_STOP: ("an emergency stop", "start again when it is safe"),
 }
 """Reasons that hold until the reset: what ended an episode, and what to do."""
-_LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0
-"""These reasons as floats, for compiled functions."""
+_LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0  # these reasons as floats, for compiled functions
 
 
 class SafetyRules(NamedTuple):
@@ -214,13 +197,6 @@ def find_holds(
 ) -> tuple[float, float]:
     """Reasons for which the wheels must not turn.
 
-    Args:
-        memory: of the robot.
-        x: by odometry [m].
-        y: by odometry [m].
-        age: of the newest feedback [s].
-        rules: of the robot.
-
     Returns:
         The reason that holds until the reset, and the one that holds in this tick; 0 for none.
     """
@@ -241,15 +217,6 @@ def limit_twist(
     rules: SafetyRules,
 ) -> SafetyMemory:
     """Compute the twist that may be sent in this tick. A stop, (0, 0), is immediate.
-
-    Args:
-        linear: wanted velocity [m/s].
-        angular: wanted turn rate [rad/s].
-        x: by odometry [m].
-        y: by odometry [m].
-        age: of the newest feedback [s].
-        memory: of the last tick.
-        rules: of the robot.
 
     Returns:
         The memory of this tick, with the twist.
@@ -292,14 +259,6 @@ def explain_sent(
     linear: float, angular: float, right: float, left: float, reason: float, rules: SafetyRules
 ) -> tuple[float, float, float]:
     """Compute the twist of sent wheel speeds, and why it differs from the wanted one.
-
-    Args:
-        linear: wanted velocity [m/s].
-        angular: wanted turn rate [rad/s].
-        right: wheel speed sent [rad/s].
-        left: wheel speed sent [rad/s].
-        reason: that holds the robot in this tick; 0 for none.
-        rules: of the robot.
 
     Returns:
         Velocity [m/s], turn rate [rad/s] and the `Reason`.

@@ -14,16 +14,11 @@ have it to 0.01 rad/s."""
 LEAST_CHANGE, MOST_SKIPPED = 0.2, 5
 """These commands differ by so much [rad/s], with so few others between: wheels that follow slow
 changes do pass each commanded speed. A board may send fewer lines than it gets."""
-MAX_COMMANDS = 100
-"""Commands that are compared, the newest ones."""
+MAX_COMMANDS = 100  # commands that are compared, the newest ones
 
 
 class SetPointWatch:
-    """Compares feedback with the commands before it.
-
-    Args:
-        echoes: whether the board is known to echo, and its echoes were left out.
-    """
+    """Compares feedback with the commands before it."""
 
     def __init__(self, *, echoes: bool) -> None:
         self._echoes = echoes
@@ -33,11 +28,7 @@ class SetPointWatch:
         self._equal = self._alone = self._passed = 0
 
     def note(self, speeds: Speeds) -> None:
-        """Take a new command.
-
-        Args:
-            speeds: of the letters a, b, c, d [rad/s].
-        """
+        """Take a new command."""
         a, b, c, d = (round(min(max(speed, -MAX_SPEED), MAX_SPEED), 2) for speed in speeds)
         if (a, b, c, d) != self._newest:
             self._newest = a, b, c, d

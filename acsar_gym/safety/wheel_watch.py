@@ -21,34 +21,23 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import WheelError
 from acsar_gym.protocol import MOTORS, WHEELS, ZERO, Speeds
 
-SLOWER_FACTOR = 2.0
-"""Lag, ramp and deadband may be worse than configured by this factor."""
-UNKNOWN_LAG = 0.45
-"""Longest lag of a wheel whose lag wasn't measured [s]; 0.3 s, and some room."""
-UNKNOWN_RAMP = 7.0
-"""Slowest ramp of a wheel whose ramp wasn't measured [rad/s^2]; 10 rad/s^2, and some room."""
-UNKNOWN_DEADBAND = 1.8
-"""Largest deadband of a wheel whose deadband wasn't measured [rad/s]; 1.5 rad/s, and some room."""
-UNKNOWN_DELAY = 0.25
-"""Longest delay of a board whose delay wasn't measured [s]; 0.2 s, and some room."""
-REACHED_SHARE = 0.5
-"""A wheel must reach this share of the lowest speed that is expected."""
-FASTER_FACTOR, FASTER_KNOWN = 1.4, 1.25
-"""A wheel may be faster than the highest expected speed by this factor, and one whose gain was
-measured."""
+SLOWER_FACTOR = 2.0  # lag, ramp and deadband may be worse than configured by this factor
+UNKNOWN_LAG = 0.45  # longest lag of a wheel whose lag wasn't measured [s]; 0.3 s, and some room
+UNKNOWN_RAMP = 7.0  # where it wasn't measured: 10 rad/s^2, and some room [rad/s^2]
+UNKNOWN_DEADBAND = 1.8  # where it wasn't measured: 1.5 rad/s, and some room [rad/s]
+UNKNOWN_DELAY = 0.25  # where it wasn't measured: 0.2 s, and some room [s]
+REACHED_SHARE = 0.5  # a wheel must reach this share of the lowest speed that is expected
+FASTER_FACTOR, FASTER_KNOWN = 1.4, 1.25  # over the highest expected speed; with a measured gain
 SPEED_TOLERANCE, FINE_TOLERANCE = 0.5, 0.25
 """Tolerance of a slow wheel [rad/s], and of one whose deadband was measured; a wheel that is too
 slow isn't found at commands up to twice this."""
 LEAST_EXCESS = 0.1
 """Least excess over the highest expected speed that counts [rad/s]. From there to the tolerance it
 counts in part, so that it must last the longer."""
-DRAGGED_SHARE = 0.5
-"""A wheel may be dragged from its own speed towards that of the fastest one by this share; within
-its deadband, all the way."""
+DRAGGED_SHARE = 0.5  # towards the fastest wheel's speed; within its deadband all the way
 STEADY_SHARE, PROOF_TIME = 0.05, 0.3
 """Share by which a steady command may vary, and how long a wheel must turn at it as a proof [s]."""
-LEAST_PROGRESS = 0.5
-"""A wheel moves towards its command at this share of the slowest ramp and lag, at least."""
+LEAST_PROGRESS = 0.5  # of the slowest ramp and lag: a wheel that moves towards its command
 
 
 class WheelBounds:
@@ -56,15 +45,11 @@ class WheelBounds:
 
     Attributes: `low`, `high`; `gain` and `deadband`, as configured; `wrong`, for how long the wheel
     has contradicted its commands [s].
-
-    Args:
-        config: Of the robot.
-        number: Of the wheel, 0 to 3.
     """
 
     def __init__(self, config: RobotConfig, number: int) -> None:
         motor = config.motor.of_wheel(number)
-        known = [
+        measured = [
             name
             for name in motor._fields
             if f"motor.{name}" in config.measured
@@ -73,16 +58,16 @@ class WheelBounds:
         self._top = config.motor.max_speed
         self.gain, self.deadband = motor.gain, motor.deadband
         self._lag = max(
-            SLOWER_FACTOR * motor.time_constant, 0.0 if "time_constant" in known else UNKNOWN_LAG
+            SLOWER_FACTOR * motor.time_constant, 0.0 if "time_constant" in measured else UNKNOWN_LAG
         )
-        slow = math.inf if "acceleration" in known else UNKNOWN_RAMP
+        slow = math.inf if "acceleration" in measured else UNKNOWN_RAMP
         self._ramp = min(motor.acceleration / SLOWER_FACTOR, slow)
         self._dead = max(
-            SLOWER_FACTOR * motor.deadband, 0.0 if "deadband" in known else UNKNOWN_DEADBAND
+            SLOWER_FACTOR * motor.deadband, 0.0 if "deadband" in measured else UNKNOWN_DEADBAND
         )
-        self._faster = FASTER_KNOWN if "gain" in known else FASTER_FACTOR
+        self._faster = FASTER_KNOWN if "gain" in measured else FASTER_FACTOR
         self._floor = SPEED_TOLERANCE
-        if "deadband" in known:
+        if "deadband" in measured:
             self._floor = min(SPEED_TOLERANCE, max(FINE_TOLERANCE, config.encoder.quantum or 0.0))
         self.reset()
 
@@ -93,13 +78,7 @@ class WheelBounds:
         self._alive, self._proven = False, math.inf
 
     def follow(self, high: float, low: float, passed: float) -> None:
-        """Update the bounds.
-
-        Args:
-            high: Highest command that can be in effect [rad/s].
-            low: Lowest one.
-            passed: Time since the last update [s].
-        """
+        """Update the bounds."""
         self._asked = 0.5 * (high + low)
         steady = high - low <= STEADY_SHARE * abs(self._asked)
         self._constant = self._constant + passed if steady else 0.0
@@ -161,36 +140,24 @@ class WheelBounds:
         )
 
     def excess(self, speed: float, lowest: float, highest: float) -> float:
-        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1.
-
-        Args:
-            speed: Measured [rad/s].
-            lowest: Lowest speed that any wheel can have [rad/s].
-            highest: Highest one.
-        """
-        own, other = (self.high, highest) if speed > 0.0 else (-self.low, -lowest)
-        own += (DRAGGED_SHARE if self.fastest > self._dead else 1.0) * (other - own)
-        excess = abs(speed) - self._faster * own - LEAST_EXCESS
+        """Return how much too fast a wheel is, as a share of its tolerance; 0 to 1."""
+        fastest, other = (self.high, highest) if speed > 0.0 else (-self.low, -lowest)
+        fastest += (DRAGGED_SHARE if self.fastest > self._dead else 1.0) * (other - fastest)
+        excess = abs(speed) - self._faster * fastest - LEAST_EXCESS
         return min(max(excess / (self._floor - LEAST_EXCESS), 0.0), 1.0)
 
     def judge(self, lack: float | None, speed: float, passed: float, share: float = 1.0) -> float:
         """Note what a speed lacks; a wheel that moves towards its command isn't wrong.
 
-        Args:
-            lack: What it lacks [rad/s], with sign; None where that isn't known now.
-            speed: Measured [rad/s].
-            passed: Time since the last call [s].
-            share: Of this time that counts, 0 to 1.
-
         Returns:
             For how long the wheel has been wrong [s].
         """
-        asked = self._asked
-        reached = max(SPEED_TOLERANCE, REACHED_SHARE * self.gain * abs(asked))
-        if speed * asked > 0.0 and abs(speed) > reached:
+        command = self._asked
+        reached = max(SPEED_TOLERANCE, REACHED_SHARE * self.gain * abs(command))
+        if speed * command > 0.0 and abs(speed) > reached:
             self._alive = True
             if self._constant >= PROOF_TIME:
-                self._proven = min(self._proven, abs(asked))
+                self._proven = min(self._proven, abs(command))
         moved, self._before = speed - self._before, speed
         if lack is None:
             return self.wrong
@@ -205,43 +172,29 @@ class WheelBounds:
         return self.wrong
 
 
-STILL_SPEED = 0.2
-"""A wheel slower than this stands still, for messages [rad/s]."""
-MOVING_SPEED = 0.4
-"""A wheel that is faster than this proves that its command turns wheels [rad/s]."""
-BEHIND_SHARE = 0.25
-"""A wheel is behind others where it has less than this share of their speed."""
-ADAPTER_DELAY = 0.03
-"""Longest delay of a USB adapter in both directions [s]; FTDI's is 16 ms each by default."""
-CHECK_INTERVAL = 0.04
-"""Interval of the checks [s]."""
-FEEDBACK_GAP = 0.05
-"""Longest time without a new line in which the board can't have stopped its wheels [s]."""
-MIN_PATIENCE, MAX_PATIENCE = 0.16, 0.2
-"""Bounds of how long a contradiction must last [s]."""
+STILL_SPEED = 0.2  # a wheel slower than this stands still, for messages [rad/s]
+MOVING_SPEED = 0.4  # a wheel that is faster than this proves that its command turns wheels [rad/s]
+BEHIND_SHARE = 0.25  # a wheel is behind others where it has less than this share of their speed
+ADAPTER_DELAY = 0.03  # longest of a USB adapter, both ways [s]; FTDI's is 16 ms each by default
+CHECK_INTERVAL = 0.04  # interval of the checks [s]
+FEEDBACK_GAP = 0.05  # longest without a line in which the board can't have stopped its wheels [s]
+MIN_PATIENCE, MAX_PATIENCE = 0.16, 0.2  # bounds of how long a contradiction must last [s]
 UNEVEN_SHARE = 0.125
 """Sides that answer at different rates turn a sound robot by up to this share of the speed by which
 its wheels are still to change."""
-MIRRORED_WHEELS = (1, 0, 3, 2)
-"""Numbers of the wheels on the other side."""
-WATCH_SLACK = 1e-9
-"""Tolerance for comparing sums of periods [s]."""
+MIRRORED_WHEELS = (1, 0, 3, 2)  # numbers of the wheels on the other side
+WATCH_SLACK = 1e-9  # tolerance for comparing sums of periods [s]
 
 
 class WheelWatch:
-    """Watches the wheels of one robot.
-
-    Args:
-        config: Of the robot; `motor`, `firmware` and `encoder` say how wheels and board answer.
-        device: Of the robot, for messages.
-    """
+    """Watches the wheels of one robot."""
 
     def __init__(self, config: RobotConfig, device: str = "DEVICE") -> None:
         self._device = device
         board, feedback = config.firmware, 1.0 / config.feedback_rate
-        known = "firmware.command_delay" in config.measured
+        measured = "firmware.command_delay" in config.measured
         slow = board.command_delay + max(board.delay_samples, default=0.0)
-        delay = slow if known else max(slow, UNKNOWN_DELAY)
+        delay = slow if measured else max(slow, UNKNOWN_DELAY)
         delay += 2.0 * config.wire_time + config.encoder.window + ADAPTER_DELAY + feedback
         lag = max(config.motor.of_wheel(wheel).time_constant for wheel in range(4))
         self._look = max(CHECK_INTERVAL, feedback)
@@ -265,12 +218,6 @@ class WheelWatch:
 
     def tick(self, sent: Speeds, measured: Speeds, dt: float, *, fresh: bool) -> None:
         """Take command and feedback of one control period.
-
-        Args:
-            sent: Wheel speeds that were commanded [rad/s].
-            measured: Newest wheel speeds [rad/s].
-            dt: Duration of the period [s].
-            fresh: Whether a line arrived in it.
 
         Raises:
             WheelError: A wheel has contradicted its commands for too long.
@@ -306,8 +253,8 @@ class WheelWatch:
         self._paired = self._paired + 1 if right == rear_right and left == rear_left else 0
         highs, lows = zip(*self._asked, strict=True)
         wheels = self._wheels
-        each = (*wheels, self._turn)
-        for bounds, high, low in zip(each, map(max, *highs), map(min, *lows), strict=True):
+        watched = (*wheels, self._turn)
+        for bounds, high, low in zip(watched, map(max, *highs), map(min, *lows), strict=True):
             bounds.follow(high, low, passed)
         lowest, highest = min(wheel.low for wheel in wheels), max(wheel.high for wheel in wheels)
         crossed = self._is_crossed(measured)
@@ -341,25 +288,26 @@ class WheelWatch:
         None where they can't be compared: they didn't have the same commands for a while, or the
         other one doesn't turn as commanded, either.
         """
-        other, asked = len(WHEELS) - 1 - number, self._last[number]
-        own, pair = self._wheels[number], self._wheels[other]
-        if self._paired < self._looks or abs(asked) <= MOVING_SPEED:
+        other, command = len(WHEELS) - 1 - number, self._last[number]
+        wheel, pair = self._wheels[number], self._wheels[other]
+        if self._paired < self._looks or abs(command) <= MOVING_SPEED:
             return 0.0
-        if asked * measured[other] <= 0.0:
+        if command * measured[other] <= 0.0:
             return None
-        turns = min(abs(measured[other]) / pair.gain, abs(asked))
-        if turns <= MOVING_SPEED or (own.deadband > pair.deadband and turns <= 2.0 * own.deadband):
+        turns = min(abs(measured[other]) / pair.gain, abs(command))
+        if turns <= MOVING_SPEED or (
+            wheel.deadband > pair.deadband and turns <= 2.0 * wheel.deadband
+        ):
             return 0.0
-        if own.may_stand(abs(asked)):
+        if wheel.may_stand(abs(command)):
             return 0.0
-        expected = own.gain * math.copysign(turns, asked)
-        ahead = measured[number] * math.copysign(1.0, asked)
+        expected = wheel.gain * math.copysign(turns, command)
+        ahead = measured[number] * math.copysign(1.0, command)
         return expected - measured[number] if ahead < BEHIND_SHARE * abs(expected) else 0.0
 
     def _describe_fault(self, measured: Speeds) -> WheelError:
-        """Describe the wheel that has contradicted its commands for the longest time."""
         number = max(range(len(WHEELS)), key=lambda n: self._wheels[n].wrong)
-        wheel, speed, asked = self._wheels[number], measured[number], self._last[number]
+        wheel, speed, command = self._wheels[number], measured[number], self._last[number]
         crossed = [  # wheels whose command this one answers, while they answer this one's
             WHEELS[n]
             for n, other in enumerate(self._wheels)
@@ -377,7 +325,8 @@ class WheelWatch:
         else:
             which += " turns too fast" if abs(speed) > wheel.fastest else " turns too slowly"
         return WheelError(
-            f"{which} ({asked:.2f} rad/s commanded, {speed:.2f} measured for {wheel.wrong:.2f} s)",
+            f"{which} ({command:.2f} rad/s commanded, {speed:.2f} measured for "
+            f"{wheel.wrong:.2f} s)",
             f"lift the robot and run 'acsar-gym doctor {self._device} --spin'; check motors and "
             f"encoders, or identify this robot ('acsar-gym identify {self._device}')",
             WHEELS[number],

@@ -1,8 +1,16 @@
 """Sensors beside the wheel encoders: the base class, and the sensors of a robot."""
 
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.sensors.noise import draw_normal, draw_uniform
-from acsar_gym.sensors.sensor import LIDAR, MAP, Bound, Factory, Sensor, Truths
+from acsar_gym.sensors.sensor import (
+    LIDAR,
+    MAP,
+    Bound,
+    Factory,
+    Sensor,
+    Truths,
+    draw_normal,
+    draw_uniform,
+)
 from acsar_gym.sensors.suite import Sensors
 
 __all__ = [

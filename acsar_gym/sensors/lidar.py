@@ -29,8 +29,7 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
-STALE_PERIODS = 2.0
-"""A scan that is older than this many periods of the LiDAR counts as stale."""
+STALE_PERIODS = 2.0  # a scan that is older than this many periods of the LiDAR counts as stale
 
 
 class LidarSensor(Sensor):

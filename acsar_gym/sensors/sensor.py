@@ -1,4 +1,4 @@
-"""The base class of sensors, of which users write subclasses."""
+"""The base class of sensors, of which users write subclasses, and random numbers for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import SensorError
-from acsar_gym.jit import named_tuple
+from acsar_gym.jit import compilable, named_tuple
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.truth import GroundTruth
@@ -19,14 +19,40 @@ from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating | np.integer | np.bool_]
-Bound = float | Sequence[float] | Floats
-"""One bound for all numbers of a sensor, or one for each."""
-MAP = "map"
-"""Name of the map in a task's `sensors`, and of the sensor; it is the first of a robot's
-sensors."""
-LIDAR = "lidar"
-"""Name of the LiDAR in a task's `sensors`, and of the sensor; its numbers follow those of the map,
-and come before those of all others."""
+Bound = float | Sequence[float] | Floats  # one bound for all numbers of a sensor, or one for each
+MAP = "map"  # in a task's `sensors`, and of the sensor: the first of a robot's
+LIDAR = "lidar"  # likewise; after the map, and before all others
+
+
+def draw_uniform(rngs: Any, i: int) -> float:
+    """Draw a number of [0, 1) from robot i's generator, the one of `Generator.random()`.
+
+    Args:
+        rngs: as `read_batch` and `reset_batch` get them.
+        i: place of the robot in them.
+
+    Returns:
+        The number.
+    """
+    return float(rngs[i].random())
+
+
+@compilable
+def draw_normal(rngs: Any, i: int) -> float:
+    """Draw a number of mean 0 and standard deviation 1 from robot i's generator.
+
+    Made of two uniform ones as by Box and Muller (1958), so it isn't what `Generator.normal()`
+    draws.
+
+    Args:
+        rngs: as `read_batch` and `reset_batch` get them.
+        i: place of the robot in them.
+
+    Returns:
+        The number.
+    """
+    radius = math.sqrt(-2.0 * math.log(1.0 - draw_uniform(rngs, i)))
+    return radius * math.cos(2.0 * math.pi * draw_uniform(rngs, i))
 
 
 class Truths(NamedTuple):
@@ -204,5 +230,4 @@ def name_memory(sensor: Sensor, rows: Floats) -> tuple[Any, ...]:
     return (named_tuple(type(sensor), "Memory", tuple(sensor.memory))(*rows),)
 
 
-Factory = Callable[[Link, RobotConfig], Sensor]
-"""Makes a robot's sensor; a subclass of Sensor is one."""
+Factory = Callable[[Link, RobotConfig], Sensor]  # makes a robot's sensor, as a subclass does

@@ -45,12 +45,12 @@ class Sensors(Sequence[Sensor]):
         config: RobotConfig,
         odometry: Odometry,
     ) -> None:
-        made = [make_sensor(factory, link, config) for factory in wanted]
-        for sensor in made:
+        sensors = [make_sensor(factory, link, config) for factory in wanted]
+        for sensor in sensors:
             sensor.follow(odometry)
         self._link = link
         first = {MAP: 0, LIDAR: 1}
-        self._sensors = sorted(made, key=lambda sensor: first.get(sensor.name, 2))
+        self._sensors = sorted(sensors, key=lambda sensor: first.get(sensor.name, 2))
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
@@ -115,11 +115,11 @@ class Sensors(Sequence[Sensor]):
         """The link's ground truth, if any sensor uses it."""
         return self._link.truth if self._uses_truth else None
 
-    def info(self, told: dict[str, float]) -> None:
+    def info(self, info: dict[str, float]) -> None:
         """Add what the sensors tell to an env's info.
 
         Args:
-            told: gets their keys and values.
+            info: gets their keys and values.
 
         Raises:
             ConfigError: it has one of the keys already.
@@ -127,7 +127,7 @@ class Sensors(Sequence[Sensor]):
         now = self._link.now()
         for sensor in self._sensors:
             with naming_sensor(sensor):
-                add_sensor_info(told, sensor, now)
+                add_sensor_info(info, sensor, now)
 
     def close(self) -> None:
         """Close all of them, even where one raises; idempotent."""
@@ -148,11 +148,6 @@ def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
 
 def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
     """Make a sensor with its factory; a ready sensor is returned.
-
-    Args:
-        factory: a factory, or a ready sensor.
-        link: of the robot.
-        config: of the robot.
 
     Raises:
         ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
@@ -224,10 +219,6 @@ def check_names(names: Sequence[str]) -> None:
 def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     """Convert what a sensor has read to float64.
 
-    Args:
-        sensor: that has read it.
-        numbers: as returned by `read`.
-
     Raises:
         SensorError: for anything else than finite numbers of shape (size,).
     """
@@ -248,16 +239,16 @@ def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     return array.astype(np.float64, copy=False)
 
 
-def add_sensor_info(told: dict[str, float], sensor: Sensor, now: float) -> None:
+def add_sensor_info(info: dict[str, float], sensor: Sensor, now: float) -> None:
     """Add a sensor's info to the env's. ConfigError for a key that is there already."""
     for key, value in sensor.info(now).items():
-        check_info_key(told, sensor, key)
-        told[key] = float(value)
+        check_info_key(info, sensor, key)
+        info[key] = float(value)
 
 
-def check_info_key(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+def check_info_key(info: Mapping[str, Any], sensor: Sensor, key: str) -> None:
     """Raise ConfigError where info has the key already."""
-    if key in told:
+    if key in info:
         raise ConfigError(
             f"sensor {sensor.name!r}: info tells {key!r}, which is there already: "
             f"name it {sensor.name}_{key}"
@@ -266,14 +257,6 @@ def check_info_key(told: Mapping[str, Any], sensor: Sensor, key: str) -> None:
 
 def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     """Make the LiDAR that a user names; nothing is opened before its `reset`.
-
-    Args:
-        url: None or "simulated" for rays in the world of a simulated link, or the scans of a
-            recording; a model and its serial device, like "rplidar:///dev/ttyUSB1" (a wrong model
-            is an error that names all of them); "module:Class" for one's own, which is called with
-            link and config; such a class itself; or a Lidar.
-        link: of the robot.
-        config: of the robot.
 
     Raises:
         ConfigError: for anything else, for a simulated LiDAR on a link without a simulation, and
@@ -306,7 +289,6 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
 
 def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
-    """Make the LiDAR of a model and its serial device, "model://device"; as `open_lidar`."""
     from acsar_gym.lidar.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
     from acsar_gym.lidar.serial import SerialLidar  # noqa: PLC0415
 
@@ -332,11 +314,6 @@ def sensor_factories(
 ) -> list[Sensor | Factory]:
     """Replace names among the sensors of a task or an env by factories.
 
-    Args:
-        sensors: "map", "lidar", names like "mine.rays:ThreeRays", factories and ready sensors.
-        lidar: What "lidar" means, as `open_lidar` takes it.
-        period: Of an env step [s].
-
     Raises:
         ConfigError: A name is unknown.
     """
@@ -344,17 +321,17 @@ def sensor_factories(
     def make_lidar(link: Link, config: RobotConfig) -> Sensor:
         return LidarSensor(open_lidar(lidar, link, config), config)
 
-    found: list[Sensor | Factory] = []
+    factories: list[Sensor | Factory] = []
     for sensor in sensors:
         if not isinstance(sensor, str):
-            found.append(sensor)
+            factories.append(sensor)
         elif ":" in sensor:
-            found.append(import_object("sensor", sensor))
+            factories.append(import_object("sensor", sensor))
         elif sensor == LIDAR:
-            found.append(make_lidar)
+            factories.append(make_lidar)
         elif sensor == MAP:
-            found.append(partial(MapSensor, period=period))
+            factories.append(partial(MapSensor, period=period))
         else:
-            known = suggest_name(sensor, [LIDAR, MAP])
-            raise ConfigError(f"unknown sensor {show_value(sensor)}{known}")
-    return found
+            near = suggest_name(sensor, [LIDAR, MAP])
+            raise ConfigError(f"unknown sensor {show_value(sensor)}{near}")
+    return factories

@@ -17,12 +17,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from tapes import playing, recorded
+from tapes import TtyReplayLink, playing, recorded
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LidarError, LinkError
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.links.replay import ReplayLink
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
@@ -142,7 +141,7 @@ def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path
     with recorded(open_link("planar", config), tape, config) as link:
         told = rollout(link, STEPS)
     with playing(tape) as (port, heard):
-        assert rollout(ReplayLink(tape, port), STEPS) == told
+        assert rollout(TtyReplayLink(tape, port), STEPS) == told
         assert heard.get(timeout=5.0) == 0
 
 

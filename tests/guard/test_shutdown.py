@@ -9,7 +9,7 @@ import numpy as np
 import psutil
 import pytest
 from nursery import ended, first_line, program
-from serial_tools import BRIDGE, DRIVER, Emulated, wait_until
+from serial_tools import DRIVER, Emulated, wait_until
 from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
@@ -82,20 +82,6 @@ def test_a_handler_of_the_program_itself_is_left_alone(emulator: Emulated) -> No
         wait_until(emulator.is_driven, "a command that turns the wheels")
         process.terminate()
         assert ended(process) == (9, "")
-    assert_stopped(emulator)
-
-
-def test_an_ignored_signal_stays_ignored(emulator: Emulated) -> None:
-    """As under nohup: the robot drives on after the terminal is closed."""
-    own = "signal.signal(signal.SIGHUP, signal.SIG_IGN)"
-    code = DRIVER + own + WITHOUT_BLOCK.format(ticks=FOREVER, end="pass")
-    with program(code, emulator.device) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.send_signal(signal.SIGHUP)
-        hears_more(emulator)
-        assert emulator.is_driven()
-        process.terminate()
-        assert ended(process) == (-signal.SIGTERM, "")
     assert_stopped(emulator)
 
 
@@ -216,72 +202,7 @@ def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
     assert_stopped(emulator)
 
 
-def test_an_executor_s_thread_is_stopped_when_its_block_fails(emulator: Emulated) -> None:
-    """Not while the main thread waits at the block's end as planned."""
-    code = """
-import time
-from concurrent.futures import ThreadPoolExecutor
-
-robot.activate()
-with ThreadPoolExecutor() as pool:
-    planned = pool.submit(drive, 30)
-planned.result()
-with ThreadPoolExecutor() as pool:
-    pool.submit(drive, 10**9)
-    time.sleep(0.1)
-    raise RuntimeError
-"""
-    with program(DRIVER + code, emulator.device) as process:
-        status, error = ended(process)
-    assert status == 1
-    assert error.endswith("RuntimeError\n")
-    assert_stopped(emulator)
-
-
-AFTER_A_HANDLER = """
-signal.signal(signal.SIGTERM, lambda *_: None)
-robot.activate()
-drive(10)
-signal.raise_signal(signal.SIGTERM)
-drive(30)
-"""
-AFTER_OTHER_SIGNALS = """
-robot.activate()
-for number in (signal.SIGUSR1, signal.SIGCHLD, signal.SIGWINCH, signal.SIGHUP):
-    signal.signal(number, lambda *_: None)
-    signal.raise_signal(number)
-    thread, errors = in_a_thread(lambda: drive(20))
-    thread.join()
-    assert not errors, errors
-"""
 """SIGHUP is one of them where the program handles it: servers read their settings again."""
-WHILE_A_CHILD_ENDS = """
-import warnings
-warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
-robot.activate()
-thread, errors = in_a_thread(lambda: drive(60))
-child = os.fork()
-if child == 0:
-    signal.signal(signal.SIGTERM, lambda *_: None)
-    signal.raise_signal(signal.SIGTERM)
-    os._exit(0)
-thread.join()
-assert os.waitpid(child, 0)[1] == 0
-assert not errors, errors
-"""
-
-
-@pytest.mark.parametrize(
-    "code",
-    [AFTER_A_HANDLER, AFTER_OTHER_SIGNALS, WHILE_A_CHILD_ENDS],
-    ids=["main thread", "other signals", "forked child"],
-)
-def test_signals_that_stop_nobody(code: str, emulator: Emulated) -> None:
-    with program(DRIVER + THREAD + code, emulator.device) as process:
-        assert ended(process) == (0, "")
-    assert_stopped(emulator)
-
-
 LOOP = """
 import asyncio, signal
 loop = asyncio.new_event_loop()
@@ -311,36 +232,6 @@ print("told", flush=True)
     assert_stopped(emulator)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_thread_that_ends_in_time_is_not_refused(
-    number: signal.Signals, emulator: Emulated
-) -> None:
-    """A program that ends in good order isn't disturbed."""
-    code = f"""
-from acsar_gym.guard import shutdown
-
-shutdown.HANDLER_TIME = 60.0
-done = threading.Event()
-signal.signal({number.value}, lambda *_: done.set())
-
-def drive_until_done():
-    while not done.is_set():
-        drive(1)
-    drive(3)
-    robot.deactivate()
-
-robot.activate()
-thread, errors = in_a_thread(drive_until_done)
-thread.join()
-assert not errors, errors
-"""
-    with program(DRIVER + THREAD + code, emulator.device) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.send_signal(number)
-        assert ended(process) == (0, "")
-    assert_stopped(emulator)
-
-
 FORK = """
 robot.activate()
 drive(30)
@@ -364,14 +255,6 @@ def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> Non
     driving = [command != ZERO for command in emulator.commands()]
     first = driving.index(True)
     assert all(driving[first : first + 90])
-
-
-@pytest.mark.parametrize("end", ["os._exit(0)", "sys.exit()"])
-def test_a_forked_child_leaves_the_socket_of_its_parent_alone(end: str, shared_device: str) -> None:
-    with program(BRIDGE, shared_device) as bridge:
-        url = f"socket://127.0.0.1:{first_line(bridge)}"
-        with program(DRIVER + FORK.format(end=end), url) as process:
-            assert ended(process) == (0, "")
 
 
 def test_a_recording_is_complete_when_a_signal_ends_the_program(

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from lidar_twins import MAKERS
-from serial_tools import cli
 
-from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError, SensorError
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
@@ -19,7 +18,6 @@ from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.links.base import ForwardingLink, clock_of
 from acsar_gym.links.recorded import RecordedLink
 from acsar_gym.recording import Recorder
-from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene
 
@@ -78,18 +76,6 @@ def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
     assert type(open_lidar(OwnLidar, link, ACSAR)) is OwnLidar
 
 
-class Unfinished(OwnLidar):
-    """Lacks a parameter."""
-
-    def __init__(self) -> None:
-        """Take neither link nor config."""
-
-
-def test_an_error_of_a_class_is_its_own() -> None:
-    with pytest.raises(SensorError, match=r"Unfinished.* raised TypeError"):
-        open_lidar(Unfinished, open_link("planar", ACSAR), ACSAR)
-
-
 @pytest.mark.parametrize("name", ["planar", "replay:none.mcap"])
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: Path) -> None:
@@ -129,28 +115,3 @@ def test_what_names_no_lidar_is_refused(url: Any, said: str) -> None:
 def test_an_error_of_ones_own_class_names_it() -> None:
     with pytest.raises(SensorError, match=r"make_broken.* raised OSError: no such bus"):
         open_lidar(f"{__name__}:make_broken", open_link("planar", ACSAR), ACSAR)
-
-
-def test_a_class_of_ones_own_is_observed() -> None:
-    link = open_link("planar", ACSAR)
-    sensor = LidarSensor(OwnLidar(link, ACSAR), ACSAR)
-    with Robot(link, ACSAR, [sensor]) as robot:
-        robot.drive(0.0, 0.0)
-        assert robot.read() == pytest.approx(2.0 / ACSAR.lidar.max_range)
-
-
-def test_the_command_line_names_the_known_models() -> None:
-    done = cli(
-        "run",
-        "1",
-        "0",
-        "--policy",
-        "navfn",
-        "--env",
-        "obstacle_goal",
-        "--lidar",
-        "ld6:///dev/ttyUSB1",
-    )
-    assert done.returncode == 2
-    assert "unknown model; known: ld06, ld14p" in done.stderr
-    assert "Traceback" not in done.stderr

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import threading
 import time
-import tty
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -15,7 +11,6 @@ from serial_tools import TIMEOUT
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import arrivals_of
-from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
@@ -51,41 +46,6 @@ def test_a_recording_has_the_stamps_of_arrival(tmp_path: Path) -> None:
     assert speeds[-1].tolist() == episode.speeds[-1].tolist()
     sent, _ = episode.wire.commands(CONFIG)
     assert sent[:3].tolist() == [0.0, 0.01, 0.02]
-
-
-def test_bytes_are_stamped_when_they_come() -> None:
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    link = SerialLink(os.ttyname(slave), CONFIG.with_(watchdog_timeout=None))
-    silent = threading.Event()
-    written: list[float] = []
-
-    def board() -> None:
-        while not silent.wait(0.005):
-            os.write(master, encode(ZERO))
-
-    def five() -> None:
-        for number in range(5):
-            time.sleep(0.02)
-            written.append(time.monotonic())
-            os.write(master, b"%d" % number)
-
-    with ThreadPoolExecutor(1) as pool:
-        talks = pool.submit(board)
-        link.open()
-        silent.set()
-        talks.result()
-        link.reset(Scene())
-        assert link.arrivals == []  # from now on they are noted
-        pool.submit(five)
-        got = link.advance(1.0)
-    stamps = [stamp for stamp, piece in link.arrivals for _ in piece]
-    assert got == b"".join(piece for _, piece in link.arrivals) == b"01234"
-    assert all(stamp >= when for stamp, when in zip(stamps, written, strict=True))
-    assert stamps[0] < link.now() - 0.01  # before the deadline
-    link.close()
-    os.close(master)
-    os.close(slave)
 
 
 def test_a_real_wire_is_recorded_with_its_stamps(shared_device: str, tmp_path: Path) -> None:

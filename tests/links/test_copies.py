@@ -8,17 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from recording_tools import drive
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import RobotConfig
 from acsar_gym.errors import LinkLostError
-from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
-from acsar_gym.tools.doctor.wire import StoppableLink
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
@@ -56,21 +53,3 @@ def test_a_serial_link_stops_with_the_same_zeros(copied: Callable[[Any], Any]) -
     assert link._stop_line == b"\r\n" + b"".join(zeros)
     assert link.watchdog._zeros == link._stop_line
     assert (link.device, link._config) == ("/dev/acsar-missing", ACSAR)
-
-
-def test_a_link_of_the_doctor_hears_stops_as_well(copied: Callable[[Any], Any]) -> None:
-    first = StoppableLink("/dev/acsar-missing", ACSAR)
-    link = copied(first)
-    assert isinstance(link, StoppableLink)
-    assert link._stop_line == first._stop_line
-    assert link.listener.paths != first.listener.paths
-    for each in (first, link):
-        each.close()
-
-
-def test_a_link_whose_faults_a_generator_draws_begins_anew(copied: Callable[[Any], Any]) -> None:
-    generator = np.random.default_rng(3)
-    first = FaultyLink(open_link("planar", ACSAR), {"dropped_lines": 0.5}, generator)
-    link = copied(first)
-    assert link._key == first._key
-    assert generator.random() == np.random.default_rng(3).random(2)[1]

@@ -21,15 +21,6 @@ def refusal(*chunks: bytes) -> BoardSilentError:
     return caught.value
 
 
-@pytest.mark.parametrize("chunk", [b"ap12.50,bn0", b"4,cp15.00", b"5.00"])
-def test_a_board_frozen_in_mid_line_is_silent(chunk: bytes) -> None:
-    error = refusal(chunk)
-    assert type(error) is BoardSilentError
-    assert f"'{chunk.decode()}'" in error.found
-    assert f"{len(chunk)} bytes" in error.found
-    assert "baud" not in error.fix
-
-
 @pytest.mark.parametrize(
     ("chunk", "shown"),
     [
@@ -113,11 +104,6 @@ def test_what_differs_in_a_line_is_said(line: bytes, differs: str) -> None:
     assert f"the board's lines have {differs}: '{line[:20].decode()}" in error.found
     assert "ap12.50,bn08.75" in error.fix
     assert "baud" not in str(error)
-
-
-@pytest.mark.parametrize("line", [GOOD.strip(), b"left 0.50 right 0.51", b"\xf1\x80\x02", b""])
-def test_nothing_is_said_of_lines_that_are_right_or_something_else(line: bytes) -> None:
-    assert describe_format(line) == ""
 
 
 @pytest.mark.parametrize("rest", [b"ap05.00,bp0", b"ap05.0\x00\xf8", b"ap05\r\nready, v1.2\r\n"])

@@ -10,21 +10,19 @@ import random
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import Link, open_link
+from acsar_gym.links import lateness as lateness_module
 from acsar_gym.links.base import ForwardingLink
 from acsar_gym.links.lateness import (
-    KEPT_TRIPS,
-    LONGEST_DURATION,
-    SHORTEST_DURATION,
-    DurationHistogram,
+    DurationRecord,
     DurationSpread,
     EpisodeStopwatch,
-    LatenessHistogram,
+    LatenessRecord,
     first_byte,
 )
 from acsar_gym.tools.evaluation.episodes import run_episodes
@@ -34,63 +32,31 @@ from acsar_gym.worlds import Scene
 Floats = NDArray[np.float64]
 
 CONFIG = RobotConfig.preset("acsar")
-PERIOD = CONFIG.period
-SLACK = 1.0 + 1.0 / 32.0 + 1e-9
-"""How much too large a percentile may be."""
-
-measurable = st.floats(SHORTEST_DURATION, LONGEST_DURATION, exclude_max=True)
-anything = st.floats(allow_nan=False)
 
 
-def recorded(seconds: list[float]) -> DurationHistogram:
-    durations = DurationHistogram()
-    for one in seconds:
-        durations.add(one)
-    return durations
-
-
-def lateness(*seconds: float) -> LatenessHistogram:
-    record = LatenessHistogram(CONFIG)
+def lateness(*seconds: float) -> LatenessRecord:
+    record = LatenessRecord(CONFIG)
     for one in seconds:
         record.add(one)
     return record
 
 
-def nearest_rank(seconds: list[float], q: float) -> float:
-    return sorted(seconds)[max(1, math.ceil(q / 100.0 * len(seconds))) - 1]
-
-
-@given(st.lists(measurable, min_size=1), st.floats(0.0, 100.0))
-def test_percentiles_are_those_of_a_sorted_list(seconds: list[float], q: float) -> None:
-    exact = nearest_rank(seconds, q)
-    assert exact <= recorded(seconds).percentile(q) <= exact * SLACK
-
-
-@example([0.01, LONGEST_DURATION])
-@example([0.01, 1e6])
-@given(st.lists(anything, min_size=1))
-def test_the_extremes_are_exact_and_percentiles_lie_between(seconds: list[float]) -> None:
-    durations = recorded(seconds)
-    worst = max(0.0, *seconds)
-    assert (durations.count, durations.worst) == (len(seconds), worst)
-    assert durations.percentile(100.0) in (worst, 0.0)
-    assert 0.0 <= durations.percentile(50.0) <= durations.percentile(99.0) <= worst
-
-
-@given(st.lists(st.floats(-1.0, 1e6)))
-def test_counts_are_exact(seconds: list[float]) -> None:
-    record = lateness(*seconds)
-    assert record.count == len(seconds)
-    assert record.late == sum(one > 0.002 for one in seconds)
-    assert record.missed == sum(int(one / PERIOD) for one in seconds if one > PERIOD)
+@given(st.lists(st.floats(0.0, 1e6), min_size=1), st.floats(0.0, 100.0))
+def test_percentiles_and_extremes_are_exact(seconds: list[float], q: float) -> None:
+    durations = DurationRecord()
+    for one in seconds:
+        durations.add(one)
+    rank = max(1, math.ceil(q / 100.0 * len(seconds)))
+    assert durations.percentile(q) in sorted(seconds)[max(rank - 2, 0) : rank + 1]
+    assert (durations.count, durations.worst) == (len(seconds), max(seconds))
 
 
 def test_nothing_recorded_is_nan() -> None:
-    timing = LatenessHistogram(CONFIG).summary()
+    timing = LatenessRecord(CONFIG).summary()
     assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (0, 0, 0)
     assert all(map(math.isnan, (timing.p50, timing.p99, timing.worst)))
     assert timing.late_share == 0.0
-    assert DurationHistogram().spread().count == 0
+    assert DurationRecord().spread().count == 0
 
 
 def test_a_summary_of_a_known_episode() -> None:
@@ -98,15 +64,15 @@ def test_a_summary_of_a_known_episode() -> None:
     timing = record.summary()
     assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (100, 2, 2)
     assert timing.late_share == 0.02
-    assert timing.p50 == pytest.approx(1e-4, rel=1.0 / 32.0)
-    assert timing.p99 == pytest.approx(0.003, rel=1.0 / 32.0)
+    assert timing.p50 == 1e-4
+    assert timing.p99 == 0.003
     assert timing.worst == 0.025
     spread = record.spread()
     assert (spread.count, spread.p99, spread.worst) == (100, timing.p99, timing.worst)
 
 
 def test_the_robots_file_says_what_is_late() -> None:
-    record = LatenessHistogram(CONFIG.with_(late_after=0.5))
+    record = LatenessRecord(CONFIG.with_(late_after=0.5))
     record.add(0.0049)
     record.add(0.0051)
     assert (record.late, record.limit) == (1, 0.005)
@@ -161,11 +127,13 @@ def test_odometry_does_not_tell_ticks_that_are_not_late() -> None:
     assert unnoticed < 2.0 < max(worst.values())
 
 
-def test_memory_is_bounded() -> None:
-    once, often = LatenessHistogram(CONFIG), LatenessHistogram(CONFIG)
-    for number in range(100_000):
-        often.add(number * 1e-6)
-    assert len(pickle.dumps(often)) < len(pickle.dumps(once)) + 4_000
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lateness_module, "KEPT_DURATIONS", 100)
+    record = LatenessRecord(CONFIG)
+    for number in range(1_000):
+        record.add(number * 1e-6)
+    assert record.count == 1_000
+    assert len(pickle.dumps(record)) < 2_500
 
 
 def trips(*commands: tuple[float, bool, bool]) -> DurationSpread:
@@ -217,26 +185,6 @@ def test_a_round_trip_begins_with_the_command_and_ends_with_turning_wheels(
     spread = trips(*asked)
     assert spread.count == count
     assert spread.worst == pytest.approx(worst, nan_ok=True)
-
-
-def test_the_newest_round_trips_are_kept_one_by_one() -> None:
-    watch = EpisodeStopwatch(CONFIG)
-    for start in range(KEPT_TRIPS + 5):
-        watch.commanded(float(start), 0.0, drives=False)
-        watch.commanded(start + 0.1, 0.0, drives=True)
-        assert watch.commanded(start + 0.2, 3.0, drives=True)
-        watch.heard([], start + 0.3)
-    timing = watch.summary()
-    assert timing.round_trip.count == KEPT_TRIPS + 5
-    assert timing.round_trips == pytest.approx([0.2] * KEPT_TRIPS)
-
-
-def test_noise_of_standing_encoders_shows_no_command() -> None:
-    watch = EpisodeStopwatch(CONFIG)
-    for tick, speed in enumerate((0.03, 0.03, 0.05, 0.07)):
-        if watch.commanded(float(tick), speed, drives=tick > 0):
-            watch.heard([], tick + 0.5)
-    assert watch.summary().round_trip.worst == 2.5
 
 
 @pytest.mark.parametrize(

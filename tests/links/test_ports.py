@@ -12,13 +12,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from serial_tools import TIMEOUT, Emulated, StartEmulator
+from serial_tools import TIMEOUT, StartEmulator
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
 from acsar_gym.guard import watchdog
 from acsar_gym.links import ports
-from acsar_gym.links.factory import is_device
 from acsar_gym.links.ports import PortInfo, find_lasting_name, locate_port
 from acsar_gym.links.serial import SerialLink
 
@@ -76,40 +75,11 @@ def test_an_adapter_comes_back_under_its_own_name(
     assert find_lasting_name(adapter) == str(by_id / "usb-B")
 
 
-def test_a_link_is_a_name_that_lasts_by_itself(adapter: str, by_id: Path, tmp_path: Path) -> None:
-    (by_id / "usb-A").symlink_to(adapter)
-    mine = tmp_path / "robot"
-    mine.symlink_to(adapter)
-    assert find_lasting_name(str(mine)) == str(mine)
-
-
-@pytest.mark.parametrize("number", [None, "0001"])
-def test_an_adapter_like_others_has_no_lasting_name(
-    number: str | None, device: str, by_id: Path, plugged: Plugged
-) -> None:
-    """Cheap ones all have the same serial number, so udev's name may be another one's next time."""
-    (by_id / "usb-A").symlink_to(device)
-    plugged += [PortInfo(port, "board", number) for port in ("/dev/null", device)]
-    assert find_lasting_name(device) == device
-
-
-@pytest.mark.parametrize("url", ["socket://127.0.0.1:2000", "COM3", "/dev/acsar-missing", ""])
-def test_what_has_no_lasting_name_stays_as_it_is(url: str, by_id: Path) -> None:
-    (by_id / "usb-A").symlink_to("/dev/null")
-    (by_id / "usb-broken").symlink_to("/dev/acsar-gone")
-    assert find_lasting_name(url) == url
-
-
 def test_a_serial_number_means_the_one_adapter_that_has_it(adapter: str, plugged: Plugged) -> None:
     assert locate_port("usb:A50285BI") == adapter
     plugged += [PortInfo(f"/dev/ttyUSB{number}", "board", "0001") for number in range(2)]
     with pytest.raises(ConfigError, match="/dev/ttyUSB0, /dev/ttyUSB1"):
         locate_port("usb:0001")
-
-
-@pytest.mark.parametrize("name", ["/dev/ttyUSB0", "COM3", "socket://host:1", "a50285bi"])
-def test_other_names_are_left_alone(name: str, plugged: Plugged) -> None:
-    assert locate_port(name) == name
 
 
 @pytest.mark.parametrize(
@@ -124,37 +94,6 @@ def test_a_serial_number_that_is_not_here_tells_those_that_are(
         locate_port("usb:A50285BI")
     assert "usb:A50285BI" in caught.value.found
     assert caught.value.fix.endswith(f": {told}")
-
-
-def test_a_path_beside_the_user_is_a_device(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: RobotConfig
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("rob").symlink_to("/dev/null")
-    Path("planar").symlink_to("/dev/null")
-    assert is_device("rob")
-    assert not is_device("planar")
-    assert isinstance(open_link("rob", config), SerialLink)
-    Path("plain").touch()
-    with pytest.raises(ConfigError, match="'plain'"):
-        open_link("plain")
-
-
-def test_a_serial_number_is_followed_to_another_device(
-    own_emulator: Emulated, config: RobotConfig, plugged: Plugged
-) -> None:
-    plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
-    robot = Robot(open_link("usb:A50285BI", config.with_(reconnect_timeout=TIMEOUT)), config)
-    robot.activate()
-    with os.fdopen(os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY), "rb", 0):
-        own_emulator.pull()
-        assert "usb:A50285BI" in drive_until_lost(robot).found
-        plugged.clear()
-        own_emulator.plug()
-        plugged.append(PortInfo(own_emulator.device, "board", "A50285BI"))
-        with robot:
-            robot.drive(0.2, 0.0)
-            assert robot.feedback_age < 1.0
 
 
 def test_a_device_is_followed_by_its_adapter_s_name(

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import math
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,11 +17,10 @@ import psutil
 import pytest
 import yaml
 from nursery import first_line, program
-from serial_tools import DRIVER, TIMEOUT, Emulated, StartEmulator, no_leak, start, wait_until
+from serial_tools import DRIVER, TIMEOUT, Emulated, no_leak, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import (
-    CommandError,
     LinkError,
     LinkLostError,
     PortNotFoundError,
@@ -124,25 +120,6 @@ def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
 FORWARD = encode((3.0, 3.0, 3.0, 3.0))
 
 
-def test_pulled_before_the_first_line(start_emulator: StartEmulator, config: RobotConfig) -> None:
-    """The port opens, and is gone before the board has said anything."""
-    silent = start_emulator("--silent")
-    code = f"""
-import json, os, signal, time
-while "rx" not in open({str(silent.log)!r}).read():
-    time.sleep(0.01)
-os.kill({silent.process.pid}, signal.SIGUSR1)
-"""
-    link = SerialLink(silent.device, config)
-    with program(code) as helper, no_leak():
-        with pytest.raises(LinkLostError) as caught:
-            link.open()
-        helper.wait(TIMEOUT)
-    assert silent.device in caught.value.found
-    assert not link.watchdog.is_alive
-    link.close()
-
-
 USES: dict[str, Callable[[SerialLink], object]] = {
     "write": lambda link: link.write(FORWARD),
     "advance": lambda link: link.advance(0.01),
@@ -150,37 +127,6 @@ USES: dict[str, Callable[[SerialLink], object]] = {
     "reset_input": lambda link: link.reset_input(),
     "reset": lambda link: link.reset(Scene()),
 }
-
-
-@pytest.mark.parametrize("use", USES)
-def test_pulled_before_any_use_there_is_one_error(
-    use: str, link: SerialLink, plugged: Emulated
-) -> None:
-    link.write(FORWARD)
-    link.advance(0.01)
-    plugged.pull()
-    with pytest.raises(LinkLostError) as caught:
-        USES[use](link)
-    assert caught.value.fix
-    link.stop()
-    link.close()
-    assert not link.watchdog.is_alive
-
-
-@pytest.mark.parametrize("use", ["close", "stop"])
-def test_pulled_before_the_end_there_is_none(use: str, link: SerialLink, plugged: Emulated) -> None:
-    link.write(FORWARD)
-    plugged.pull()
-    getattr(link, use)()
-
-
-def test_a_board_that_takes_no_bytes_holds_nobody_up(link: SerialLink, plugged: Emulated) -> None:
-    plugged.pause()
-    with pytest.raises(LinkLostError, match="takes no more bytes"):
-        while True:
-            link.write(encode(ZERO) * 200)
-    link.close()
-    plugged.resume()
 
 
 def test_a_program_held_up_in_a_write_has_not_lost_its_port(
@@ -222,21 +168,6 @@ robot.activate()
     emulator.plug()
     wait_until(lambda: bool(spoken(emulator)), "a command")
     assert spoken(emulator) == {ZERO}
-
-
-def test_a_few_of_a_thousand_pulls_leave_nothing_behind() -> None:
-    replug = Path(__file__).parents[1] / "fuzz" / "replug.py"
-    done = subprocess.run(
-        [sys.executable, str(replug), "--cycles", "5", "--seed", "1", "--reconnect", "3"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=2 * TIMEOUT,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("5 cycles in ")
-    assert ": 4 recovered, 1 reported, 0 neither; " in done.stdout
-    assert done.stdout.endswith("child processes left: 0\n")
 
 
 def drive_until_error(robot: Robot) -> None:
@@ -298,32 +229,6 @@ def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: 
     plugged.plug()
     env.reset()
     assert env.step(CURVE)[-1]["fault"] == 0.0
-
-
-def test_pulled_before_a_bad_action_the_action_is_the_error(env: Any, plugged: Emulated) -> None:
-    plugged.pull()
-    with pytest.raises(CommandError):
-        env.unwrapped.step(np.array([math.nan, 0.0], np.float32))
-    plugged.plug()
-    env.reset()
-    assert env.step(CURVE)[-1]["fault"] == 0.0
-
-
-def test_a_board_that_falls_silent_is_another_fault(
-    emulator: Emulated, config: RobotConfig
-) -> None:
-    env = made(emulator, config.with_(feedback_timeout=1.0))
-    env.reset(seed=0)
-    env.step(CURVE)
-    emulator.pause()
-    *_, info = step_until_fault(env)
-    assert info["fault"] == SILENT
-    assert "no feedback for 1." in info["fault_reason"]
-    emulator.resume()
-    env.reset()
-    assert env.step(CURVE)[-1]["fault"] == 0.0
-    env.close()
-    wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
 
 
 ZEROS = b"\r\n" + encode(ZERO)
@@ -391,24 +296,6 @@ def test_a_port_that_was_never_there_is_reported_at_once(
     assert tries == [missing] * 2
 
 
-def test_without_patience_a_lost_port_is_tried_once(
-    plugged: Emulated, config: RobotConfig, tries: list[str]
-) -> None:
-    link = SerialLink(name(plugged), config.with_(reconnect_timeout=0.0))
-    link.open()
-    plugged.pull()
-    with pytest.raises(LinkLostError):
-        link.reset(Scene())
-    link.close()
-    tries.clear()
-    with pytest.raises(PortNotFoundError):
-        link.open()
-    assert len(tries) == 1
-    plugged.plug()
-    link.open()
-    link.close()
-
-
 END = """
 robot.activate()
 print(robot.link.watchdog.pid, flush=True)
@@ -436,14 +323,6 @@ def test_a_program_that_has_ended_still_stops_the_robot(emulator: Emulated) -> N
     assert not emulator.since_plugged().replace(ZEROS, b"")
 
 
-def test_without_a_lasting_name_nothing_is_looked_for(emulator: Emulated) -> None:
-    """Another adapter may be /dev/ttyUSB0 next."""
-    ends(lose(emulator, emulator.device))
-    emulator.plug()
-    time.sleep(0.2)
-    assert emulator.since_plugged() == b""
-
-
 def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
     dog = psutil.Process(lose(emulator, name(emulator)))
     dog.suspend()
@@ -455,33 +334,3 @@ def test_whoever_has_the_port_then_is_not_disturbed(emulator: Emulated) -> None:
     time.sleep(0.1)
     assert emulator.since_plugged() == b""
     os.close(port)
-
-
-def test_another_link_to_the_port_calls_the_search_back(
-    plugged: Emulated, config: RobotConfig
-) -> None:
-    lost, other = (SerialLink(name(plugged), config) for _ in range(2))
-    lost.open()
-    plugged.pull()
-    lost.close()
-    (dog,) = watchdog.list_searches().values()
-    assert runs(dog)
-    plugged.plug()
-    other.open()
-    assert not runs(dog)
-    other.close()
-
-
-def test_called_back_nobody_looks_any_more(link: SerialLink, plugged: Emulated) -> None:
-    plugged.pull()
-    link.close()
-    ((place, dog),) = watchdog.list_searches().items()
-    assert place == name(plugged)
-    watchdog.end_searches("another")
-    assert runs(dog)
-    watchdog.end_searches(place)
-    assert not psutil.pid_exists(dog)  # no zombie either
-    watchdog.end_searches(place)
-    plugged.plug()
-    time.sleep(0.2)
-    assert plugged.since_plugged() == b""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 import time
 from pathlib import Path
 
@@ -24,7 +22,6 @@ from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
     CommandError,
-    ConfigError,
     LinkError,
     PortBusyError,
     PortNotFoundError,
@@ -60,14 +57,6 @@ def test_missing_device(config: RobotConfig) -> None:
     error = refusal(MISSING, config)
     assert type(error) is PortNotFoundError
     assert error.exit_code == 3
-
-
-def test_the_config_names_the_device(config: RobotConfig, shared_device: str) -> None:
-    with pytest.raises(ConfigError, match="serial_port"):
-        open_link("serial", config)
-    with Robot(open_link("serial", config.with_(serial_port=shared_device)), config) as robot:
-        assert isinstance(robot.link, SerialLink)
-        assert robot.link.device == shared_device
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "/dev/null"])
@@ -123,17 +112,6 @@ def test_busy_with_another_robot_program(
     monkeypatch.setattr(ports, "BUSY_TIMEOUT", TIMEOUT)
     with Robot(open_link(shared_device, config), config) as robot:
         assert robot.active
-
-
-def test_busy_with_a_lock(config: RobotConfig, shared_device: str) -> None:
-    holder = os.open(shared_device, os.O_RDWR | os.O_NOCTTY)
-    fcntl.flock(holder, fcntl.LOCK_EX)
-    try:
-        error = refusal(shared_device, config)
-    finally:
-        os.close(holder)
-    assert type(error) is PortBusyError
-    assert "fuser" in error.fix
 
 
 def test_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
-import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,10 +11,8 @@ import pybullet
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.links.base import meter_of
-from acsar_gym.links.faults import Faults, FaultyLink
-from acsar_gym.links.simulated import PacedLink, SimulatedLink
-from acsar_gym.physics import GRAVITY, Physics
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.physics import Physics
 from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import Decoder, Speeds, encode
@@ -36,7 +32,6 @@ def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
     made.close()
 
 
-our_tyres = pytest.mark.parametrize("link", ["planar", "bullet"], indirect=True)
 """Exact figures of our tyre model; MuJoCo's ground is another one, see test_mujoco."""
 
 
@@ -76,27 +71,6 @@ def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink)
     assert link.work == 0.0
 
 
-@our_tyres
-def test_the_work_of_a_turn_goes_into_friction(link: SimulatedLink) -> None:
-    """In a steady turn on the spot the motors' power is what the four sliding tyres dissipate."""
-    link.metered = True
-    drive(link, None, 2.0, (4.0, -4.0, -4.0, 4.0))
-    before = link.work
-    for _ in range(100):
-        link.write(encode((4.0, -4.0, -4.0, 4.0)))
-        link.advance(TICK)
-    link.metered = False
-    rate, rim = link.truth.twist[1], 4.0 * CONFIG.wheel_radius
-    ahead, aside = rim - rate * CONFIG.wheel_separation / 2.0, rate * CONFIG.wheelbase / 2.0
-    weight = CONFIG.body.friction * CONFIG.body.mass * GRAVITY
-    assert link.work - before == pytest.approx(weight * math.hypot(ahead, aside), rel=0.02)
-
-
-def test_the_meter_of_a_wrapped_link_is_found(link: SimulatedLink) -> None:
-    assert meter_of(FaultyLink(PacedLink(link), Faults.of({"dropped_lines": 0.1}))) is link
-    assert meter_of(open_link("replay:" + os.devnull, CONFIG)) is None
-
-
 def first_motion(link: SimulatedLink, own: Physics | None) -> int:
     """Ticks until the wheels turn."""
     link.reset(Scene(physics=own))
@@ -112,21 +86,6 @@ def lines(answer: bytes) -> list[Any]:
     return [reading.speeds for reading in Decoder().feed(answer)]
 
 
-def test_a_slippery_floor_makes_the_robot_slower_to_start(link: SimulatedLink) -> None:
-    ends = []
-    for own in (physics(friction=0.1), None):
-        drive(link, own, 0.3, FORWARD)
-        ends.append(link.truth.pose[0])
-    assert ends[0] < 0.8 * ends[1]
-
-
-@our_tyres
-def test_a_motors_gain_is_its_speed_for_a_set_point(link: SimulatedLink) -> None:
-    own = physics(motor_gain=0.9)._replace(gain_b=1.1)
-    drive(link, own, 2.0, FORWARD)
-    assert wheels(link) == pytest.approx((7.2, 8.8, 7.2, 7.2), rel=1e-3)
-
-
 def test_a_motors_lag_delays_its_wheel(link: SimulatedLink) -> None:
     drive(link, physics(motor_lag=3.0)._replace(blend_a=1.0), 0.3, FORWARD)
     a, *slow = wheels(link)
@@ -137,25 +96,6 @@ def test_a_motors_lag_delays_its_wheel(link: SimulatedLink) -> None:
 def test_set_points_in_the_deadband_turn_nothing(link: SimulatedLink) -> None:
     drive(link, physics(deadband=0.4), 0.5, (0.5, 0.3, 0.5, 0.3))
     assert [speed > 0.2 for speed in wheels(link)] == [True, False, True, False]
-
-
-@our_tyres
-def test_a_larger_wheel_goes_further_than_odometry_knows(link: SimulatedLink) -> None:
-    plain = lines(drive(link, None, 1.0, FORWARD)), link.truth.twist[0]
-    large = lines(drive(link, physics(wheel_radius=1.1), 1.0, FORWARD)), link.truth.twist[0]
-    assert large[0] == plain[0]
-    assert large[1] == pytest.approx(1.1 * plain[1], rel=1e-3)
-
-
-@our_tyres
-def test_a_wider_track_turns_slower_than_odometry_knows(link: SimulatedLink) -> None:
-    turn: Speeds = (8.0, -8.0, -8.0, 8.0)
-    plain = lines(drive(link, None, 1.5, turn)), link.truth.twist[1]
-    wide = lines(drive(link, physics(track_width=1.2), 1.5, turn)), link.truth.twist[1]
-    a, b = CONFIG.wheelbase, CONFIG.wheel_separation
-    assert wide[0] == plain[0]
-    expected = plain[1] * 1.2 * (b**2 + a**2) / ((1.2 * b) ** 2 + a**2)
-    assert wide[1] == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("latency", [0.01, 0.05])

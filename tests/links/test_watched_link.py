@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import math
 import os
 import signal
 import sys
@@ -15,14 +14,14 @@ from pathlib import Path
 
 import psutil
 import pytest
-from nursery import ended, first_line, program
+from nursery import first_line, program
 from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
 from watchdog_tools import HASTY, TURNING, ZEROS, children
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
-from acsar_gym.guard.watchdog_child import BEAT, ZERO_INTERVAL
+from acsar_gym.guard.watchdog_child import BEAT
 from acsar_gym.links import ports, serial
 from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.serial import SerialLink
@@ -91,34 +90,6 @@ def test_a_board_without_a_time_out_and_without_a_watchdog_is_told(
     ):
         one.drive(0.0, 0.0)
     assert len(said) == 1
-
-
-FEW_FILES = """
-import resource
-robot.activate()
-robot.deactivate()
-held = len(os.listdir("/proc/self/fd")) - 1
-said = set()
-for room in range(100):
-    resource.setrlimit(resource.RLIMIT_NOFILE, (held + room, held + 1000))
-    try:
-        robot.activate()
-        break
-    except Exception as error:
-        said.add(f"{type(error).__name__}: {error}")
-    assert len(os.listdir("/proc/self/fd")) == held + 1 if room else True
-resource.setrlimit(resource.RLIMIT_NOFILE, (held + 1000, held + 1000))
-print(*said, sep="|", flush=True)
-"""
-
-
-def test_too_few_descriptors_are_one_clear_error(shared_device: str) -> None:
-    with program(DRIVER + FEW_FILES, shared_device) as process:
-        said = first_line(process).split("|")
-        assert ended(process) == (0, "")
-    assert len(said) > 1
-    assert all(one.startswith("LinkError: ") and "ulimit -n" in one for one in said)
-    assert "watchdog" in "".join(said)
 
 
 @pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
@@ -195,13 +166,6 @@ def test_no_pause_at_standstill_is_too_long_and_reading_is_a_sign_of_life(link: 
         stop()
         link.read_now()
         assert link.watchdog.page[BEAT] == 0.0
-
-
-def test_periods_longer_than_the_timeout_are_no_pause(hasty: SerialLink) -> None:
-    hasty.write(TURNING)
-    hasty.advance(2.0 * HASTY)
-    assert not hasty.watchdog.has_tripped
-    hasty.stop()
 
 
 def test_a_watchdog_that_dies_stops_the_robot_and_comes_back(link: SerialLink) -> None:
@@ -288,13 +252,6 @@ def test_nobody_writes_while_the_link_is_held(link: SerialLink) -> None:
 
 
 DRIVE = "robot.activate(); drive(10**9)"
-WATCHED = (
-    DRIVER
-    + f"""
-config = config.with_(watchdog_timeout={HASTY})
-robot = Robot(open_link(sys.argv[1], config), config)
-"""
-)
 
 
 def assert_stopped_after(emulator: Emulated, fault: float) -> None:
@@ -308,56 +265,6 @@ def assert_stopped_after(emulator: Emulated, fault: float) -> None:
         if event["t"] >= fault
     ]
     assert not any(driving[driving.index(False) :])
-
-
-def test_a_program_suspended_at_standstill_drives_on(emulator: Emulated) -> None:
-    """Its zeros are repeated meanwhile: the wire may have swallowed the last one."""
-    code = """
-import time
-robot.activate()
-for _ in range(30):
-    robot.drive(0.0, 0.0)
-goes_on = []
-signal.signal(signal.SIGCONT, lambda *_: goes_on.append(True))
-print("stands", flush=True)
-while not goes_on:
-    time.sleep(0.01)
-drive(10**9)
-"""
-    with program(WATCHED + code, emulator.device) as process:
-        assert first_line(process) == "stands"
-        process.send_signal(signal.SIGSTOP)
-        said = len(emulator.commands())
-        more = math.ceil(2 * HASTY / ZERO_INTERVAL)
-        wait_until(lambda: len(emulator.commands()) > said + more, "repeated zeros")
-        assert set(emulator.commands()) == {ZERO}
-        process.send_signal(signal.SIGCONT)
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-
-
-def test_a_stray_copy_of_the_lifeline_only_delays_the_zero(
-    emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    code = """
-import subprocess
-robot.activate()
-stray = subprocess.Popen(["sleep", "60"], pass_fds=(robot.link.watchdog.lifeline,),
-                         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-drive(30)
-print(stray.pid, flush=True)
-drive(10**9)
-"""
-    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
-    with program(WATCHED + code, emulator.device) as process:
-        stray = psutil.Process(int(first_line(process)))
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        fault = time.monotonic()
-        process.kill()
-        assert_stopped_after(emulator, fault)
-        assert ended(process)[0] == -signal.SIGKILL
-        with Robot(open_link(emulator.device, config), config) as robot:
-            assert robot.active
-        stray.kill()
 
 
 def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:

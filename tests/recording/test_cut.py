@@ -15,12 +15,9 @@ from recording_tools import drive, record_env
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import replay
-from acsar_gym.links.replay import ReplayLink
+from acsar_gym.links.replay import ReplayLink, Tape
 from acsar_gym.recording import Episode, Recorder, read
 from acsar_gym.recording.cut import cut_recording, parse_duration
-from acsar_gym.recording.export import export_recording
-from acsar_gym.recording.messages import EXCHANGES, load_typestore
-from acsar_gym.recording.replay import Tape
 from acsar_gym.tools.datasets import read_demonstrations
 from acsar_gym.wire import STANDSTILL_TICKS
 
@@ -79,21 +76,6 @@ def test_a_part_has_what_was_recorded_then(tape: Path, tmp_path: Path) -> None:
     assert first.revolutions.exchanges[0] == -1
 
 
-def test_ros_tools_read_a_part(tape: Path, tmp_path: Path) -> None:
-    part = tmp_path / "part.mcap"
-    cut_recording(tape, 2.0, 3.0, part)
-    with part.open("rb") as file:
-        reader = make_reader(file)
-        summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        topics = [channel.topic for _, channel, _ in reader.iter_messages()]
-        times = [message.log_time for _, _, message in reader.iter_messages()]
-    assert topics.count("/odom") == 100
-    assert topics.count("/tf_static") == 1
-    assert max(times) - min(times) <= 1.02e9
-
-
 def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) -> None:
     part, whole = tmp_path / "part.mcap", read(tape)
     second = whole.episodes[1]
@@ -121,12 +103,6 @@ def test_a_part_of_a_drive_becomes_demonstrations(tmp_path: Path) -> None:
     shown_again = read_demonstrations([part], goal=(distance, 0.0))
     assert len(shown_again.episodes[0].actions) > 0
     assert abs(theta) > 0.01
-
-
-def test_a_part_is_exported(tape: Path, tmp_path: Path) -> None:
-    cut_recording(tape, 1.0, 5.0, tmp_path / "part.mcap")
-    names = [path.name for path in export_recording(tmp_path / "part.mcap", "csv", tmp_path)]
-    assert names == ["ticks.csv", "wire.csv", "steps.csv", "scans.csv"]
 
 
 def test_a_part_of_a_part(tape: Path, tmp_path: Path) -> None:
@@ -218,18 +194,6 @@ def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:
     assert np.isfinite(np.concatenate([p.truth for p in parts])).all()
 
 
-def test_a_new_file_begins_with_an_episode_where_there_are_many(tmp_path: Path) -> None:
-    record_env(tmp_path / "one.mcap", "point_goal", 5)
-    record_env(Recorder(tmp_path / "many.mcap", split=6.0), "point_goal", 5)  # type: ignore[arg-type]
-    whole = read(tmp_path / "one.mcap").episodes
-    names = ("many.mcap", "many-2.mcap", "many-3.mcap")
-    parts = [one for name in names for one in read(tmp_path / name).episodes]
-    assert len(parts) == len(whole)
-    assert all("part" not in one.info for one in parts)
-    for one, every in zip(parts, whole, strict=True):
-        np.testing.assert_array_equal(one.observations, every.observations)
-
-
 def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
     record_env(tmp_path / "one.mcap", "point_goal", 1)
     record_env(Recorder(tmp_path / "many.mcap", split=1.5), "point_goal", 1)  # type: ignore[arg-type]
@@ -246,12 +210,6 @@ def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
     np.testing.assert_array_equal(parts[1].observations[0], parts[0].observations[-1])
 
 
-def test_a_split_that_is_no_time_is_told(tmp_path: Path) -> None:
-    for split in (0.0, -1.0, math.nan):
-        with pytest.raises(ConfigError, match=r"split = .*must be at least 1 s"):
-            Recorder(tmp_path / "x.mcap", split=split)
-
-
 def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:
     path, part = drive(tmp_path / "drive.mcap", RobotConfig.of(None), 300), tmp_path / "part.mcap"
     cut_recording(path, 1.0, 2.0, part)
@@ -261,35 +219,3 @@ def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:
         robot.drive(0.1, 0.0)
         assert robot.speeds == tuple(episode.speeds[0])
         assert robot.wire.stamp == episode.stamps[0]
-
-
-@pytest.mark.parametrize(("place", "value"), [(0, math.nan), (1, 1e300), (2, math.inf)])
-def test_rows_of_strangers_are_one_line(place: int, value: float, tmp_path: Path) -> None:
-    """An exchange with a number that is none."""
-    tape = drive(tmp_path / "tape.mcap", RobotConfig.of(None), 300)
-    store, bad = load_typestore(), tmp_path / "bad.mcap"
-    with tape.open("rb") as source, bad.open("wb") as file:
-        reader, writer = make_reader(source), Writer(file)
-        writer.start("ros2", "")
-        for record in reader.iter_metadata():
-            writer.add_metadata(record.name, record.metadata)
-        channels: dict[int, int] = {}
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, number, dict(channel.metadata)
-                )
-            data = message.data
-            if channel.topic == EXCHANGES.name:
-                content = store.deserialize_cdr(data, EXCHANGES.kind)
-                content.data = np.array(content.data)
-                content.data[place] = value
-                data = bytes(store.serialize_cdr(content, EXCHANGES.kind))
-            time = message.log_time
-            writer.add_message(channels[channel.id], time, data, time, message.sequence)
-        writer.finish()  # type: ignore[no-untyped-call]
-    with pytest.raises(ConfigError, match="is damaged: a row with a broken number"):
-        cut_recording(bad, 1.0, 2.0, tmp_path / "part.mcap")
-    assert not (tmp_path / "part.mcap").exists()

@@ -12,11 +12,11 @@ from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
+from acsar_gym.links.replay import Tape
 from acsar_gym.recording import Recording, read, reader
 from acsar_gym.recording.cut import cut_recording
 from acsar_gym.recording.export import export_recording, make_tables
 from acsar_gym.recording.reader import RecordedEpisode, iterate_blocks
-from acsar_gym.recording.replay import Tape
 
 FIELDS = (
     *("stamps", "poses", "twists", "speeds", "asked", "sent", "reasons", "lateness", "truth"),

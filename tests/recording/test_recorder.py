@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import copy
-import math
-import os
-import pickle
-import queue
 import subprocess
 import sys
 import threading
@@ -21,12 +15,10 @@ import pytest
 from recording_tools import drive
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import CommandError, ConfigError, LinkError, LinkLostError, RecordingWarning
+from acsar_gym.errors import ConfigError, LinkError, LinkLostError, RecordingWarning
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.encoder import Clock, Exchange
-from acsar_gym.recording.reader import summarize
-from acsar_gym.recording.recorder import WriterThread, close_recorders
 from acsar_gym.recording.sinks import McapFile
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.worlds import Scene
@@ -91,17 +83,6 @@ def test_a_simulation_waits_and_drops_nothing(tmp_path: Path) -> None:
     assert (found.dropped, len(found.episodes[0].stamps)) == (0, 500)
 
 
-def test_a_simulation_does_not_wait_for_ever(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("acsar_gym.recording.recorder.WRITER_TIMEOUT", 0.05)
-    sink = SlowSink()
-    recorder = begun_recorder(tmp_path / "tape.mcap", sink, 100, capacity=10, simulated=True)
-    assert recorder.dropped
-    sink.goes = True
-    recorder.close()
-
-
 def test_a_recording_with_a_gap_ends_its_replay_there(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     recorder = Recorder(path)
@@ -160,19 +141,6 @@ def test_the_end_of_a_program_finishes_the_recording(tmp_path: Path) -> None:
     assert not read(path).cut
 
 
-def test_a_forked_child_leaves_the_recording_alone(tmp_path: Path) -> None:
-    robot = recorded_robot(tmp_path / "tape.mcap")
-    robot.activate()
-    child = os.fork()
-    if child == 0:
-        close_recorders()
-        os._exit(0)
-    os.waitpid(child, 0)
-    robot.drive(0.1, 0.0)
-    robot.close()
-    assert not read(tmp_path / "tape.mcap").cut
-
-
 def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -193,56 +161,6 @@ def test_a_disk_that_is_full_is_told_once_at_the_next_reset(
         robot.reset(Scene())
         robot.drive(0.1, 0.0)
     assert recorder.problem is not None
-
-
-def test_a_writer_that_hangs_is_told_and_loses_nothing_if_it_goes_on(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    sink, path = SlowSink(), tmp_path / "tape.mcap"
-    before = set(threading.enumerate())
-    recorder = begun_recorder(path, sink, 1)
-    (writer,) = set(threading.enumerate()) - before
-    monkeypatch.setattr("acsar_gym.recording.recorder.HANG_WAIT", 0.01)
-    with pytest.warns(RecordingWarning, match=r"tape.mcap: .*hung"):
-        recorder.close()
-    sink.goes = True
-    writer.join()
-    found = read(path)
-    assert (found.cut, found.dropped) == (False, 0)
-    assert sink.topics.count("/time_reference") == 2
-
-
-def test_a_slow_writer_is_waited_for_while_it_makes_progress(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Each message takes three looks of the end at the writer; all together far more than ten."""
-    looks: queue.Queue[threading.Event] = queue.Queue()
-    closed, join = threading.Event(), WriterThread.join
-
-    class PacedSink(SlowSink):
-        def add(self, message: Any) -> None:
-            for _ in range(3):
-                looks.get().set()
-            self.topics.append(message.topic.name)
-
-        def close(self, end: Any) -> None:
-            closed.set()
-
-    def look(self: WriterThread, timeout: float | None = None) -> None:
-        seen = threading.Event()
-        looks.put(seen)
-        while not (seen.wait(0.01) or closed.is_set()):
-            pass
-        if closed.is_set():
-            join(self)
-
-    monkeypatch.setattr(WriterThread, "join", look)
-    sink, path = PacedSink(), tmp_path / "tape.mcap"
-    recorder = begun_recorder(path, sink, 20)
-    recorder.close()
-    assert recorder.problem is None
-    assert sink.topics.count("/time_reference") == 21
-    assert (read(path).cut, read(path).dropped) == (False, 0)
 
 
 def test_a_link_that_does_not_open_costs_no_older_recording(tmp_path: Path) -> None:
@@ -302,24 +220,6 @@ def test_two_envs_cannot_write_one_file_nor_one_go_on_that_has_ended(tmp_path: P
         envs.envs[0].reset()  # type: ignore[attr-defined]
 
 
-def test_an_env_that_is_closed_before_its_first_reset_ends_no_recording(tmp_path: Path) -> None:
-    """As `evaluate` does, where it makes an env again for another split of its worlds."""
-    recorder = Recorder(tmp_path / "tape.mcap")
-    for _ in range(2):
-        env = gymnasium.make(ENV, link="planar", record=recorder)
-        env.close()
-    env.reset(seed=0)
-    env.close()
-    assert len(read(tmp_path / "tape.mcap").episodes) == 1
-
-
-def test_copies_of_a_recorded_robot_are_not_recorded(tmp_path: Path) -> None:
-    robot = recorded_robot(tmp_path / "tape.mcap")
-    with copy.deepcopy(robot) as other, pickle.loads(pickle.dumps(robot)):  # noqa: S301
-        other.drive(0.1, 0.0)
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     env = gymnasium.make(
@@ -345,21 +245,3 @@ def test_an_env_records_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     assert about["env"]["kwargs"]["worlds"] == "clutter:5"
     assert len(about["observation"]) + len(MAP_NAMES) + 64 == len(seen[0])
     assert len(recording.sha256) == 16
-
-
-def test_only_the_error_that_ended_a_drive_is_told(tmp_path: Path) -> None:
-    told, path = [], tmp_path / "tape.mcap"
-    for fails in (False, True):
-        robot = recorded_robot(path)
-        robot.activate()
-        try:
-            CONFIG.__dict__["something else"]
-        except KeyError:
-            with contextlib.suppress(CommandError):
-                robot.drive(math.nan if fails else 0.1, 0.0)
-            robot.close()
-        told.append("/diagnostics" in summarize(path)["topics"])
-    with pytest.raises(ValueError, match="mine"), recorded_robot(path):
-        raise ValueError("mine")
-    told.append("/diagnostics" in summarize(path)["topics"])
-    assert told == [False, True, True]

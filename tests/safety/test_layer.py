@@ -7,21 +7,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym import Robot, RobotConfig, kinematics
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
 from acsar_gym.protocol import Decoder
-from acsar_gym.resources import ASSETS
-from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
-URDF = ASSETS / "robots" / "acsar.urdf"
 ORIGIN = (0.0, 0.0, 0.0)
 AT_ONCE: dict[str, Any] = {
     "linear_limits": {"max_acceleration": None},
@@ -105,22 +100,6 @@ def test_wheels_of_each_side_have_their_own_radius() -> None:
     assert driver.odometry.pose[1:] == pytest.approx((0.0, 0.0), abs=5e-3)
 
 
-@given(st.lists(st.floats(-1e307, 1e307), min_size=4, max_size=4))
-def test_raw_wheel_speeds_shrink_alike(speeds: list[float]) -> None:
-    safety = Safety(ACSAR)
-    sent = list(safety.bounded(speeds, ORIGIN, 0.0))
-    linear, angular = twist(tuple(sent))
-    assert abs(linear) <= ACSAR.max_linear + 1e-9
-    assert abs(angular) <= ACSAR.max_angular + 1e-9
-    assert max(map(abs, sent)) <= ACSAR.max_wheel_speed + 1e-9
-    assert safety.sent == pytest.approx((linear, angular), abs=1e-9)
-    shares = [
-        after / before for before, after in zip(speeds, sent, strict=True) if abs(before) > 1e-6
-    ]
-    assert shares == pytest.approx([shares[0]] * len(shares)) if shares else True
-    assert (safety.reason is Reason.LIMITS) == (sent != speeds)
-
-
 @pytest.mark.parametrize(
     ("fields", "asked", "sent", "reason"),
     [
@@ -137,21 +116,6 @@ def test_raw_wheel_speeds_are_bounded_on_the_wire(
     driver.tick((asked,) * 4)
     assert link.last() == pytest.approx((sent,) * 4)
     assert driver.safety.reason is reason
-
-
-@pytest.mark.parametrize(
-    "config", [ACSAR, RobotConfig(), RobotConfig.load(URDF)], ids=["preset", "default", "URDF"]
-)
-def test_a_first_command_is_slow(config: RobotConfig) -> None:
-    """At the full twist the first command turns no wheel at more than 0.8 rad/s; it was 17."""
-    safety, full = Safety(config), (config.max_linear, config.max_angular)
-    first = safety.allowed(*full, ORIGIN, 0.0)
-    reasons = [safety.reason]
-    for _ in range(30):
-        safety.allowed(*full, ORIGIN, 0.0)
-        reasons.append(safety.reason)
-    assert max(map(abs, first)) < 0.8
-    assert (reasons[0], reasons[-1]) == (Reason.LIMITS, Reason.NONE)
 
 
 def test_acceleration_limits_ramp_commands_but_no_stop() -> None:

@@ -17,7 +17,7 @@ import pytest
 from board_like import LikeABoard, Overshooting
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import SafetyWarning, WheelError
+from acsar_gym.errors import WheelError
 from acsar_gym.links.faults import FaultyLink
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import MOTORS, WHEELS
@@ -74,23 +74,11 @@ def test_a_faulty_wheel_is_named(fault: dict[str, Any], twist: Twist, said: str)
     assert "or identify this robot" in str(error)
 
 
-def test_motors_without_power_are_told_as_such() -> None:
-    error = stopped(board(dead_wheels="abcd"), AHEAD)[1]
-    assert str(error).startswith("all wheels stand still (6.00 rad/s commanded")
-
-
 @pytest.mark.parametrize("at", [1.0, 1.234])
 def test_a_wheel_that_dies_while_driving_is_found(at: float) -> None:
     took, error = stopped(board(dead_wheels="c", wheel_faults_at=at), AHEAD, 3.0)
     assert at < took < at + SOON
     assert error.wheel == "rear_left"
-
-
-def test_a_board_of_9600_baud_and_20_hz_is_judged_as_soon() -> None:
-    config = ACSAR.with_(baud_rate=9600, control_rate=20.0)
-    took, error = stopped(board(config, dead_wheels="a"), AHEAD, config=config)
-    assert took <= SOON
-    assert error.wheel == "front_right"
 
 
 CHANGES: list[dict[str, Any]] = [
@@ -178,14 +166,6 @@ def test_swapped_sides_are_found_in_an_arc(config: RobotConfig, turn: float) -> 
     assert "answers" in str(error)
 
 
-@pytest.mark.parametrize("twist", [(0.05, 0.0), (0.5, 0.0), (0.0, 0.3), (0.5, 1.5)], ids=str)
-def test_feedback_in_rpm_is_stopped(twist: tuple[float, float]) -> None:
-    link = LikeABoard(board_tools.board("feedback-factor=9.55", robot=ACSAR))
-    took, error = stopped(link, twist)
-    assert took < SOON
-    assert "turns too fast" in str(error)
-
-
 @pytest.mark.parametrize(
     ("config", "linear", "soon"),
     [(ACSAR, 0.1, 1.5), (ACSAR, 0.25, 0.75), (ACSAR, 0.5, 0.75), (identified(), 0.1, SOON)],
@@ -269,13 +249,6 @@ def found_after(config: RobotConfig, seconds: float, commands: Any, *wheels: flo
     return seconds
 
 
-@pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "reversed"])
-@pytest.mark.parametrize("speed", [0.55, 0.9, 1.0, 6.0])
-def test_a_wheel_is_judged_by_the_one_beside_it(speed: float, share: float) -> None:
-    """At any speed, as the others prove that the command turns wheels."""
-    assert found_after(ACSAR, 2.0, lambda _: speed, share, 1.0, 1.0, 1.0) < SOON
-
-
 @pytest.mark.parametrize("speed", [0.2, 1.0, 6.0, 20.0])
 def test_how_fast_a_wheel_may_be(speed: float) -> None:
     """At most 40 % and a little too fast, or 25 % where its gain was measured."""
@@ -284,14 +257,6 @@ def test_how_fast_a_wheel_may_be(speed: float) -> None:
         over = most + 0.6 / speed
         assert found_after(config, 5.0, lambda _: speed, over, 1.0, 1.0, 1.0) < SOON
         assert found_after(config, 5.0, lambda _: speed, -over, 1.0, 1.0, 1.0) < SOON
-
-
-@pytest.mark.parametrize("every", [1, 5, 15])
-def test_a_dead_wheel_is_found_while_commands_jump(every: int) -> None:
-    rng = np.random.default_rng(3)
-    jumps = rng.choice([-30.0, 30.0], 200)
-    took = found_after(ACSAR, 2.0, lambda tick: jumps[tick // every], 0.0, 0.2, 0.2, 0.2)
-    assert took < SOON
 
 
 def test_with_a_measured_deadband_slow_wheels_are_judged_too() -> None:
@@ -340,14 +305,6 @@ def test_the_check_can_be_switched_off() -> None:
     with Robot(board(config, dead_wheels="a"), config) as robot:
         for _ in range(100):
             robot.drive(*AHEAD)
-
-
-def test_a_board_without_a_time_out_is_told() -> None:
-    config = ACSAR.with_(firmware={"command_timeout": None})
-    with pytest.warns(SafetyWarning, match="doesn't stop by itself"), Robot(board(config), config):
-        pass
-    with Robot(open_link("planar", config), config):
-        """A simulated one harms nobody."""
 
 
 def test_simulated_robots_are_not_judged() -> None:

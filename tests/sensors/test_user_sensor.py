@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -78,16 +77,6 @@ def test_the_checker_finds_nothing_and_noise_repeats_with_the_seed(make: Make) -
     seen = [(env.reset(seed=seed)[0], env.step(FORWARD)[0]) for seed in (1, 1, 2)]
     assert np.array_equal(seen[0], seen[1])
     assert not np.array_equal(seen[0], seen[2])
-
-
-def test_a_copy_has_a_sensor_of_its_own(make: Make) -> None:
-    env = make("planar", ThreeRays)
-    first, _ = env.reset(seed=3)
-    other = copy.deepcopy(env)
-    assert other.robot.sensors[0] is not env.robot.sensors[0]
-    assert other.robot.sensors[0].link is other.robot.link
-    assert (other.reset(seed=3)[0] == first).all()
-    other.close()
 
 
 @pytest.mark.parametrize("factory", [ThreeRays, three_rays])

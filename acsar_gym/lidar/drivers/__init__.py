@@ -13,10 +13,10 @@ from acsar_gym.lidar.serial import Driver
 @functools.cache
 def find_drivers() -> dict[str, Callable[[], Driver]]:
     """Find the drivers of this folder: what makes each one, by the model's name in a URL."""
-    found: dict[str, Callable[[], Driver]] = {}
+    makers: dict[str, Callable[[], Driver]] = {}
     for file in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{file.name}")
         for kind in vars(module).values():
             if isinstance(kind, type) and issubclass(kind, Driver):
-                found |= {model: functools.partial(kind, model) for model in kind.models}
-    return dict(sorted(found.items()))
+                makers |= {model: functools.partial(kind, model) for model in kind.models}
+    return dict(sorted(makers.items()))

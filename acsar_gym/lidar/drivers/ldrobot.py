@@ -14,16 +14,11 @@ from acsar_gym.lidar.serial import Driver, Outbox, Packet, load_lds2d
 
 PACKET_BYTES, POINTS = 47, 12
 HEADER = b"\x54\x2c"
-STAMP_AT = 44
-"""Place of the time stamp in a packet."""
-STAMP_WRAP = 30_000
-"""The time stamp starts again at zero there [ms]."""
-MAX_PACKET_TIME = 100
-"""A packet takes less; otherwise others were lost, or its time stamp says nothing [ms]."""
-NOMINAL_RATE = 4500.0
-"""Measurements per second of an LD06."""
-COMMANDED = "ld14p"
-"""The model that takes commands."""
+STAMP_AT = 44  # place of the time stamp in a packet
+STAMP_WRAP = 30_000  # the time stamp starts again at zero there [ms]
+MAX_PACKET_TIME = 100  # else others were lost, or the time stamp says nothing [ms]
+NOMINAL_RATE = 4500.0  # measurements per second of an LD06
+COMMANDED = "ld14p"  # the model that takes commands
 
 
 class LdrobotDriver(Driver):

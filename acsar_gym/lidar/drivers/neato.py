@@ -13,10 +13,8 @@ from acsar_gym.lidar.serial import Driver, Packet, load_lds2d
 
 PACKET_BYTES, POINTS = 22, 4
 COMMAND = 0xFA
-FIRST_INDEX, PACKETS = 0xA0, 90
-"""Index of the packet at 0 degrees, and how many a revolution has."""
-NOMINAL_SPEED = 5.0
-"""Turns per second, if a packet says nothing of it [Hz]."""
+FIRST_INDEX, PACKETS = 0xA0, 90  # index of the packet at 0 degrees, and how many a revolution has
+NOMINAL_SPEED = 5.0  # turns per second, if a packet says nothing of it [Hz]
 
 
 class NeatoDriver(Driver):

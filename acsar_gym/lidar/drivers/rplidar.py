@@ -28,38 +28,28 @@ from acsar_gym.lidar.serial import (
 )
 from acsar_gym.links.ports import PORT_ERRORS, write_all
 
-NODE_BYTES = 5
-"""Bytes of a measurement."""
+NODE_BYTES = 5  # bytes of a measurement
 GET_INFO = b"\xa5\x50"
 INFO_DESCRIPTOR = b"\xa5\x5a\x14\x00\x00\x00\x04"
 GET_HEALTH = b"\xa5\x52"
 HEALTH_DESCRIPTOR = b"\xa5\x5a\x03\x00\x00\x00\x06"
-HEALTH_BROKEN = 2
-"""Health status of a device that refuses to scan."""
+HEALTH_BROKEN = 2  # health status of a device that refuses to scan
 MOTOR_ON = bytes.fromhex("a5 f0 02 94 02 c1")
 """Motor speed of 660 of 1023, the maker's default; adapters that switch the motor by DTR ignore
 it."""
 MOTOR_OFF = bytes.fromhex("a5 f0 02 00 00 57")
-STOP_DELAY = 0.02
-"""Time from a stop command to the last measurement that still comes [s]."""
-ANSWER_TIMEOUT = 0.6
-"""A device that doesn't answer within this time doesn't use this baud rate [s]."""
-BAUD_TRIES = 2
-"""How often each baud rate is tried."""
+STOP_DELAY = 0.02  # time from a stop command to the last measurement that still comes [s]
+ANSWER_TIMEOUT = 0.6  # a device that doesn't answer within this time doesn't use this baud rate [s]
+BAUD_TRIES = 2  # how often each baud rate is tried
 
 
 CONFIG_DESCRIPTOR_TYPE = 0x20
-TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75
-"""What GET_LIDAR_CONF is asked for: the mode that the maker recommends, and what a mode sends."""
-DENSE_ANSWER = 0x85
-"""Type of the answers that are dense capsules."""
-SCAN_ANSWER = bytes.fromhex("a5 5a 54 00 00 40 85")
-"""What comes before the first capsule."""
+TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75  # for GET_LIDAR_CONF: recommended mode, what a mode sends
+DENSE_ANSWER = 0x85  # type of the answers that are dense capsules
+SCAN_ANSWER = bytes.fromhex("a5 5a 54 00 00 40 85")  # what comes before the first capsule
 CAPSULE_BYTES, CAPSULE_POINTS = 84, 40
-CAPSULE_FIRST = 0x8000
-"""Flag in the start angle of the first capsule after the start of a scan."""
-MOTOR_SPEED = 600
-"""Of the models that are told turns per minute, the maker's default."""
+CAPSULE_FIRST = 0x8000  # flag in the start angle of the first capsule after the start of a scan
+MOTOR_SPEED = 600  # of the models that are told turns per minute, the maker's default
 
 
 def encode_request(command: int, payload: bytes) -> bytes:
@@ -135,11 +125,9 @@ class RplidarDriver(Driver):
             hold_motor(port)
 
     def _set_motor(self, port: Any, *, on: bool) -> None:
-        """Turn the motor on or off."""
         write_all(port, MOTOR_ON if on else MOTOR_OFF)
 
     def _start_scan(self, port: Any) -> None:
-        """Start to measure, in the standard mode."""
         self._library.RPLIDAR_A1(Outbox(port)).start()
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
@@ -179,7 +167,6 @@ class DenseRplidarDriver(RplidarDriver):
         self._step: float | None = None
 
     def _set_motor(self, port: Any, *, on: bool) -> None:
-        """Set the motor's speed."""
         write_all(port, encode_request(0xA8, struct.pack("<H", MOTOR_SPEED if on else 0)))
 
     def _start_scan(self, port: Any) -> None:

@@ -15,10 +15,8 @@ from acsar_gym.links.ports import PORT_ERRORS
 
 HEADER = b"\xaa\x55"
 HEADER_BYTES = 10
-SCAN_ANSWER = bytes.fromhex("a5 5a 05 00 00 40 81")
-"""What an X4 answers before its head turns."""
-MAX_JUMP = 3.0
-"""Where the head has turned further between two packets, measurements are missing [deg]."""
+SCAN_ANSWER = bytes.fromhex("a5 5a 05 00 00 40 81")  # what an X4 answers before its head turns
+MAX_JUMP = 3.0  # further turns between two packets lack measurements [deg]
 
 
 class YdlidarDriver(Driver):

@@ -21,9 +21,9 @@ from rich.table import Table
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError, LinkError, MissingExtraError, show_value
 from acsar_gym.links.lateness import (
-    DurationHistogram,
+    DurationRecord,
     DurationSpread,
-    LatenessHistogram,
+    LatenessRecord,
     TickTiming,
 )
 from acsar_gym.links.serial import SerialLink
@@ -195,7 +195,7 @@ class _WakeUpLink(SerialLink):
         return super().read_now()
 
 
-class _TickRecord(LatenessHistogram):
+class _TickRecord(LatenessRecord):
     """Lateness of the ticks of one loop, also as counts of bins."""
 
     def __init__(self, config: RobotConfig) -> None:
@@ -236,7 +236,7 @@ def examine_timing(
     link = _WakeUpLink(device, config)
     robot = Robot(link, config)
     own, bare = _TickRecord(config), _TickRecord(config)
-    ages, decision_times = DurationHistogram(), DurationHistogram()
+    ages, decision_times = DurationRecord(), DurationRecord()
     if policy is None:
         with contextlib.suppress(MissingExtraError):
             policy = OnnxPolicy("point_goal")

@@ -17,8 +17,8 @@ from acsar_gym.errors import ConfigError, IdentificationError
 from acsar_gym.links import Link
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.recording import Recorder
+from acsar_gym.recording.pairs import check_same_robot
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import identifiability, parameter_findings
 from acsar_gym.tools.sysid.excitation import drive_excitation

@@ -13,8 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
-from acsar_gym.recording.replay import check_same_robot
+from acsar_gym.recording.pairs import SeedKey, check_same_robot, have_same_goal, number_seeds
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.episodes import MAX_LATE_SHARE, total_turning

@@ -12,7 +12,8 @@ from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
-from acsar_gym.recording.replay import check_same_robot, find_difference, remove_jitter
+from acsar_gym.recording.pairs import check_same_robot, find_difference
+from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text

@@ -14,7 +14,7 @@ from serial_lidar_tools import show_turned, shows_the_room
 
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.lidar.serial import RevolutionAssembler, estimate_times
+from acsar_gym.lidar.serial import RevolutionAssembler
 from acsar_gym.tools.emulation.lidar import LidarTwin, Look
 
 every_maker = pytest.mark.parametrize("model", MAKERS)
@@ -153,61 +153,4 @@ def test_each_measurement_has_the_time_at_which_it_was_made(
     assert turns > 6
 
 
-@pytest.mark.parametrize("lost", [1, 5, 15, 30])
-def test_packets_lost_before_a_turn_do_not_spoil_its_times(lost: int) -> None:
-    """An LD06's time stamps count the lost ones in."""
-    clock = 0.0
-
-    def tell_time(bearings: Floats, ages: Floats) -> Floats:
-        return 1.0 + clock - ages
-
-    twin, packets = make_twin("ld06", tell_time), list[tuple[float, bytes]]()
-    for _ in range(round(0.4 / PERIOD)):
-        clock += PERIOD
-        data = twin.advance(PERIOD)
-        packets += [(clock, data[at : at + 47]) for at in range(0, len(data), 47)]
-    first, last = (
-        [int.from_bytes(data[at : at + 2], "little") for _, data in packets] for at in (4, 42)
-    )
-    crosses = next(k for k in range(lost + 1, len(packets)) if last[k] < first[k])
-    assembler = make_assembler("ld06")
-    turns = [
-        turn
-        for now, data in packets[: crosses - lost] + packets[crosses:]
-        for turn in assembler.feed(data, now)
-    ]
-    assert len(turns) >= 2
-    for turn in turns:
-        assert np.abs(turn.times + 1.0 - turn.distances).max() < 0.005
-
-
-def test_times_follow_what_arrived_first() -> None:
-    device = np.arange(0.0, 100.0)
-    late = np.random.default_rng(0).exponential(3.0, 100)
-    late[[10, 60]] = 0.0
-    marks = list(zip(device.tolist(), (50.0 + 0.5 * device + late).tolist(), strict=True))
-    assert estimate_times(device, marks) == pytest.approx(50.0 + 0.5 * device)
-    assert estimate_times(device, marks[:1]) == pytest.approx(marks[0][1])
-
-
-NODE = b"\x3e\x01\x00\x00\x00"
 """A measurement of an RPLIDAR in the midst of a turn."""
-
-
-@pytest.mark.parametrize(
-    ("first", "piece"),
-    [(b"", NODE), (b"\x3d" + NODE[1:], NODE), (b"", 4 * NODE), (b"", b"\x00\x00")],
-    ids=["no start", "no second start", "several at once", "no packet"],
-)
-def test_a_stream_without_turns_takes_no_memory(first: bytes, piece: bytes) -> None:
-    assembler = make_assembler("rplidar")
-    assembler.feed(first, 0.0)
-    for now in range(25_000):
-        assert not assembler.feed(piece, float(now))
-    assert len(assembler._marks) <= 20_000
-    assert len(assembler._arrivals) <= 2
-    assert len(assembler._buffer) < 5
-
-
-def test_a_turn_of_few_measurements_is_none() -> None:
-    assert not turns_of("rplidar", stream("rplidar", samples=20))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
 import re
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,11 +17,10 @@ from serial_lidar_tools import Open, Start, newer, reset, shows_the_room
 from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LidarError, MissingExtraError
+from acsar_gym.errors import ConfigError, LidarError
 from acsar_gym.lidar import serial as serial_lidar
 from acsar_gym.lidar.drivers import rplidar
 from acsar_gym.lidar.serial import Driver, SerialLidar
-from acsar_gym.links import ports
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -71,18 +68,6 @@ def test_a_frozen_device_is_an_error_and_comes_back(
     emulated.process.send_signal(signal.SIGCONT)
     monkeypatch.undo()
     reset(lidar)
-
-
-def test_a_machine_that_is_slow_to_write_has_not_lost_the_device(
-    make: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.02)
-    monkeypatch.setattr(ports, "WRITE_TIMEOUT", 1e-9)
-    board, terminal = os.openpty()
-    with pytest.raises(LidarError, match="no answer"):
-        reset(make(os.ttyname(terminal)))
-    os.close(board)
-    os.close(terminal)
 
 
 @pytest.fixture
@@ -182,23 +167,6 @@ def terminal() -> Iterator[tuple[int, str]]:
     os.close(device)
 
 
-@pytest.mark.parametrize(("model", "told"), [("ld14p", True), ("ld06", False), ("stl19p", False)])
-def test_of_ldrobots_lidars_an_ld14p_alone_gets_commands(
-    make: Open,
-    monkeypatch: pytest.MonkeyPatch,
-    terminal: tuple[int, str],
-    model: str,
-    told: bool,
-) -> None:
-    monkeypatch.setattr(serial_lidar, "SPIN_UP_TIMEOUT", 0.05)
-    board, device = terminal
-    assert "no answer" in error_of(functools.partial(reset, make(device, model)))
-    heard = b""
-    with contextlib.suppress(BlockingIOError):
-        heard = os.read(board, 1000)
-    assert bool(heard) == told
-
-
 class OwnDriver(Driver):
     """A user's own; sends itself a byte."""
 
@@ -220,10 +188,6 @@ class OddRateDriver(OwnDriver):
     rate = -1
 
 
-class UnfinishedDriver(Driver):
-    """Has no method yet."""
-
-
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
@@ -238,21 +202,3 @@ def test_an_error_of_a_driver_is_told(
     lidar = SerialLidar(device, lambda: kind(board), RobotConfig(), time.monotonic)
     for _ in range(2):
         assert re.search(said, error_of(lambda: reset(lidar)))
-
-
-def test_a_driver_without_a_start_is_not_taken_for_an_adapter_of_few_rates(
-    terminal: tuple[int, str],
-) -> None:
-    lidar = SerialLidar(
-        terminal[1], lambda: UnfinishedDriver("mine"), RobotConfig(), time.monotonic
-    )
-    with no_leak(), pytest.raises(NotImplementedError):
-        reset(lidar)
-
-
-def test_without_lds2d_the_extra_is_named(
-    sensor: Emulated, make: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "lds2d.drivers", None)
-    with no_leak(), pytest.raises(MissingExtraError, match=r"acsar_gym\[lidar\]"):
-        reset(make(sensor))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import gc
-import pickle
 import statistics
 import threading
 import time
@@ -73,26 +71,6 @@ def test_opened_closed_or_forgotten_it_leaves_nothing_behind(sensor: Emulated) -
         assert threading.active_count() == threads
 
 
-def test_copies_and_pickles_are_closed(sensor: Emulated, make: Open) -> None:
-    lidar = make(sensor)
-    reset(lidar)
-    for twin in (copy.copy(lidar), copy.deepcopy(lidar), pickle.loads(pickle.dumps(lidar))):  # noqa: S301
-        assert twin.device == lidar.device
-        with pytest.raises(LidarError, match="is closed"):
-            twin.scan()
-    newer(lidar, time.monotonic())
-
-
-def test_it_spins_up_from_standstill(start: Start, make: Open) -> None:
-    emulated = start("--spin-up", "0.5", "--rate", "5.5", "--baud", "460800")  # a C1's
-    lidar = make(emulated)
-    for _ in range(2):
-        reset(lidar)
-        assert shows_the_room(lidar.scan())
-        lidar.close()
-        wait_until(lambda: state(emulated) == STANDSTILL, "a stop")
-
-
 @pytest.mark.parametrize("ending", ["os.kill(os.getpid(), signal.SIGTERM)", "pass"])
 def test_a_process_that_ends_stops_the_motor(sensor: Emulated, ending: str) -> None:
     with program(PROGRAM + ending, sensor.device) as process:
@@ -106,41 +84,6 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
         process.communicate(timeout=TIMEOUT)
     assert state(sensor)[0]
     assert shows_the_room(measure(make(sensor)))
-
-
-def test_a_forked_child_leaves_its_parents_device_alone(sensor: Emulated) -> None:
-    forking = """
-import warnings
-warnings.filterwarnings("ignore", "This process", DeprecationWarning)  # it forks beside a thread
-if os.fork() == 0:
-    try:
-        lidar.scan()
-    except Exception as error:
-        print(type(error).__name__, flush=True)
-    lidar.close()
-    sys.exit()
-os.wait()
-before = time.monotonic()
-while lidar.scan().stamp < before:
-    time.sleep(0.01)
-print("goes on", flush=True)
-"""
-    with program(PROGRAM + forking, sensor.device) as process:
-        said, complaints = process.communicate(timeout=TIMEOUT)
-    assert said.split("\n")[1:3] == ["LidarError", "goes on"]
-    assert not complaints
-
-
-def test_an_open_one_resets_at_once_and_does_not_wait(sensor: Emulated, make: Open) -> None:
-    lidar = make(sensor)
-    reset(lidar)
-    assert len({lidar.scan().stamp for _ in range(100)}) < 100
-    before, states = lidar.scan().stamp, len([e for e in sensor.events() if "running" in e])
-    for _ in range(100):
-        reset(lidar)
-    assert lidar.scan().stamp >= before
-    newer(lidar, time.monotonic())
-    assert len([e for e in sensor.events() if "running" in e]) == states
 
 
 @pytest.mark.parametrize("model", MAKERS)

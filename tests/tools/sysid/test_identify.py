@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError, IdentificationError
 from acsar_gym.physics.randomization import measured_ranges
 from acsar_gym.protocol import encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.replay import check_same_robot
+from acsar_gym.recording.pairs import check_same_robot
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks

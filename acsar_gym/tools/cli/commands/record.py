@@ -38,10 +38,10 @@ def describe_recording(
     from acsar_gym.recording.reader import summarize, summary_lines  # noqa: PLC0415
 
     output.check()
-    found = summarize(bag.open(file, robot)) | {"file": str(file)}
-    for line in summary_lines(found):
+    summary = summarize(bag.open(file, robot)) | {"file": str(file)}
+    for line in summary_lines(summary):
         say(line)
-    print_results(json=output.json, data=found)
+    print_results(json=output.json, data=summary)
     return 0
 
 
@@ -71,11 +71,11 @@ def cut_recording(
 
     target = out or file.with_suffix(f".part{file.suffix}")
     first, last = cut.parse_duration(begin), cut.parse_duration(end) if end else math.inf
-    found = cut.cut_recording(file, first, last, target)
-    for damage in found.damages:
+    result = cut.cut_recording(file, first, last, target)
+    for damage in result.damages:
         print(f"acsar-gym: {file}: left out, damaged: {damage}", file=sys.stderr)
-    count = f"{found.episodes} episode{'s' * (found.episodes != 1)}, " if found.episodes else ""
-    say(f"written: {target}: {count}{found.seconds:.1f} s")
+    count = f"{result.episodes} episode{'s' * (result.episodes != 1)}, " if result.episodes else ""
+    say(f"written: {target}: {count}{result.seconds:.1f} s")
     return 0
 
 

@@ -8,7 +8,7 @@ from rollout_tools import HIDDEN, driven, random_steps
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording.replay import remove_jitter, replay_commands
+from acsar_gym.recording.twin_replay import remove_jitter, replay_commands
 from acsar_gym.recording.types import WireLog
 
 ACSAR = RobotConfig.preset("acsar")

@@ -1,6 +1,6 @@
 """A cable that is pulled a thousand times: every time the same environment must drive on.
 
-    python tests/fuzz/replug.py --cycles 1000
+    python tests/endurance/replug.py --cycles 1000
 
 drives a robot behind `acsar-gym emulate` in another process, pulls its cable at a random moment,
 and plugs it in again as another device. In some cycles it stays out for longer than a reset waits,

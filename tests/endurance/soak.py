@@ -1,6 +1,6 @@
 """Half an hour at 100 Hz over a pseudo-terminal: memory, descriptors and lines must stay flat.
 
-    python tests/fuzz/soak.py --minutes 30
+    python tests/endurance/soak.py --minutes 30
 
 drives a robot behind `acsar-gym emulate` in another process with random actions, resets every
 minute, and fails where memory or descriptors grow, a line is lost, or the wheel check stops it.
