@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
@@ -59,8 +58,6 @@ class OwnGenerator:
 
     name: str
     make: Maker
-    source: str
-    """Hash of the source that its worlds depend on; empty where it can't be known."""
 
     @property
     def home(self) -> str:
@@ -106,12 +103,6 @@ def register(name: str, make: Maker) -> None:
     `worlds="mine.module:corridors:0-99"`: on the command line, and in worker processes that are
     spawned and not forked, such as those of `gymnasium.vector.AsyncVectorEnv`.
 
-    Worlds of a batch are kept on disk, with a hash of the source of the module of `make` and of
-    the modules that it imports, and of the numbers and strings that are default arguments of
-    `make`. A closure or callable object, one with other default arguments, and one whose source
-    can't be read, is called anew every time. Where worlds depend on something else, such as a file
-    that is read, set ACSAR_GYM_CACHE=off.
-
     Args:
         name: lower-case letters, digits and underscores, at most 40, beginning with a letter.
         make: called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
@@ -135,7 +126,7 @@ def register(name: str, make: Maker) -> None:
             f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
         ) from error
-    new, other = OwnGenerator(name, make, hash_function(make)), _OWN.get(name)
+    new, other = OwnGenerator(name, make), _OWN.get(name)
     if name in BUILT_IN_KINDS or (other is not None and other.place != new.place):
         owner = "acsar_gym" if other is None else other.home
         raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
@@ -269,34 +260,6 @@ def add_test_split(source: Any) -> Any:
     """
     name = parse_known_name(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"
-
-
-def hash_function(function: Any) -> str:
-    """Hash the source of a function's module, and of the user's own modules that it imports.
-
-    Only the versions of other installed packages count; this package has a hash of its own.
-
-    Args:
-        function: a generator of worlds.
-
-    Returns:
-        The hash; empty for anything but a plain function of a module, such as a closure or a
-        function with default arguments that aren't numbers or strings, and where there is no
-        source file, as in a notebook.
-    """
-    if not isinstance(function, FunctionType) or function.__closure__:
-        return ""
-    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
-    sources = hash_modules(function.__module__) if all(map(_repr_is_exact, defaults)) else ""
-    text = f"{function.__qualname__} {defaults} {sources}"
-    return hashlib.sha256(text.encode()).hexdigest() if sources else ""
-
-
-def _repr_is_exact(value: Any) -> bool:
-    """Whether the value's repr() is all of it."""
-    if isinstance(value, tuple):
-        return all(map(_repr_is_exact, value))
-    return value is None or type(value) in (bool, int, float, str)
 
 
 def hash_modules(*modules: str) -> str:
