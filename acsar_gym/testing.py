@@ -214,7 +214,6 @@ def emulated_board(
     robot: RobotSource = None,
     *,
     body: str = "planar",
-    quirks: Sequence[str] = (),
     world: str | Path | None = None,
     lidar: bool = False,
 ) -> Iterator[EmulatedBoard]:
@@ -223,8 +222,6 @@ def emulated_board(
     Args:
         robot: the emulated robot, as `RobotConfig.of` takes it.
         body: its physics: "planar", "bullet" or "mujoco".
-        quirks: how the board differs from the protocol's, as "at-comma" or "dead-wheel=c";
-            `acsar-gym emulate --help` lists them.
         world: at whose start the robot stands: a file, or a generated world like "clutter:7-7".
         lidar: also emulate an RPLIDAR, at `lidar_device`.
 
@@ -251,7 +248,6 @@ def emulated_board(
         options = ["--robot", str(file), "--body", body, "--log", str(log)]
         options += ["--world", str(world)] if world is not None else []
         options += ["--lidar"] if lidar else []
-        options += ["--quirk", *quirks] if quirks else []
         with run_emulator(*options) as devices:
             yield EmulatedBoard(
                 lambda number: os.kill(devices.process, number), devices.robot, log, devices.lidar

@@ -23,7 +23,7 @@ def test_a_scripted_board_answers_what_is_written() -> None:
 
 @pytest.mark.usefixtures("deadline")
 def test_an_emulated_board_is_driven_pulled_and_plugged() -> None:
-    with emulated_board(PATIENT.with_(wheel_radius=0.06), quirks=["at-comma"]) as board:
+    with emulated_board(PATIENT) as board:
         assert isinstance(board, EmulatedBoard)
         with Robot(open_link(board.device, PATIENT), PATIENT) as robot:
             for _ in range(50):
