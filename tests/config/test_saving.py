@@ -24,8 +24,8 @@ wheel_separation: .3      # tape
 name: "it's mine"   # quoted
 wheel_check: no
 
-motor: {time_constant: 0.12,   # slow
-        gain: [1.0, 0.98,   # front
+motor: {time_constant: 0.12,
+        gain: [1.0, 0.98,
                1.0, 1.01]}     # rear
 footprint:
     - [0.2, 0.0]    # nose
@@ -70,7 +70,6 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 LOST = {
     "another list": {"nose"},
-    "a number instead of a list": {"front"},
     "an interval less": {"by hand"},
     "other intervals": {"by hand"},
     "no intervals": {"by hand"},
