@@ -37,13 +37,9 @@ def is_drawn(text: str) -> bool:
 
 
 def parse_numbers(text: str) -> range | None:
-    """Return the numbers of the drawn robots of a name.
+    """Return the numbers of a name such as "drawn:17", "drawn:0-63" or "drawn:train".
 
-    Args:
-        text: such as "drawn:17", "drawn:0-63" or "drawn:train"; None for the names of others.
-
-    Raises:
-        ConfigError: the name of drawn robots is malformed, or holds none.
+    None for the names of others; ConfigError for a malformed one, or one that holds no robot.
     """
     if not is_drawn(text):
         return None
@@ -72,9 +68,6 @@ def draw_robot(number: int) -> dict[str, Any]:
     """Return the fields of a drawn robot.
 
     All numbers are rounded, so that the last digits of a machine's logarithm don't matter.
-
-    Args:
-        number: of the robot.
     """
     rng = np.random.default_rng([crc32(b"drawn"), number])
 

@@ -76,13 +76,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
 
 
 def check_equal(fleet: Fleet, place: int, path: str) -> None:
-    """Raise ConfigError where a field of a fleet's robot isn't that of its first one.
-
-    Args:
-        fleet: the robots.
-        place: of the robot.
-        path: dotted name of the field.
-    """
+    """Raise ConfigError where a field of a fleet's robot isn't that of its first one."""
     one, other = (_get_field(fleet.robots[at], path) for at in (0, place))
     if one != other:
         raise ConfigError(

@@ -36,11 +36,7 @@ def make_rectangle(length: float, width: float) -> Outline:
 
 
 def make_circle(radius: float) -> Outline:
-    """Return the corners of a circle; the first is at exactly this distance, others a hair nearer.
-
-    Args:
-        radius: [m].
-    """
+    """Return corners of a circle: the first at exactly this radius, others a hair nearer."""
     angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
     near = radius - 2e-6
     others = [
@@ -50,17 +46,10 @@ def make_circle(radius: float) -> Outline:
 
 
 def validate_outline(corners: Sequence[Point]) -> Outline:
-    """Validate an outline.
+    """Return an outline counter-clockwise, without the first corner repeated at the end.
 
-    Args:
-        corners: (x, y) [m], in either direction; the last may repeat the first.
-
-    Returns:
-        The outline, counter-clockwise, without a repeated corner.
-
-    Raises:
-        ValueError: there are fewer than three corners or more than 100, sides cross or touch
-            each other, or the origin isn't inside.
+    ValueError for fewer than three corners or more than 100, sides that cross or touch each other,
+    and an origin that isn't inside.
     """
     outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
     if not 3 <= len(outline) <= MAX_CORNERS:
@@ -117,13 +106,7 @@ def border_distance(outline: Outline, x: float, y: float) -> float:
 
 
 def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArray[np.float64]:
-    """Return how far an outline reaches from a place along bearings; 0 where it isn't met [m].
-
-    Args:
-        outline: corners [m].
-        place: x, y of the rays' origin [m].
-        bearings: of the rays [rad]; of any shape, which is also that of the result.
-    """
+    """Return how far an outline reaches from a place along bearings; 0 where it isn't met."""
     found = np.zeros(np.shape(bearings))
     (x, y), cos, sin = place, np.cos(bearings), np.sin(bearings)
     for (ax, ay), (bx, by) in outline_sides(outline):

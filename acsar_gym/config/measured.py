@@ -41,15 +41,7 @@ class Measured(Section):
 
 
 def validate_measured(measured: Mapping[str, Measured], model: type[Section]) -> None:
-    """Check names and ends of intervals.
-
-    Args:
-        measured: the intervals by dotted name, such as "motor.gain.a".
-        model: the section that has the fields; every end must be a value that its field can have.
-
-    Raises:
-        ConfigError: there is no such number, or an end is out of its bounds.
-    """
+    """Raise ConfigError for intervals of no number of the model, or with bad ends."""
     known = _find_numbers(model) if measured else {}
     for name, interval in measured.items():
         if name not in known:
@@ -101,10 +93,8 @@ def update_measured(
 ) -> dict[str, Measured]:
     """Return the intervals of a robot after new findings, for its field `measured`.
 
-    Args:
-        known: before.
-        found: of each field with a new value; None where it has no interval. One for all wheels
-            replaces those of single wheels, and one of a single wheel leaves the others theirs.
+    An interval for all wheels replaces those of single wheels; one of a single wheel leaves the
+    others theirs; None ends one.
     """
     result = dict(known)
     for name in found:

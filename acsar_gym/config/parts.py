@@ -52,11 +52,7 @@ class RobotPart:
 
 
 def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
-    """Return the fields of a robot; a later file counts more than one before it.
-
-    Raises:
-        ConfigError: none of the files says one of `MEASURES`.
-    """
+    """Return the fields of a robot; ConfigError where no file says one of `MEASURES`."""
     fields: dict[str, Any] = {}
     for part in (*(RobotPart(part.guesses) for part in parts), *parts):
         fields = _update(fields, part.fields)

@@ -55,26 +55,15 @@ _DIFF_DRIVE = re.compile(r"diff_drive_controller")
 
 
 def is_parameter_file(data: Any) -> bool:
-    """Whether a YAML document is a file of ROS parameters.
-
-    Args:
-        data: the parsed document.
-    """
+    """Whether a parsed YAML document is a file of ROS parameters."""
     return bool(_find_nodes(data))
 
 
 def read_parameters(data: Any, name: str = "") -> RobotPart:
-    """Read a robot's fields from a file of ROS parameters.
+    """Read a robot's fields from a parsed file of ROS parameters.
 
-    Args:
-        data: the parsed document.
-        name: of the controller, where the file has several.
-
-    Returns:
-        What it says of the robot; `wheel_joints` are in the order a, b, c, d.
-
-    Raises:
-        ConfigError: it has nothing of a robot with four driven wheels; the message says what it is.
+    `name` is the controller's, where there are several. ConfigError says what a file is that has
+    nothing of a robot with four driven wheels.
     """
     nodes = _find_nodes(data)
     wild = [node for node in nodes if node.endswith("*")]

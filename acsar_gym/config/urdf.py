@@ -76,11 +76,7 @@ class Block:
     joints: list[str]
 
     def is_own(self, names: Collection[str]) -> bool:
-        """Whether it is of the robot's own driver, or of no driver and has its parameters alone.
-
-        Args:
-            names: parameters of that driver.
-        """
+        """Whether it is of the robot's own driver, or of no driver and has its parameters alone."""
         own = any(plugin.endswith(DRIVER_PLUGIN) for plugin in self.plugins)
         return own or (not self.plugins and bool(self.params) and set(self.params) <= set(names))
 
@@ -138,12 +134,7 @@ class Urdf:
         return self.find_rigid(top, through)
 
     def find_rigid(self, link: str, through: Iterable[str] = ()) -> list[str]:
-        """Return the links that are fixed below one, itself included.
-
-        Args:
-            link: name of the first link.
-            through: names of joints that count as fixed.
-        """
+        """Return the links fixed below one, itself included; `through` counts as fixed."""
         passed, names = set(through), [link]
         for name in names:  # grows
             joints = self.below.get(name, ())
@@ -156,11 +147,7 @@ class Urdf:
 
 
 def parse_urdf(text: str) -> Urdf:
-    """Parse a URDF that was expanded from xacro.
-
-    Raises:
-        ConfigError: it is malformed, or its joints form no tree. The message doesn't name the file.
-    """
+    """Parse a URDF that was expanded from xacro; ConfigError where it is malformed or no tree."""
     try:
         root: Element = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
@@ -217,10 +204,7 @@ def _place_links(urdf: Urdf) -> None:
 
 
 def _find_base(urdf: Urdf, links: Collection[str]) -> Iterator[str]:
-    """Yield links that are named as base links are; with a prefix only where none carries them.
-
-    An arm's base has such a name, too.
-    """
+    """Yield links named as base links are; with a prefix only at the top: arms have bases."""
     for name in ("base_link", "base_footprint"):
         if name in links:
             yield name

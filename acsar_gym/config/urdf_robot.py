@@ -66,19 +66,10 @@ class _Wheel:
 
 
 def read_urdf(text: str, names: Sequence[str], driven: Sequence[str] = ()) -> RobotPart:
-    """Read the fields of a robot from its URDF.
+    """Read the fields of a robot from its URDF, which was expanded from xacro.
 
-    Args:
-        text: the URDF, expanded from xacro.
-        names: parameters that the block of the robot's own driver may have.
-        driven: joints that a controller drives, if that is known.
-
-    Returns:
-        What it says of the robot.
-
-    Raises:
-        ConfigError: it is malformed, or isn't a robot with four driven wheels; the message says
-            what it is, and doesn't name the file.
+    `names` are parameters that the block of the robot's own driver may have, `driven` the joints of
+    a controller. ConfigError says what a robot is that hasn't four driven wheels.
     """
     urdf = parse_urdf(text)
     known = {joint.name for joint in urdf.joints}
@@ -139,12 +130,7 @@ def _halve(diameter: str) -> float:
 
 
 def _find_wheels(urdf: Urdf, named: set[str]) -> list[_Wheel]:
-    """Find what may be a wheel, but for casters.
-
-    Args:
-        urdf: the robot.
-        named: joints that somebody commands: they need no shape to be wheels.
-    """
+    """Find what may be a wheel, but for casters; `named` joints need no shape."""
     wheels: list[_Wheel] = []
     for joint in (joint for joint in urdf.joints if joint.is_endless):
         rigid = urdf.find_rigid(joint.child)
@@ -365,10 +351,7 @@ def _find_radius(urdf: Urdf, wheels: Sequence[_Wheel], height: float) -> float |
 def _measure_body(
     urdf: Urdf, wheels: Sequence[_Wheel], centre: Floats, radius: float, part: RobotPart
 ) -> None:
-    """Set mass, footprint and height by the primitives of base and wheels.
-
-    The height is that of the shape with the largest area, as a mast isn't the chassis.
-    """
+    """Set mass, footprint and height; the latter is that of the largest shape, which no mast is."""
     carriers = [joint.name for wheel in wheels for joint in list(urdf.find_chain(wheel.joint))[1:]]
     base = _shapes(urdf, urdf.find_body(carriers))
     places = np.array([frame[:3, 3] for frame, _ in base] + [wheel.place for wheel in wheels])

@@ -51,16 +51,9 @@ class Difficulty:
 def measure_difficulty(
     world: World, path: Floats | None = None, radius: float = DISPERSION_RADIUS
 ) -> Difficulty:
-    """Measure the difficulty of a world.
+    """Measure the difficulty of a world along a path (points, 2) [m]; None for the world's own.
 
-    Args:
-        world: with the obstacles.
-        path: (points, 2) [m]; None for the world's own.
-        radius: of dispersion, at most VISIBILITY_REACH [m].
-
-    Raises:
-        WorldError: there is no path, or it isn't of finite numbers, has no length, or is longer
-            than 3 km.
+    WorldError where there is no path, or one that has no length or is longer than 3 km.
     """
     if not 0.0 < radius <= VISIBILITY_REACH:
         raise WorldError(f"radius = {radius}: must be within (0, {VISIBILITY_REACH:g}] m")

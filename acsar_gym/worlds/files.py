@@ -164,11 +164,7 @@ class Placement(Section):
         return None if self.goal is None else Region(*self.goal)
 
     def list_model_folders(self, folder: Path) -> list[Path]:
-        """Where a Gazebo world's models are looked for, in this order.
-
-        Args:
-            folder: of the world's file.
-        """
+        """Where a Gazebo world's models are looked for, in this order."""
         texts = [self.models, *(os.environ.get(name, "") for name in MODEL_VARIABLES)]
         named = [
             Path(part).expanduser() for text in texts for part in text.split(os.pathsep) if part
@@ -190,14 +186,8 @@ class FileSource(Placement):
 def load_world(path: Path | str, placement: Placement | None = None) -> World:
     """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
 
-    Args:
-        path: the file.
-        placement: start and goal instead of the file's own, folders of models, and the LiDAR's
-            height.
-
-    Raises:
-        WorldError: it can't be read, or nobody says where start or goal are.
-        MissingExtraError: a map without Pillow, or a Gazebo world with meshes without trimesh.
+    WorldError where it can't be read, or nobody says where start or goal are; MissingExtraError for
+    a map without Pillow, or meshes without trimesh.
     """
     path, placement = Path(path), placement or Placement()
     suffix = path.suffix.lower()
@@ -263,11 +253,7 @@ def _warn_of_movers(path: Path, obstacles: sdf.SdfObstacles) -> None:
 
 
 def is_barn(circles: Floats) -> bool:
-    """Whether these are the cylinders of one of BARN's worlds: those of its corridor are there.
-
-    Args:
-        circles: (n, 3): x, y, radius [m].
-    """
+    """Whether circles are those of a BARN world: its corridor's cylinders are there."""
     cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
     corridor = place_cylinders(np.zeros((0, 0), np.bool_))
     cells = {tuple(cell) for cell in np.rint(cylinders[:, :2] / BARN_CELL_SIDE * 2.0).tolist()}
@@ -279,14 +265,7 @@ def is_barn(circles: Floats) -> bool:
 def load_folder(folder: Path, placement: Placement | None = None) -> list[World]:
     """Read all worlds of a folder in natural order: world_2 comes before world_10.
 
-    Args:
-        folder: of the files.
-        placement: see `load_world`; the same for all of them.
-
-    Raises:
-        WorldError: for a folder that is missing, without worlds or with too many, and for the
-            first bad file.
-        MissingExtraError: as `load_world`.
+    WorldError for a folder without worlds or with too many, and for the first bad file.
     """
     try:
         if not folder.is_dir():
@@ -319,11 +298,7 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
 
 
 def save_world(world: World, path: Path) -> None:
-    """Write a world in the project's own format; `load_world` gives the same world.
-
-    Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
-    be written.
-    """
+    """Write a world in the project's own format: `.json`, `.yaml` or `.yml`."""
     try:
         data = format_world(world, path.suffix)
     except WorldError as error:
@@ -332,15 +307,7 @@ def save_world(world: World, path: Path) -> None:
 
 
 def format_world(world: World, suffix: str) -> bytes:
-    """Format a world in the project's own format.
-
-    Args:
-        world: to format.
-        suffix: `.json`, `.yaml` or `.yml`.
-
-    Raises:
-        WorldError: for another suffix, and a name that isn't text.
-    """
+    """Format a world in the project's own format, of a suffix as `save_world`."""
     start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
     if world.start.theta is not None:
         start["theta"] = world.start.theta

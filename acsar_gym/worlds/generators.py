@@ -127,11 +127,7 @@ def generate_world(
 
 
 def draw_difficulty(kind: str, number: int, difficulty: Level = None) -> float:
-    """The difficulty from which `generate_world` starts for this world, 0 to 1.
-
-    Where no world of this difficulty can be crossed, `generate_world` makes an easier one, within
-    the range.
-    """
+    """The difficulty from which `generate_world` starts for this world, 0 to 1."""
     low, high = difficulty_limits(difficulty)
     return low + (high - low) * _random_generator(kind, number).uniform()
 
@@ -301,20 +297,10 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
     """Make a world like those of BARN (Perille et al. 2020), by its cellular automaton.
 
     A field of 30 x 30 cells of 0.15 m, with a cylinder in each filled cell, behind a walled
-    corridor of 5 m. Layout and frame are those of the published worlds: start (-2, 3) heading along
-    +y, goal 10 m ahead. BARN's 5 x 5-cell robot can cross it, and a footprint of this radius, too.
-    The path is made like the published ones: a shortest one over cells from any free cell of the
-    first column to any of the last one, with the start before and the goal behind it.
-
-    Args:
-        rng: of the world.
-        difficulty: 0 to 1; picks the share of cells filled before smoothing: 0.15, 0.2, 0.25 or
-            0.3.
-        radius: of the disc around the footprint [m].
-
-    Raises:
-        GeneratorError: the footprint is larger than 1 m, or BARN's robot can't cross any field.
-        WorldError: a footprint larger than BARN's robot can't cross any of a few fields.
+    corridor of 5 m: layout and frame of the published worlds. BARN's 5 x 5-cell robot can cross it,
+    and a footprint of this radius, too. The path is a shortest one over cells from any free cell of
+    the first column to any of the last one, as the published ones are. Difficulty picks the share
+    of cells filled before smoothing: 0.15, 0.2, 0.25 or 0.3.
     """
     if radius > BARN_LARGEST_RADIUS:
         raise GeneratorError(
@@ -350,10 +336,7 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
 def draw_fields(
     rng: np.random.Generator, fill: float, passes: int, count: int = FIELDS_AT_ONCE
 ) -> Mask:
-    """(count, 30, 30): random cells, smoothed; the first and the last row are walls.
-
-    Smoothing: five or more of its eight neighbours fill a cell, one or none clears it.
-    """
+    """(count, 30, 30): random cells, smoothed; the first and the last row are walls."""
     cells = rng.random((count, BARN_CELLS, BARN_CELLS)) < fill
     cells[:, 0] = cells[:, -1] = True
     for _ in range(passes):
@@ -369,14 +352,9 @@ def _shifted(padded: NDArray[Any], i: int, j: int) -> NDArray[Any]:
 
 
 def find_crossable(fields: Mask, radius: float = BARN_ROBOT_RADIUS) -> Iterator[tuple[Mask, Mask]]:
-    """Fields that a robot can cross, with as many filled cells as published ones.
+    """Yield fields that a robot can cross, with as many filled cells as published ones.
 
-    Yields the field's cells, and those in which the robot's centre may be: cells that are connected
-    with the first and the last column.
-
-    Args:
-        fields: (fields, 30, 30).
-        radius: of the disc around the footprint [m]; the robot is BARN's, unless that is larger.
+    With each the cells in which the robot's centre may be, which connect the first and last column.
     """
     with require_extra("a world with obstacles", "scipy"):
         from scipy.ndimage import label  # noqa: PLC0415 - slow to import
@@ -399,10 +377,7 @@ def find_crossable(fields: Mask, radius: float = BARN_ROBOT_RADIUS) -> Iterator[
 
 
 def list_near_cells(radius: float) -> list[tuple[int, int]]:
-    """Cells, from that of a robot's centre, which mustn't be filled where the robot is.
-
-    Those of BARN's square robot, or of a disc of this radius [m] that is larger.
-    """
+    """Cells, from that of a robot's centre, which mustn't be filled where the robot is."""
     if radius <= BARN_ROBOT_RADIUS:
         sides = range(-(BARN_ROBOT_CELLS // 2), BARN_ROBOT_CELLS // 2 + 1)
         return [(i, j) for i in sides for j in sides]

@@ -42,10 +42,7 @@ class Obstacles:
     segments: Floats | Sequence[Any] = ()
 
     def arrays(self, robots: int) -> tuple[Floats, Floats]:
-        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`.
-
-        ConfigError for other shapes.
-        """
+        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`; or ConfigError."""
         circles = _stack_rows("circles", self.circles, 3, robots)
         segments = _stack_rows("segments", self.segments, 4, robots)
         if (circles[:, :, 2] < 0.0).any():
@@ -76,10 +73,7 @@ def _stack_rows(name: str, rows: Floats | Sequence[Any], width: int, robots: int
 
 @dataclass(frozen=True, slots=True)
 class RaySpec:
-    """The rays of a planar LiDAR, counter-clockwise, the first one at -field_of_view / 2.
-
-    Its values are those of a `LidarConfig`, which has checked them.
-    """
+    """The rays of a planar LiDAR, counter-clockwise, the first one at -field_of_view / 2."""
 
     rays: int
     reach: float = 5.0
@@ -136,11 +130,7 @@ class Fan(NamedTuple):
 def make_surroundings(
     obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
 ) -> Surroundings:
-    """Make the arrays around robots of one kind.
-
-    `spec` are the rays of the LiDAR, None without one. Raises ConfigError for obstacles of a wrong
-    shape, or that aren't finite numbers.
-    """
+    """Make the arrays around robots of one kind; see `surround_kinds`."""
     return surround_kinds(obstacles, [spec], robots, [config])
 
 
@@ -150,10 +140,7 @@ def surround_kinds(
     robots: int,
     configs: Sequence[RobotConfig],
 ) -> Surroundings:
-    """Make the arrays around robots of several kinds; `specs` has the rays of each kind.
-
-    Raises ConfigError as `make_surroundings`.
-    """
+    """Make the arrays around robots of several kinds; ConfigError as `Obstacles.arrays`."""
     circles, segments = obstacles.arrays(robots)
     angles = [spec.angles() if spec else np.zeros(0) for spec in specs]
     outlines = [config.footprint for config in configs]
@@ -223,10 +210,7 @@ def see_circle(
     margin: float,
     fan: Fan,
 ) -> None:
-    """Shorten the rays that meet a circle at (x, y) in the sensor's frame.
-
-    The origins of the rays lie within `margin` of the sensor.
-    """
+    """Shorten the rays that meet a circle; they begin within `margin` of the sensor."""
     last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     half = widest_angle(radius + margin, math.sqrt(x * x + y * y)) * density
     middle = (angle_of(x, y) - fan.start) * density
@@ -300,17 +284,8 @@ def cast_lines(  # noqa: PLR0913, PLR0917 - as `cast_rays`
 ) -> None:
     """Compute the ranges of rays that begin at places of their own; otherwise as `cast_rays`.
 
-    Args:
-        x: of the base in the frame of the world [m].
-        y: of the base in the frame of the world [m].
-        cos: of its heading.
-        sin: of its heading.
-        which: index of the set of obstacles.
-        around: obstacles and rays.
-        origins: (rays, 2): where each ray begins, from the LiDAR's place at this pose, in the frame
-            of the base [m].
-        ranges: (rays,) [m]; written.
-        kind: of the robot, whose rays these are.
+    `origins` (rays, 2) are where each ray begins, from the LiDAR's place at this pose, in the frame
+    of the base [m].
     """
     fan = fan_of(around, kind, len(ranges))
     x += cos * fan.mount_x - sin * fan.mount_y
@@ -348,8 +323,7 @@ def cast_rays(
 ) -> None:
     """Compute the ranges of all rays (rays,) [m] from a base at this pose; writes `ranges`.
 
-    `which` is the index of the set of obstacles. Rays that meet nothing within reach have the
-    reach. From inside a circle all ranges are zero.
+    Rays that meet nothing within reach have the reach. From inside a circle all ranges are zero.
     """
     cast_lines(x, y, cos, sin, which, around, np.zeros((len(ranges), 2)), ranges)
 
@@ -357,15 +331,9 @@ def cast_rays(
 def measure_ranges(
     place: tuple[float | Floats, float | Floats], bearings: Floats, world: World | None
 ) -> Floats:
-    """Compute ranges at any bearings, in plain NumPy; `cast_rays` is faster for evenly spaced rays.
+    """Compute ranges (rays,) [m] at any bearings [rad] by NumPy; inf where nothing is met.
 
-    Args:
-        place: x, y in the frame of the world [m]: of all rays, or (rays,) each.
-        bearings: (rays,) in the frame of the world [rad].
-        world: with the obstacles, or None.
-
-    Returns:
-        (rays,) [m]; inf where there is no obstacle.
+    `place` is x, y of all rays, or (rays,) each.
     """
     if world is None:
         return np.full(len(bearings), np.inf)
@@ -392,17 +360,7 @@ def measure_ranges(
 def footprint_collides(
     x: float, y: float, cos: float, sin: float, which: int, around: Surroundings, kind: int = 0
 ) -> bool:
-    """Whether the footprint touches an obstacle.
-
-    Args:
-        x: of the base in the frame of the world [m].
-        y: of the base in the frame of the world [m].
-        cos: of the heading.
-        sin: of the heading.
-        which: index of the set of obstacles.
-        around: obstacles and footprints.
-        kind: of the robot, whose footprint it is.
-    """
+    """Whether the footprint of a kind's robot at this pose touches an obstacle of a set."""
     own = around.kinds
     half_x, half_y, is_box = own[kind, 5], own[kind, 6], own[kind, 7] == 0.0
     outer = math.sqrt(half_x * half_x + half_y * half_y)
@@ -441,10 +399,7 @@ def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: f
 def segment_meets_box(
     ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
 ) -> bool:
-    """Whether a segment touches the box of these half sizes around the origin.
-
-    By the algorithm of Liang and Barsky (1984).
-    """
+    """Whether a segment touches the box of these half sizes, by Liang and Barsky (1984)."""
     near, far = 0.0, 1.0
     for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
         if abs(along) < 1e-15:
@@ -515,17 +470,9 @@ def segment_meets_polygon(ax: float, ay: float, bx: float, by: float, polygon: F
 
 
 def point_clearance(points: ArrayLike, world: World) -> Floats:
-    """Compute distances of points to the nearest obstacle.
+    """Distances of points (N, 2) to the nearest obstacle (N,) [m].
 
-    Args:
-        points: (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: negative inside a circle, zero on a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for points of another shape.
+    Negative inside a circle, zero on a segment, inf without obstacles.
     """
     places = _validate_points(points)
     centres, radii = world.circles.T[:2, None], world.circles[:, 2]
@@ -539,19 +486,10 @@ def point_clearance(points: ArrayLike, world: World) -> Floats:
 
 
 def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
-    """Compute the least distance of straight lines to any obstacle.
+    """Least distances (N,) of lines from a to b, (N, 2) each, to any obstacle [m].
 
-    Args:
-        a: beginnings, (N, 2) [m].
-        b: ends, (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: minus the depth where a line enters a circle, zero where it touches or crosses
-        a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for other shapes.
+    Minus the depth where a line enters a circle, zero where it meets a segment, inf without
+    obstacles.
     """
     starts, ends = _validate_points(a), _validate_points(b)
     if len(starts) != len(ends):

@@ -72,10 +72,7 @@ class MapSettings(Section):
 
 
 def read_settings(data: Mapping[str, Any]) -> MapSettings:
-    """Read the settings in a map's YAML. WorldError says what is missing or wrong.
-
-    Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
-    """
+    """Read the settings in a map's YAML; keys that look misspelt are refused."""
     fields = MapSettings.model_fields
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
@@ -90,18 +87,9 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
 
 
 def map_segments(picture: bytes, config: MapSettings) -> Floats:
-    """Compute the outlines of what is occupied in a picture.
+    """Compute the outlines of what is occupied, (segments, 4) in the map's frame [m].
 
-    Args:
-        picture: content of the file.
-        config: settings of the map.
-
-    Returns:
-        (segments, 4) in the frame of the map [m].
-
-    Raises:
-        WorldError: the picture is broken, too large or too detailed.
-        MissingExtraError: Pillow isn't installed.
+    WorldError for a picture that is broken, too large or too detailed.
     """
     levels, shades, opaque = _read_levels(picture)
     mask = occupied_shades(shades, config)[levels]
@@ -114,12 +102,7 @@ def map_segments(picture: bytes, config: MapSettings) -> Floats:
 
 
 def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
-    """Which brightness levels are obstacles.
-
-    Args:
-        shades: 0 (black) to 1 (white), NaN where transparent.
-        config: settings of the map.
-    """
+    """Which shades, 0 (black) to 1 (white) and NaN where transparent, are obstacles."""
     bright = 1.0 - shades if config.negate else shades
     percent = np.round(shades * 255.0)
     raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
@@ -128,16 +111,9 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
 
 
 def trace_outlines(mask: Mask) -> Floats:
-    """Find the edges between occupied pixels and others; edges in a row become one segment.
+    """Find the edges between occupied pixels (rows, columns) and others.
 
-    Args:
-        mask: (rows, columns), whether a pixel is occupied.
-
-    Returns:
-        (segments, 4) in pixels from the lower left corner.
-
-    Raises:
-        WorldError: for more than 20,000.
+    Returns (segments, 4) in pixels from the lower left corner; WorldError for more than 20,000.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
     level, left, right = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
@@ -160,10 +136,7 @@ def _find_runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray
 
 
 def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque.
-
-    A level is the grey value or the sum of three colours, to use less memory.
-    """
+    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque."""
     try:
         from PIL import Image  # noqa: PLC0415
     except ImportError as error:

@@ -42,14 +42,8 @@ class Mesh(NamedTuple):
 def read_mesh(path: Path, submesh: str = "", *, centred: bool = False) -> Mesh:
     """Read a mesh as Gazebo does: in the file's unit, with z up whatever it says.
 
-    Args:
-        path: .dae, .stl or .obj.
-        submesh: name of the only part that counts; empty: all.
-        centred: whether the part is moved to the origin.
-
-    Raises:
-        WorldError: it can't be read, is too large, or has no such part.
-        MissingExtraError: trimesh isn't installed.
+    `submesh` is the name of the only part that counts, `centred` whether it is moved to the origin.
+    WorldError where it can't be read, is too large, or has no such part.
     """
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -124,16 +118,7 @@ def _list_collada(collada: Any, data: bytes, submesh: str) -> list[Mesh]:
 
 
 def cut_mesh(vertices: Floats, faces: NDArray[np.int64], heights: Sequence[float]) -> Floats:
-    """The outline of a mesh at some heights, seen from above.
-
-    Args:
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3).
-        heights: of the cuts [m].
-
-    Returns:
-        (segments, 4) [m].
-    """
+    """The outline of a mesh at some heights, seen from above, (segments, 4) [m]."""
     trimesh, _ = _import_readers()
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     outlines = [np.zeros((0, 4))]
@@ -145,14 +130,7 @@ def cut_mesh(vertices: Floats, faces: NDArray[np.int64], heights: Sequence[float
 
 
 def simplify_outline(segments: Floats) -> Floats:
-    """Join the pieces of an outline, and leave out corners within OUTLINE_TOLERANCE.
-
-    Args:
-        segments: (n, 4), in any order [m].
-
-    Returns:
-        (m, 4) [m].
-    """
+    """Join pieces of an outline (n, 4); leave out corners within OUTLINE_TOLERANCE."""
     ends = np.round(segments.reshape(-1, 2) / JOINT_TOLERANCE).astype(np.int64)
     corners, numbers = np.unique(ends, axis=0, return_inverse=True)
     neighbours: dict[int, set[int]] = defaultdict(set)

@@ -70,12 +70,7 @@ class OwnGenerator:
         return self.home, str(getattr(self.make, "__qualname__", type(self.make).__qualname__))
 
     def world(self, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        """Call the generator once.
-
-        Raises:
-            GeneratorError: it raised an error, or returned something else than a World.
-            WorldError: this attempt failed; the next one may succeed.
-        """
+        """Call the generator once; GeneratorError where calling it again is of no use."""
         this = f"generator {self.name!r} of {self.home}"
         try:
             world = self.make(rng, difficulty, radius)
@@ -164,11 +159,7 @@ def check_registered(kind: str) -> None:
 
 
 def import_generator(module: str, kind: str) -> None:
-    """Import the module that registers a generator; nothing for "" and the main program.
-
-    Raises:
-        WorldError: the module can't be imported, or registers no such generator.
-    """
+    """Import the module that registers a generator; nothing for "" and the main program."""
     if module in ("", "__main__"):
         return
     where = f"worlds = '{module}:{kind}'"
@@ -216,16 +207,9 @@ def parse_name(text: str) -> WorldsName | None:
 
 
 def parse_known_name(text: str) -> WorldsName | None:
-    """Split a name of worlds whose generator is known; imports its module, if it names one.
+    """Split a name of worlds whose generator is known; imports the module that it names.
 
-    Args:
-        text: a name, or anything else, such as a path.
-
-    Returns:
-        The parts; None where the text isn't such a name.
-
-    Raises:
-        WorldError: the module can't be imported, or registers no such generator.
+    None where the text isn't such a name; WorldError where the module registers no such generator.
     """
     name = parse_name(text)
     if name is None:
@@ -235,12 +219,7 @@ def parse_known_name(text: str) -> WorldsName | None:
 
 
 def split_numbers(kind: str, split: str) -> range:
-    """World numbers of a split.
-
-    1000 to 1399 for training, 900 to 963 for validation during training, 0 to 199 for testing (0 to
-    299 of BARN), and 100000 to 100999 for the benchmark, whose worlds nobody has looked at while
-    methods were chosen.
-    """
+    """World numbers of a split."""
     return _BARN_TEST if (kind, split) == ("barn", TEST) else _SPLIT_NUMBERS[split]
 
 
@@ -254,10 +233,7 @@ def find_split(kind: str, some: range) -> str:
 
 
 def add_test_split(source: Any) -> Any:
-    """Replace a generator's name without numbers by its test split.
-
-    Return anything else unchanged.
-    """
+    """Replace a generator's name without numbers by its test split; anything else stays."""
     name = parse_known_name(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"
 

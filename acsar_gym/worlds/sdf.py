@@ -87,16 +87,8 @@ def read_obstacles(
 ) -> SdfObstacles:
     """Read the obstacles of an SDF file's content.
 
-    Args:
-        data: the content.
-        folder: of the file, where relative paths in it begin.
-        model_folders: folders in which included models and meshes are looked for, in this order.
-        height: of the LiDAR above the floor [m].
-
-    Raises:
-        WorldError: it isn't SDF, is malicious, includes models that aren't there, or has shapes
-            that can't be read; names the model.
-        MissingExtraError: it has meshes, and trimesh isn't installed.
+    `folder` is the file's, where relative paths begin; included models and meshes are looked for in
+    `model_folders`. WorldError names the model that can't be read.
     """
     return _WorldReader(model_folders, height).read(parse_xml(data), folder)
 
@@ -150,15 +142,7 @@ class _Model:
         return f"model {quote_name(self.name)}" if self.name else "the world"
 
     def find(self, name: str, whose: str = "") -> Matrix:
-        """The frame of a name in this model's frame.
-
-        Args:
-            name: as of a link, a frame, or a model in this one; empty for this model's own.
-            whose: what has a pose in it, for messages.
-
-        Raises:
-            WorldError: there is no such name, or it leads in a circle.
-        """
+        """The frame of a name in this model's frame; messages say `whose` pose is in it."""
         if name in ("", "__model__") or (name == "world" and not self.name):
             return np.eye(4)
         if name not in self.resolved:
@@ -188,13 +172,7 @@ class _Model:
         )
 
     def place(self, pose: Element | None, default: str = "", whose: str = "") -> Matrix:
-        """A pose in this model's frame.
-
-        Args:
-            pose: the element.
-            default: name of the frame in which it is given, unless it says another one.
-            whose: what has it, for messages; empty for this model.
-        """
+        """A pose in this model's frame, given in the frame `default` unless it names another."""
         base = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
         return self.find(base or default, whose) @ _read_pose(pose, whose or self.described)
 

@@ -37,12 +37,7 @@ CORE_POINTS = 33
 
 
 class ShapeReader:
-    """Reads the outlines of bodies.
-
-    Args:
-        height: of the LiDAR above the floor [m].
-        find_mesh: finds the mesh of a URI, given the folder where relative ones begin.
-    """
+    """Reads the outlines of bodies at a LiDAR's height; `find_mesh` finds meshes by URI."""
 
     def __init__(self, height: float, find_mesh: Callable[[str, Path | None], Path | None]) -> None:
         self._height = height
@@ -58,18 +53,9 @@ class ShapeReader:
         model: str,
         folder: Path | None,
     ) -> Shape:
-        """Outline a body; empty where the robot can't touch it.
+        """Outline a body in its frame; empty where the robot can't touch it.
 
-        Args:
-            geometry: its element.
-            frame: of the body in the world.
-            scale: of the model along x, y and z.
-            model: the model's name, for messages.
-            folder: of the file, where relative URIs begin.
-
-        Raises:
-            WorldError: the shape can't be read.
-            MissingExtraError: it is a mesh, and trimesh isn't installed.
+        `scale` is the model's along x, y and z. WorldError where the shape can't be read.
         """
         shape = None if geometry is None else next(iter(geometry), None)
         if geometry is None or shape is None or shape.tag == "empty":
@@ -232,15 +218,9 @@ class ShapeReader:
 
 
 def cut_convex(points: Floats, low: float, high: float) -> Floats:
-    """The corners of a convex body between two heights, seen from above.
+    """The corners (m, 2) of a convex body (n, 3) between two heights, seen from above [m].
 
-    Args:
-        points: (n, 3) corners of the body [m].
-        low: lower height [m].
-        high: upper height, the same one for a section [m].
-
-    Returns:
-        (m, 2) [m]; their convex hull is the shadow.
+    Their convex hull is the shadow; the heights may be the same one for a section.
     """
     heights = points[:, 2]
     corners = [points[(heights >= low) & (heights <= high), :2]]

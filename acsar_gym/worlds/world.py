@@ -141,15 +141,9 @@ def make_rectangle(left: float, low: float, right: float, high: float) -> Floats
 
 
 def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Floats) -> Floats:
-    """Make a straight wall with gaps.
+    """Make a straight wall with gaps, (segments, 4) [m].
 
-    Args:
-        start: x, y [m].
-        end: x, y [m].
-        doors: (gaps, 2), where each gap begins and ends, as distances from `start` [m], sorted.
-
-    Returns:
-        (segments, 4) [m].
+    `doors` (gaps, 2): where each gap begins and ends, as distances from `start` [m], sorted.
     """
     length = math.dist(start, end)
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)
