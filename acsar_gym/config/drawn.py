@@ -22,18 +22,11 @@ SPLITS = {"train": range(512), "validation": range(1000, 1032), "test": range(20
 """Numbers of the robots that policies learn with, are chosen by, and are measured with."""
 RADII = (0.16, 0.193, 0.233, 0.282, 0.341, 0.411, 0.497, 0.6)
 """Radii of the discs around footprints [m]: robots of equal radius share their worlds."""
-LARGEST_CIRCLE = 0.45
-"""Robots of a larger radius are rectangles [m]."""
-RAYS = (64,)
-"""How many rays a LiDAR has, one of these."""
+LARGEST_CIRCLE = 0.45  # robots of a larger radius are rectangles [m]
+RAYS = (64,)  # how many rays a LiDAR has, one of these
 FIELDS_OF_VIEW = (2.0 * math.pi,) * 7 + (1.5 * math.pi,) * 2 + (math.pi,)
 """Angles that a LiDAR sees, one of these [rad]."""
 _NAME = re.compile(rf"{PREFIX}(?:(\d{{1,9}})(?:-(\d{{1,9}}))?|({'|'.join(SPLITS)}))")
-
-
-def is_drawn(text: str) -> bool:
-    """Whether a robot's name is meant to be that of drawn ones."""
-    return text.startswith(PREFIX)
 
 
 def parse_numbers(text: str) -> range | None:
@@ -41,7 +34,7 @@ def parse_numbers(text: str) -> range | None:
 
     None for the names of others; ConfigError for a malformed one, or one that holds no robot.
     """
-    if not is_drawn(text):
+    if not text.startswith(PREFIX):
         return None
     found = _NAME.fullmatch(text)
     if found is None:

@@ -21,12 +21,9 @@ from acsar_gym.errors import ConfigError
 Point = tuple[float, float]
 Outline = tuple[Point, ...]
 MAX_CORNERS = 100
-CIRCLE_CORNERS = 16
-"""Corners of a round footprint, as nav2 draws it."""
-MIN_BORDER_DISTANCE = 1e-3
-"""Smallest allowed distance of an outline from the origin [m]."""
-MIN_AREA = 1e-9
-"""Three points are collinear if twice their area is below this [m^2]."""
+CIRCLE_CORNERS = 16  # corners of a round footprint, as nav2 draws it
+MIN_BORDER_DISTANCE = 1e-3  # smallest allowed distance of an outline from the origin [m]
+MIN_AREA = 1e-9  # three points are collinear if twice their area is below this [m^2]
 
 
 def make_rectangle(length: float, width: float) -> Outline:

@@ -18,10 +18,8 @@ from pydantic import (
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
 
-LINEAR_ACCELERATION = 2.0
-"""Default limit [m/s^2]; ROS configurations of mobile bases use 1 to 3."""
-ANGULAR_ACCELERATION = 8.0
-"""Default limit [rad/s^2]."""
+LINEAR_ACCELERATION = 2.0  # default limit [m/s^2]; ROS configurations of mobile bases use 1 to 3
+ANGULAR_ACCELERATION = 8.0  # default limit [rad/s^2]
 
 
 def _not_zero(value: float) -> float:

@@ -19,7 +19,17 @@ HINTS = {
     "robot_radius": "write footprint, the corners around it",
 }
 """What to write instead of fields of other programs; in some, wheel_base is the track."""
-MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
+GEOMETRY_FIELDS = (
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
+"""Fields that mean in files of others what they mean here, and are always written."""
+ONLY_FOUR = "only robots with four driven wheels that skid are simulated and driven"
+MEASURES = GEOMETRY_FIELDS[:3]
 """What must be known of a robot that isn't this package's own."""
 MULTIPLIER = "wheel_separation_multiplier"
 """With equal wheel loads 1 + (wheelbase / wheel_separation)^2; see `RobotConfig`."""

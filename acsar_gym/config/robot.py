@@ -226,10 +226,8 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
 
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
-LINE_BYTES = 33
-"""Length of a full line with CR LF, without the optional trailing comma [bytes]."""
-BITS_PER_BYTE = 10
-"""8N1: a start bit, eight data bits, a stop bit."""
+LINE_BYTES = 33  # length of a full line with CR LF, without the optional trailing comma [bytes]
+BITS_PER_BYTE = 10  # 8N1: a start bit, eight data bits, a stop bit
 
 
 def validate_baud_rate(value: int) -> int:
@@ -374,10 +372,8 @@ MOST_LENGTHS = {
 }
 """Least and largest sizes of robots on four wheels [m]; loaders in mines have the largest."""
 LIDAR_OFFSETS = ("lidar_x_offset", "lidar_y_offset", "lidar_z_offset")
-MOST_RADII = 50.0
-"""Tracks and wheelbases are at most as many wheel radii long."""
-MOST_TRACKS = 20.0
-"""A robot reaches from its middle at most as many times its track or wheelbase."""
+MOST_RADII = 50.0  # tracks and wheelbases are at most as many wheel radii long
+MOST_TRACKS = 20.0  # a robot reaches from its middle at most as many times its track or wheelbase
 
 
 class RobotConfig(Section):

@@ -14,20 +14,11 @@ from typing import Any
 
 from acsar_gym import reading
 from acsar_gym.config.footprint import make_circle
-from acsar_gym.config.parts import MEASURES, RobotPart
+from acsar_gym.config.parts import GEOMETRY_FIELDS, MEASURES, ONLY_FOUR, RobotPart
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MARK = "ros__parameters"
-"""Key of a node's parameters in ROS 2."""
+MARK = "ros__parameters"  # key of a node's parameters in ROS 2
 MAX_NODES = 1_000
-SAME_NAMES = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Parameters of the controller that are fields of a robot."""
 OTHER_NAMES = {"odom_frame_id": "odom_frame", "base_frame_id": "base_frame"}
 AXES = (("linear.x", "linear_limits", "max_linear"), ("angular.z", "angular_limits", "max_angular"))
 LIMITS = {
@@ -43,8 +34,7 @@ LIMITS = {
 """Limits by the flag that switches them on: has_acceleration_limits, has_jerk_limits."""
 USUAL_RATES = (10, 20, 40, 50, 100, 200)
 """Rates of a controller manager at which a robot can tick [Hz]; others don't fit its steps."""
-SKIDS = 1.02
-"""A wheel_separation_multiplier above this tells how the wheels skid."""
+SKIDS = 1.02  # a wheel_separation_multiplier above this tells how the wheels skid
 _OTHER_DRIVES = {
     "mecanum or omni wheels": re.compile(r"mecanum|omni_wheel"),
     "a steered axle": re.compile(r"ackermann|bicycle|tricycle|steering"),
@@ -154,7 +144,7 @@ def _is_diff_drive(params: Mapping[str, Any], kind: str) -> bool:
 def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
     """Read the parameters of one controller."""
     fields = part.fields
-    for name in SAME_NAMES:
+    for name in GEOMETRY_FIELDS:  # a controller doesn't have them all
         if (value := params.get(name)) is not None and not _is_unset(value):
             fields[name] = value
     for name, own in OTHER_NAMES.items():
@@ -235,8 +225,7 @@ def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
     elif part.driven and (len(part.driven) > 2 or params.get("wheels_per_side", 1) in (0, 1)):
         count = "two driven wheels" if len(part.driven) == 2 else f"{len(part.driven)} wheels"
         part.drive_problem = (
-            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): only "
-            "robots with four driven wheels that skid are simulated and driven"
+            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): {ONLY_FOUR}"
         )
 
 
@@ -280,10 +269,7 @@ def _explain_others(nodes: Mapping[str, Mapping[str, Any]], types: Mapping[str, 
     words = " ".join((*types.values(), *nodes, *(key for each in nodes.values() for key in each)))
     for drive, pattern in _OTHER_DRIVES.items():
         if pattern.search(words):
-            return (
-                f"is a ROS parameter file of a robot with {drive}: only robots with four driven "
-                "wheels that skid are simulated and driven"
-            )
+            return f"is a ROS parameter file of a robot with {drive}: {ONLY_FOUR}"
     names = ", ".join(dict.fromkeys(_last(node)[:40] for node in [*nodes][:4]))
     return (
         f"is a ROS parameter file ({names}{', ...' if len(nodes) > 4 else ''}) without a "

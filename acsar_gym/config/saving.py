@@ -11,23 +11,14 @@ import yaml
 
 from acsar_gym import reading
 from acsar_gym.config import files
+from acsar_gym.config.parts import GEOMETRY_FIELDS
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, show_value
 
-GEOMETRY_FIELDS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Fields that are always written."""
 ROBOT_FILE_HEAD = (
     "# A robot for acsar_gym: its geometry, and what differs from the defaults. SI units.\n"
 )
-_DROPPED = object()
-"""Stands for the value of a key that is to be removed."""
+_DROPPED = object()  # stands for the value of a key that is to be removed
 _Edit = tuple[int, int, str]
 """Beginning and end of what is replaced in a text, and what by."""
 

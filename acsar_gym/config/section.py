@@ -22,8 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MAX_PROBLEMS = 10
-"""Most problems that one message lists."""
+MAX_PROBLEMS = 10  # most problems that one message lists
 
 
 class Section(BaseModel):
@@ -78,19 +77,13 @@ class Section(BaseModel):
         return f"{field} = {show_value(item['input'])}: {must}{allowed}"
 
 
-Length = Annotated[float, Field(gt=0.0, le=100.0)]
-"""[m]"""
-Offset = Annotated[float, Field(ge=-100.0, le=100.0)]
-"""[m]"""
-Speed = Annotated[float, Field(gt=0.0, le=1e3)]
-"""[m/s] or [rad/s]"""
-Rate = Annotated[float, Field(gt=0.0, le=1e4)]
-"""[Hz]"""
-Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
-"""[s], at most 1 h."""
+Length = Annotated[float, Field(gt=0.0, le=100.0)]  # [m]
+Offset = Annotated[float, Field(ge=-100.0, le=100.0)]  # [m]
+Speed = Annotated[float, Field(gt=0.0, le=1e3)]  # [m/s] or [rad/s]
+Rate = Annotated[float, Field(gt=0.0, le=1e4)]  # [Hz]
+Wait = Annotated[float, Field(gt=0.0, le=3600.0)]  # [s], at most 1 h
 Name = Annotated[str, Field(max_length=1000)]
-Delay = Annotated[float, Field(ge=0.0, le=1.0)]
-"""[s], at most 1 s."""
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]  # [s], at most 1 s
 PerWheel = float | tuple[float, float, float, float]
 """A number for all wheels, or four in the order a, b, c, d."""
 

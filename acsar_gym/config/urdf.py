@@ -21,14 +21,11 @@ from acsar_gym.errors import ConfigError, show_value
 Floats = NDArray[np.float64]
 MAX_PARAMS = 1_000
 """Most parameters of a hardware block; each is compared with the names of all fields."""
-LARGEST_NUMBER = 1e6
-"""Of lengths, angles and masses that are read."""
-ENDLESS = 4.0 * math.pi
-"""A revolute joint with a wider range than this turns as a wheel does [rad]."""
+LARGEST_NUMBER = 1e6  # of lengths, angles and masses that are read
+ENDLESS = 4.0 * math.pi  # a revolute joint with a wider range than this turns as a wheel does [rad]
 DRIVER_PLUGIN = "ACSARInterface"
 """Class of the robot's own driver, whose parameters are this package's, with its defaults."""
-WORLD_LINKS = ("world", "map", "odom")
-"""Links that are no part of a robot."""
+WORLD_LINKS = ("world", "map", "odom")  # links that are no part of a robot
 UNEXPANDED = "is xacro that isn't expanded: run 'xacro FILE.urdf.xacro > robot.urdf', and use that"
 
 
@@ -310,14 +307,20 @@ def _read_origin(element: Element, where: str) -> Floats:
     if origin is None:
         return frame
     frame[:3, 3] = _parse(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
-    angles = _parse(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy")
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
-    frame[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    frame[:3, :3] = turn(_parse(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
     return frame
+
+
+def turn(angles: Sequence[float]) -> Floats:
+    """Return the rotation by roll, pitch and yaw [rad] about fixed axes, (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _parse(text: str, count: int, where: str) -> Sequence[float]:

@@ -14,39 +14,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acsar_gym.config.parts import HINTS, MEASURES, RobotPart
+from acsar_gym.config.parts import GEOMETRY_FIELDS, HINTS, MEASURES, ONLY_FOUR, RobotPart
 from acsar_gym.config.urdf import Block, Floats, Joint, Shape, Urdf, parse_urdf
 from acsar_gym.errors import ConfigError, show_value
 
 DRIVER_DEFAULTS = {"baud_rate": "9600", "control_rate": "20"}
 """Of the robot's own driver, if the URDF has no baud_rate [bit/s]; with a rate that fits [Hz]."""
-SHARED_PARAMS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-    "serial_port",
-)
-"""Parameters that mean in other drivers what they mean here."""
-DIAMETER = "wheel_diameter"
-"""Parameter of drivers that don't say the radius."""
-PARALLEL = 0.95
-"""Cosine from which two directions count as parallel."""
-ALIKE = 0.1
-"""Wheels are alike if radius and height differ by at most this share of the radius."""
-SQUARE = 0.1
-"""Four wheels are a rectangle if its sides differ from it by at most this share."""
-ROLLERS = 3
-"""A wheel that carries as many joints has rollers."""
-MAX_WHEELS = 100
-"""Most joints that are looked at as wheels; each is compared with every other one."""
-UNKNOWN_RADIUS = 0.1
-"""Stands for the radius of a mesh where heights are compared [m]."""
+DIAMETER = "wheel_diameter"  # parameter of drivers that don't say the radius
+PARALLEL = 0.95  # cosine from which two directions count as parallel
+ALIKE = 0.1  # wheels are alike if radius and height differ by at most this share of the radius
+SQUARE = 0.1  # four wheels are a rectangle if its sides differ from it by at most this share
+ROLLERS = 3  # a wheel that carries as many joints has rollers
+MAX_WHEELS = 100  # most joints that are looked at as wheels; each is compared with every other one
+UNKNOWN_RADIUS = 0.1  # stands for the radius of a mesh where heights are compared [m]
 CENTRED = 1e-3
 """A footprint whose middle is nearer to that of the wheels is a rectangle around them [m]."""
-ONLY_FOUR = "only robots with four driven wheels that skid are simulated and driven"
 _CASTER = re.compile(r"castor|caster", re.IGNORECASE)
 _STEERING = re.compile(r"steer", re.IGNORECASE)
 _MECANUM = re.compile(r"mecanum|omni.?wheel|roller", re.IGNORECASE)
@@ -106,7 +88,8 @@ def _take_params(block: Block, names: Sequence[str], part: RobotPart) -> None:
     if DIAMETER in block.params:
         part.fields["wheel_radius"] = _halve(block.params[DIAMETER])
     if not block.is_own(names):
-        part.fields |= {name: block.params[name] for name in SHARED_PARAMS if name in block.params}
+        shared = (*GEOMETRY_FIELDS, "serial_port")
+        part.fields |= {name: block.params[name] for name in shared if name in block.params}
         return
     for name in (each for each in block.params if each not in names):
         near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)

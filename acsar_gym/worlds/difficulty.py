@@ -19,10 +19,8 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds.geometry import Surroundings, cast_rays, point_clearance
 from acsar_gym.worlds.world import Floats, World
 
-PLACE_SPACING = 0.15
-"""Distance between two points of the path that are measured, at most [m]."""
-VISIBILITY_REACH = 5.0
-"""Length of the rays [m]; this is also the distance where nothing is nearer."""
+PLACE_SPACING = 0.15  # distance between two points of the path that are measured, at most [m]
+VISIBILITY_REACH = 5.0  # length of the rays [m]; this is also the distance where nothing is nearer
 VISIBILITY_RAYS = 64
 """Rays from each point, the first one along x; published: 8, and 16 for dispersion."""
 DISPERSION_RADIUS = 0.75

@@ -30,41 +30,28 @@ DEFAULT_RADIUS = 0.25
 EASING_FACTOR = 0.97
 """Where difficulty varies, every attempt that fails multiplies the next one's difficulty by
 this."""
-MAX_ATTEMPTS = 200
-"""Worlds that are tried before a footprint counts as too large."""
-ARENA_HALF = 4.0
-"""Half the side of the open and the cluttered floor [m]."""
+MAX_ATTEMPTS = 200  # worlds that are tried before a footprint counts as too large
+ARENA_HALF = 4.0  # half the side of the open and the cluttered floor [m]
 
-CORRIDOR_LENGTH = 10.0
-"""Length of the corridor between rooms, along x [m]."""
-ROOM_DEPTH = 3.0
-"""Depth of the rooms, along y [m]."""
-WIDEST_DOOR = 1.3
-"""Width of doors at difficulty 0 [m]."""
-DOOR_MARGIN = 0.2
-"""How much wider than the footprint's disc doors are at difficulty 1 [m]."""
+CORRIDOR_LENGTH = 10.0  # length of the corridor between rooms, along x [m]
+ROOM_DEPTH = 3.0  # depth of the rooms, along y [m]
+WIDEST_DOOR = 1.3  # width of doors at difficulty 0 [m]
+DOOR_MARGIN = 0.2  # how much wider than the footprint's disc doors are at difficulty 1 [m]
 
 BARN_CELLS = 30
-BARN_CELL_SIDE = 0.15
-"""Side of a cell [m]."""
-CYLINDER_RADIUS = 0.075
-"""Radius of a cylinder [m]."""
-BARN_FIELD = (-4.425, 5.175)
-"""Centre of cell (0, 0) [m]."""
-BARN_ROBOT_CELLS = 5
-"""Side of the square robot that must be able to cross [cells]."""
+BARN_CELL_SIDE = 0.15  # side of a cell [m]
+CYLINDER_RADIUS = 0.075  # radius of a cylinder [m]
+BARN_FIELD = (-4.425, 5.175)  # centre of cell (0, 0) [m]
+BARN_ROBOT_CELLS = 5  # side of the square robot that must be able to cross [cells]
 BARN_ROBOT_RADIUS = BARN_ROBOT_CELLS * BARN_CELL_SIDE / 2.0
 """Half of that side [m]: this robot's centre keeps this distance from the cylinders."""
 BARN_FILLED = (25, 209)
 """Least and most cells filled in the published worlds, without the first and the last row."""
-BARN_LENGTHS = (10.0, 13.9)
-"""Least and greatest length of the published worlds' paths [m]."""
+BARN_LENGTHS = (10.0, 13.9)  # least and greatest length of the published worlds' paths [m]
 BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 BARN_GOAL = Region(-2.0, 13.0)
-BARN_LARGEST_RADIUS = 1.0
-"""Radius of the largest footprint that is tried [m]."""
-FIELDS_AT_ONCE = 64
-"""Fields that are made and checked together."""
+BARN_LARGEST_RADIUS = 1.0  # radius of the largest footprint that is tried [m]
+FIELDS_AT_ONCE = 64  # fields that are made and checked together
 FIELDS_OF_LARGER = 16
 """As many for footprints larger than BARN's robot, which get easier ones where none of these fit:
 crowded fields are hopeless for them."""

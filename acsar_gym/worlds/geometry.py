@@ -26,8 +26,7 @@ FULL_TURN = 2.0 * math.pi
 RAY_TOLERANCE = 1e-7
 """Tolerance at both ends of the range of rays that can meet an obstacle: more than `angle_of` may
 be wrong by [rad]."""
-CLEARANCE_CHUNK = 2**14
-"""Distances that are computed at a time, so that memory stays at a few MB."""
+CLEARANCE_CHUNK = 2**14  # distances that are computed at a time, so that memory stays at a few MB
 
 
 @dataclass(frozen=True)

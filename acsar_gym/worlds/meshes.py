@@ -18,16 +18,12 @@ from acsar_gym.errors import WorldError, require_extra
 from acsar_gym.worlds.world import Floats
 
 MESH_SUFFIXES = (".dae", ".stl", ".obj")
-MAX_MESH_BYTES = 64_000_000
-"""Most bytes of a mesh's file."""
-MAX_FACES = 2_000_000
-"""Most triangles of a mesh."""
-MAX_PARTS = 100_000
-"""Most parts of a COLLADA file, instances counted each time."""
+MAX_MESH_BYTES = 64_000_000  # most bytes of a mesh's file
+MAX_FACES = 2_000_000  # most triangles of a mesh
+MAX_PARTS = 100_000  # most parts of a COLLADA file, instances counted each time
 JOINT_TOLERANCE = 1e-4
 """Ends of two pieces of an outline that are nearer than this are one corner [m]."""
-OUTLINE_TOLERANCE = 0.005
-"""How far a simplified outline may lie from the mesh's own [m]."""
+OUTLINE_TOLERANCE = 0.005  # how far a simplified outline may lie from the mesh's own [m]
 
 
 class Mesh(NamedTuple):

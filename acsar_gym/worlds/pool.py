@@ -23,12 +23,9 @@ from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
-MAX_NUMBERS = 10**9
-"""Most numbers of a pool."""
-KEPT_WORLDS = 512
-"""Generated worlds that a pool keeps in memory."""
-MAX_RANKED = 100_000
-"""Largest pool that can be sorted by difficulty."""
+MAX_NUMBERS = 10**9  # most numbers of a pool
+KEPT_WORLDS = 512  # generated worlds that a pool keeps in memory
+MAX_RANKED = 100_000  # largest pool that can be sorted by difficulty
 
 Source = str | Path | World | Sequence[World] | Mapping[str, Any]
 """What users may pass as `worlds=`; the fields of a mapping are those of `files.FileSource`."""
@@ -187,8 +184,8 @@ def read_worlds(
     """Read worlds of a file or folder; None for the name of a generator."""
     placement = files.Placement(height=height)
     if isinstance(source, Mapping):
-        file = files.FileSource(**{"height": height, **source})
-        source, placement = file.path, file.placement
+        placement = files.FileSource(**{"height": height, **source})
+        source = placement.path
         if registry.parse_known_name(str(source)):
             raise WorldError(
                 f"worlds = {show_value(str(source))}: generated worlds have a start and a goal of "

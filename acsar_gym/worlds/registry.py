@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 BUILT_IN_KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 """Names of the generators of this package."""
-MAX_GENERATOR_NAME = 40
-"""Most characters of a name."""
+MAX_GENERATOR_NAME = 40  # most characters of a name
 TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
 SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
 """What may follow the name of a kind, as in "clutter:test"."""
@@ -38,8 +37,7 @@ _SPLIT_NUMBERS = {
     BENCHMARK: range(100_000, 101_000),
 }
 """Those of the benchmark are far from numbers that anybody would train in by hand."""
-_BARN_TEST = range(300)
-"""As many as BARN has published."""
+_BARN_TEST = range(300)  # as many as BARN has published
 _NUMBERS = rf"(?::({'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?"
 _KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS}")
 _FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS}", re.ASCII)

@@ -25,6 +25,7 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 
 from acsar_gym import reading
+from acsar_gym.config.urdf import turn
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.sdf_shapes import (
     LIDAR_HEIGHT,
@@ -35,21 +36,12 @@ from acsar_gym.worlds.sdf_shapes import (
 )
 from acsar_gym.worlds.world import Floats
 
-MAX_SDF_BYTES = 64_000_000
-"""Most bytes of an SDF file."""
-MAX_TAGS = 2_500_000
-"""Most tags of a file; a world of 20,000 cylinders as in BARN has 2 million."""
-MAX_ATTRIBUTES = 600_000
-"""Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
-MAX_TAG_BYTES = 1_000_000
-"""Most bytes of a tag, or of a text between two."""
-MAX_BODIES = 100_000
-"""Most bodies of a world, those of included files counted each time."""
-MAX_INCLUDES = 10_000
-"""Most models that are included, likewise."""
+MAX_SDF_BYTES = 64_000_000  # most bytes of an SDF file
+MAX_TAGS = 2_500_000  # most tags of a file; a world of 20,000 cylinders as in BARN has 2 million
+MAX_BODIES = 100_000  # most bodies of a world, those of included files counted each time
+MAX_INCLUDES = 10_000  # most models that are included, likewise
 MAX_NESTED_MODELS = 10
-MAX_FRAME_CHAIN = 100
-"""Most frames of which each is given relative to the next."""
+MAX_FRAME_CHAIN = 100  # most frames of which each is given relative to the next
 HARMLESS_MODELS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
 RESTING_PLUGINS = (
@@ -62,8 +54,7 @@ WORLD_PLUGINS = (
     f"{RESTING_PLUGINS}|api|broadcaster|commands|factory|init|physics|properties|scene|state"
 )
 """The same for plugins of a world."""
-UNFOUND_MODELS = 5
-"""Most models that one message lists as missing."""
+UNFOUND_MODELS = 5  # most models that one message lists as missing
 
 
 class SdfObstacles(NamedTuple):
@@ -77,6 +68,17 @@ class SdfObstacles(NamedTuple):
     """Models that a plugin moves in Gazebo, in words; they stand where they begin."""
     actors: tuple[str, ...]
     """Actors, in words; they are left out."""
+
+    def describe_movers(self) -> str:
+        """What moves in Gazebo, and how it is here; empty where nothing does."""
+        notes = []
+        if self.movers:
+            stand = "stand where they begin" if len(self.movers) > 1 else "stands where it begins"
+            notes.append(f"{', '.join(self.movers)} {stand}")
+        if self.actors:
+            verb = "are" if len(self.actors) > 1 else "is"
+            notes.append(f"{', '.join(self.actors)} {verb} left out")
+        return "; ".join(notes)
 
 
 def read_obstacles(
@@ -95,10 +97,6 @@ def read_obstacles(
 
 def parse_xml(data: bytes) -> Element:
     """Parse XML; WorldError for what would take long or much memory, and what isn't XML."""
-    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
-    longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
-    if longest > MAX_TAG_BYTES or data.count(b"=") > MAX_ATTRIBUTES:
-        raise WorldError("holds too many attributes, or too long a tag or text, to be a world")
     if data.count(b"<") > MAX_TAGS:
         raise WorldError("holds too many XML elements: cut out a part of it")
     try:
@@ -193,29 +191,13 @@ def _read_pose(pose: Element | None, model: str) -> Matrix:
         if not length > 0.0:
             raise WorldError(f"{model}: a quaternion of a pose is zero")
         qx, qy, qz, qw = (number / length for number in quaternion)
-        matrix[0, :3] = (
-            1 - 2 * (qy * qy + qz * qz),
-            2 * (qx * qy - qz * qw),
-            2 * (qx * qz + qy * qw),
-        )
-        matrix[1, :3] = (
-            2 * (qx * qy + qz * qw),
-            1 - 2 * (qx * qx + qz * qz),
-            2 * (qy * qz - qx * qw),
-        )
-        matrix[2, :3] = (
-            2 * (qx * qz - qy * qw),
-            2 * (qy * qz + qx * qw),
-            1 - 2 * (qx * qx + qy * qy),
-        )
+        cross = np.array([[0.0, -qz, qy], [qz, 0.0, -qx], [-qy, qx, 0.0]])
+        matrix[:3, :3] += 2.0 * (qw * cross + cross @ cross)
     else:
         x, y, z, *angles = read_numbers(pose, "pose", 6, model)
         if pose.get("degrees", "").strip() in ("true", "1"):
             angles = list(map(math.radians, angles))
-        (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
-        matrix[0, :3] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-        matrix[1, :3] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-        matrix[2, :3] = -sp, cp * sr, cp * cr
+        matrix[:3, :3] = turn(angles)
     matrix[:3, 3] = x, y, z
     return matrix
 

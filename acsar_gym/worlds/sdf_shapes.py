@@ -18,22 +18,14 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds import meshes
 from acsar_gym.worlds.world import MAX_COORDINATE, Floats
 
-Matrix = Floats
-"""(4, 4): a frame in another one."""
-Shape = tuple[list[list[float]], list[list[float]]]
-"""Circles and segments."""
-LIDAR_HEIGHT = 0.37
-"""Height of the LiDAR of the preset acsar [m]."""
-HEADROOM = 0.5
-"""A body that begins above this height can't touch the robot or its LiDAR's rays [m]."""
-STEP_HEIGHT = 0.01
-"""The robot drives over a body that isn't higher than this [m]."""
-MAX_TILT = 0.01
-"""A body that is tilted less than this counts as upright [rad]."""
-CIRCLE_POINTS = 32
-"""Corners of a circle that becomes a polygon."""
-CORE_POINTS = 33
-"""Points along a tilted capsule."""
+Matrix = Floats  # (4, 4): a frame in another one
+Shape = tuple[list[list[float]], list[list[float]]]  # circles and segments
+LIDAR_HEIGHT = 0.37  # height of the LiDAR of the preset acsar [m]
+HEADROOM = 0.5  # a body that begins above this height can't touch the robot or its LiDAR's rays [m]
+STEP_HEIGHT = 0.01  # the robot drives over a body that isn't higher than this [m]
+MAX_TILT = 0.01  # a body that is tilted less than this counts as upright [rad]
+CIRCLE_POINTS = 32  # corners of a circle that becomes a polygon
+CORE_POINTS = 33  # points along a tilted capsule
 
 
 class ShapeReader:

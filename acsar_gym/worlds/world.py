@@ -17,12 +17,9 @@ if TYPE_CHECKING:
     from acsar_gym.physics import Physics
 
 Floats = NDArray[np.float64]
-Pose = tuple[float, float, float]
-"""x [m], y [m], theta [rad]."""
-MAX_OBSTACLES = 20_000
-"""A world with more circles and segments than this is refused."""
-MAX_COORDINATE = 1e4
-"""Coordinates beyond this are refused [m]."""
+Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
+MAX_OBSTACLES = 20_000  # a world with more circles and segments than this is refused
+MAX_COORDINATE = 1e4  # coordinates beyond this are refused [m]
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,25 +66,10 @@ def test_nothing_around_and_nothing_seen(circles: Any, expected: tuple[float, ..
     assert found == Difficulty(*expected)
 
 
-def test_a_wide_corridor_has_no_dispersion() -> None:
-    assert measure_difficulty(corridor(1.6)).dispersion == 0.0
-    assert measure_difficulty(corridor(1.6), radius=0.9).dispersion == 4.0
-
-
 @pytest.mark.parametrize(("end", "expected"), [([3, 4], 7.0 / 5.0), ([0, 0], math.inf)])
 def test_tortuosity_is_arc_by_chord(end: Any, expected: float) -> None:
     path = array([0, 0], [3, 0], end)
     assert measure_difficulty(World(), path).tortuosity == pytest.approx(expected)
-
-
-def test_more_points_on_a_path_change_nothing() -> None:
-    world = World(circles=array([1.0, 0.3, 0.2], [2.0, -0.5, 0.1]))
-    few = measure_difficulty(world, array([0.0, 0.0], [3.0, 0.0]))
-    many = measure_difficulty(
-        world, np.column_stack([np.linspace(0.0, 3.0, 50) ** 2 / 3.0, np.zeros(50)])
-    )
-    for name in Difficulty.__slots__:
-        assert getattr(few, name) == pytest.approx(getattr(many, name))
 
 
 @pytest.mark.parametrize(

@@ -79,19 +79,6 @@ def test_numbers_are_the_same_worlds_in_every_process() -> None:
     assert there.stdout.split() == digests()
 
 
-@samples(4, 15)
-@pytest.mark.parametrize("kind", KINDS)
-def test_numbers_are_different_worlds(kind: str, count: int) -> None:
-    for level in (None, 0.5):
-        made = [generate_world(kind, number, level) for number in range(count)]
-        nameless = {
-            (world.circles.tobytes(), world.segments.tobytes(), way(world).tobytes())
-            for world in made
-        }
-        assert len(nameless) == count
-        assert [world.name for world in made] == [f"{kind} {number}" for number in range(count)]
-
-
 def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[float] = []
 
@@ -142,16 +129,6 @@ def test_every_world_is_solvable(kind: str, count: int) -> None:
         assert world.start.radius == world.goal.radius == 0.0
         assert world.goal.theta is None
         assert world.start.theta is not None
-
-
-@samples(3, 10)
-@pytest.mark.parametrize("kind", SEARCHED)
-@pytest.mark.parametrize("radius", [0.1, 0.45])
-def test_the_way_is_made_for_the_footprint(kind: str, radius: float, count: int) -> None:
-    for number in range(0, 10, 10 // count):
-        world = generate_world(kind, number, number / 9.0, radius)
-        assert closest(way(world), world) >= radius + PATH_MARGIN - 2.0 * CUT
-        assert np.array_equal(way(world), shortest_path(world, radius + PATH_MARGIN, cuts=0))
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -231,13 +208,6 @@ def test_too_large_a_footprint_is_one_clear_error(
         generate_world(kind, 0, level, radius)
 
 
-@pytest.mark.parametrize("kind", ["clutter", "rooms"])
-def test_without_a_difficulty_a_large_footprint_gets_an_easier_world(kind: str) -> None:
-    for number in range(5):
-        world = generate_world(kind, number, None, 0.55)
-        assert closest(way(world), world) >= 0.6 - 2.0 * CUT
-
-
 RADIUS = 0.25
 
 
@@ -268,13 +238,6 @@ def dividers(world: World, side: float) -> list[float]:
     return sorted(lines[meets & upright, 0].tolist())
 
 
-def boxes(world: World) -> int:
-    """Four sides in a row, the last of which ends where the first begins."""
-    lines = world.segments[4:]
-    fours = (lines[first : first + 4] for first in range(len(lines) - 3))
-    return sum(np.array_equal(four[:, 2:], np.roll(four[:, :2], -1, axis=0)) for four in fours)
-
-
 @pytest.mark.parametrize("level", FURNISHED)
 def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
     width = 1.3 - level * (1.3 - 2.0 * RADIUS - 0.2)
@@ -287,40 +250,3 @@ def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
             assert len(doors) == len(walls) - 1  # one for each room
             for (low, high), left, right in zip(doors, walls[:-1], walls[1:], strict=True):
                 assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
-
-
-def test_the_house_is_closed_and_as_large_and_as_full_as_said() -> None:
-    counts: set[int] = set()
-    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
-    for seed, level in itertools.product(range(20), FURNISHED):
-        bare, world = floor(seed, 0.0), floor(seed, level)
-        half = half_width(world)
-        assert 0.6 <= half <= 0.9
-        top = half + ROOM_DEPTH
-        assert world.bounds == pytest.approx((0.0, -top, CORRIDOR_LENGTH, top))
-        corners = world.segments[:4, :2]
-        assert world.segments[:4, 2:].tolist() == np.roll(corners, -1, axis=0).tolist()
-        rooms = [len(dividers(bare, side)) + 1 for side in (-1, 1)]
-        counts |= set(rooms)
-        pieces[level].append((len(world.circles) + boxes(world)) / sum(rooms))
-    assert counts == {3, 4}
-    assert (set(pieces[0.0]), set(pieces[1.0])) == ({0.0}, {4.0})
-    assert np.mean(pieces[0.3]) == pytest.approx(1.2, abs=0.25)
-    assert np.mean(pieces[0.7]) == pytest.approx(2.8, abs=0.25)
-
-
-def test_start_and_goal_lie_in_different_rooms_away_from_the_walls() -> None:
-    seen: set[tuple[float, int]] = set()
-    for seed in range(60):
-        world = floor(seed, 0.0)
-        ends = np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])
-        assert (point_clearance(ends, world) >= RADIUS + 0.1 - 1e-9).all()
-        assert (np.abs(ends[:, 1]) > half_width(world)).all()
-        sides = np.sign(ends[:, 1]).tolist()
-        rooms = {
-            (side, int(np.searchsorted(dividers(world, side), x)))
-            for x, side in zip(ends[:, 0], sides, strict=True)
-        }
-        assert len(rooms) == 2
-        seen |= rooms
-    assert len(seen) == 8

@@ -169,27 +169,6 @@ def test_outlines_have_no_more_corners_than_needed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "pieces",
-    [
-        [[0, 0, 1, 0], [1, 0, 2, 0], [2, 0, 2, 1]],  # an open chain
-        [[1, 0, 0, 0], [1, 0, 2, 0], [1, 0, 1, 1], [1, 2, 1, 1]],  # three meet
-        [[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 0], [1, 0, 1, 0]],  # a ring
-    ],
-)
-def test_simplified_outlines_cover_the_same_places(pieces: list[list[float]]) -> None:
-    given = np.array(pieces, np.float64)
-    simple = meshes.simplify_outline(given)
-
-    def places(segments: Any) -> set[tuple[float, ...]]:
-        shares = np.linspace(0.0, 1.0, 101)[:, None]
-        points = [s[:2] + shares * (s[2:] - s[:2]) for s in segments]
-        return {tuple(point) for point in np.concatenate(points).round(1).tolist()}
-
-    assert places(simple) == places(given)
-    assert len(simple) <= len(given)
-
-
-@pytest.mark.parametrize(
     ("name", "data", "said"),
     [
         ("m.dae", b"", "isn't a sound DAE file"),

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.generators import make_smooth_path, make_waypoint_path
 from acsar_gym.worlds.search import (
-    PATH_SPACING,
     drop_repeated,
     path_length,
     sample_path,
@@ -97,14 +95,3 @@ def test_along_a_path_the_robot_starts_on_it(path: Any, theta: float) -> None:
 def test_what_is_no_path_is_one_clear_error(path: Any, message: str) -> None:
     with pytest.raises(WorldError, match=message):
         world_along(path)
-
-
-@pytest.mark.parametrize("make", [make_smooth_path, make_waypoint_path])
-def test_made_paths_are_along_themselves(make: Any) -> None:
-    for seed in range(10):
-        world = make(np.random.default_rng(seed), 0.5, 0.25)
-        again = world_along(world.path)
-        assert (again.start, again.goal) == (world.start, world.goal)
-        samples = sample_path(world.path)
-        assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= PATH_SPACING + 1e-9
-        assert samples[0].tolist() == pytest.approx([0.0, 0.0, world.start.theta])

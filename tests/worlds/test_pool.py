@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, generators, pool, registry
+from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import Region, World, make_rectangle
 
@@ -64,26 +64,6 @@ def test_names_numbers_and_splits(source: Any, numbers: range, title: str) -> No
     assert f"({found.split} split)" in title or not found.split
 
 
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        ("clutter", "clutter:test"),
-        ("clutter:1000-1099", "clutter:1000-1099"),
-        ("mine/worlds", "mine/worlds"),
-        (SOUND, SOUND),
-    ],
-)
-def test_the_split_to_test_in(source: Any, expected: Any) -> None:
-    assert registry.add_test_split(source) == expected
-
-
-def test_the_usual_count_may_be_changed() -> None:
-    counts = {"open": 7, "open:3": 3, "open:3-9": 7}
-    assert {source: len(Pool.of(source, count=7)) for source in counts} == counts
-    with pytest.raises(WorldError, match=r"worlds = 'open': holds no world"):
-        Pool.of("open", count=0)
-
-
 def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any, ...]]) -> None:
     found = Pool.of("clutter:100-149", 0.2, 0.3)
     assert len(found) == 50
@@ -98,18 +78,6 @@ def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any,
     assert calls.total() == 1
     assert Pool.of("clutter:100-149", 1.0, 0.3)[107].obstacles > first.obstacles
     assert [world.name for world in Pool.of("open:2")] == ["open 0", "open 1"]
-
-
-def test_a_pool_forgets_what_was_not_asked_for_lately(
-    calls: Counter[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool, "KEPT_WORLDS", 2)
-    found = Pool.of("open:10")
-    before = found[0]
-    for index in (1, 2, 0):
-        found[index]
-    assert calls["open", 0, None, 0.25] == 2
-    assert found[0].goal == before.goal
 
 
 @pytest.mark.parametrize(

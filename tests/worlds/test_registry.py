@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -50,10 +49,6 @@ def same(one: World, other: World) -> bool:
     assert other.path is not None
     mine, theirs = (one.segments, one.path), (other.segments, other.path)
     return one.name == other.name and all(map(np.array_equal, mine, theirs))
-
-
-def test_the_names_of_this_package() -> None:
-    assert tuple(generators.MAKERS) == registry.BUILT_IN_KINDS
 
 
 @pytest.mark.parametrize(
@@ -114,19 +109,6 @@ def test_the_command_line_names_the_module(tmp_path: Path) -> None:
     assert json.loads(out.read_text())["source"] == "corridors 0 to 2 (test split)"
 
 
-def test_another_process_imports_the_module_itself(tmp_path: Path) -> None:
-    pool = Pool.of("corridors:3", None, RADIUS)
-    file = tmp_path / "pool"
-    file.write_bytes(pickle.dumps(pool))
-    code = f"import pickle; print(len(pickle.load(open({str(file)!r}, 'rb'))[2].segments))"
-    done = elsewhere("-c", code)
-    assert done.stdout.split() == [str(len(pool[2].segments))], done.stderr
-
-
-def test_a_generator_may_be_replaced_by_itself() -> None:
-    register("corridors", example.corridors)
-
-
 @pytest.mark.parametrize(
     ("name", "make", "reason"),
     [
@@ -185,21 +167,6 @@ def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(
         generators.generate_world("mine", 0, 0.5, RADIUS)
     assert "\n" not in str(caught.value)
     assert calls == [0.5] * 3
-
-
-def test_a_world_error_means_try_again() -> None:
-    calls = []
-
-    def make(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        calls.append(difficulty)
-        if len(calls) < 4:
-            raise WorldError("not this one")
-        return World(goal=Region(rng.uniform(1.0, 2.0), 0.0))
-
-    register("mine", make)
-    assert generators.generate_world("mine", 0, None, RADIUS).goal.x >= 1.0
-    assert len(calls) == 4
-    assert sorted(calls, reverse=True) == calls, "each one easier than the one before"
 
 
 @pytest.mark.parametrize(

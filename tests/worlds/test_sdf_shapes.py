@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.worlds import sdf
-from acsar_gym.worlds.sdf_shapes import HEADROOM, LIDAR_HEIGHT, STEP_HEIGHT, convex_hull
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT, STEP_HEIGHT
 
 Inside = Callable[[Any], Any]
 """Whether points (n, 3) in a body's own frame are inside of it."""
@@ -146,12 +146,6 @@ def test_an_upright_capsule_is_a_circle(height: float, z: float, radius: float) 
     assert segments == []
 
 
-@pytest.mark.parametrize("name", SOLIDS)
-@pytest.mark.parametrize("z", [HEADROOM + 2.0, -2.0])
-def test_what_is_above_or_below_is_left_out(name: str, z: float) -> None:
-    assert outline(SOLIDS[name][0], 0.0, 0.0, z, 0.5, 0.6, 0.7) == ([], [])
-
-
 def test_a_polyline_is_a_prism() -> None:
     points = "".join(f"<point>{x} {y}</point>" for x, y in ((0, 0), (2, 0), (2, 1)))
     shape = f"<polyline>{points}<height>0.5</height></polyline>"
@@ -160,14 +154,3 @@ def test_a_polyline_is_a_prism() -> None:
     np.testing.assert_allclose(segments, expected, atol=1e-12)
     assert outline(shape, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0) == ([], [])
     assert len(outline(shape * 2, *[0.0] * 6)[1]) == 6, "a hole is a polyline of its own"
-
-
-def test_a_hull_has_only_corners() -> None:
-    rng = np.random.default_rng(0)
-    square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-    points = np.concatenate([rng.uniform(0.0, 1.0, (50, 2)), square, [[0.5, 0.0]], square])
-    assert sorted(convex_hull(points).tolist()) == sorted(square)
-    assert convex_hull(np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]])).tolist() == [
-        [0.0, 0.0],
-        [2.0, 0.0],
-    ]
