@@ -36,13 +36,13 @@ def parse_numbers(text: str) -> range | None:
     """
     if not text.startswith(PREFIX):
         return None
-    found = _NAME.fullmatch(text)
-    if found is None:
+    match = _NAME.fullmatch(text)
+    if match is None:
         names = ", ".join(repr(PREFIX + name) for name in SPLITS)
         raise ConfigError(
             f"robot = {show_value(text)}: must be like 'drawn:17', 'drawn:0-63' or {names}"
         )
-    first, last, split = found.groups()
+    first, last, split = match.groups()
     if split:
         return SPLITS[split]
     numbers = range(int(first), int(last or first) + 1)

@@ -23,17 +23,17 @@ _NAMED_CONTROLLER = re.compile(r"(.+\.ya?ml):([^:]+)", re.DOTALL)
 
 def find_preset(name: str) -> Path:
     """Return the file of a preset; ConfigError suggests a similar name."""
-    known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
-    if not isinstance(name, str) or name not in known:
-        near = suggest_name(str(name)[:40] if isinstance(name, str) else "", known)
+    presets = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
+    if not isinstance(name, str) or name not in presets:
+        near = suggest_name(str(name)[:40] if isinstance(name, str) else "", presets)
         raise ConfigError(f"unknown robot preset {show_value(name)}{near}")
-    return known[name]
+    return presets[name]
 
 
 def split_controller(name: str) -> tuple[Path, str]:
     """Return a file and the controller in it: "controllers.yaml:base_drive"; "" for none."""
-    found = _NAMED_CONTROLLER.fullmatch(name)
-    return (Path(found[1]), found[2]) if found else (Path(name), "")
+    match = _NAMED_CONTROLLER.fullmatch(name)
+    return (Path(match[1]), match[2]) if match else (Path(name), "")
 
 
 def group_parts(names: Sequence[str]) -> list[list[str]]:

@@ -104,15 +104,15 @@ def border_distance(outline: Outline, x: float, y: float) -> float:
 
 def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArray[np.float64]:
     """Return how far an outline reaches from a place along bearings; 0 where it isn't met."""
-    found = np.zeros(np.shape(bearings))
+    reaches = np.zeros(np.shape(bearings))
     (x, y), cos, sin = place, np.cos(bearings), np.sin(bearings)
     for (ax, ay), (bx, by) in outline_sides(outline):
         a, b = cos * (ax - x) + sin * (ay - y), cos * (bx - x) + sin * (by - y)  # along the ray
         c, d = cos * (ay - y) - sin * (ax - x), cos * (by - y) - sin * (bx - x)  # across
         met = (c > 0.0) != (d > 0.0)
         reach = a + (b - a) * c / np.where(met, c - d, 1.0)
-        found = np.where(met, np.maximum(found, reach), found)
-    return found
+        reaches = np.where(met, np.maximum(reaches, reach), reaches)
+    return reaches
 
 
 def convex_pieces(outline: Outline) -> list[Outline]:

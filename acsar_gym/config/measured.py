@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
-from collections.abc import Iterator, Mapping
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from collections.abc import Mapping
+from typing import Annotated, Any, get_args
 
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError, model_validator
 
@@ -42,66 +40,50 @@ class Measured(Section):
 
 def validate_measured(measured: Mapping[str, Measured], model: type[Section]) -> None:
     """Raise ConfigError for intervals of no number of the model, or with bad ends."""
-    known = _find_numbers(model) if measured else {}
     for name, interval in measured.items():
-        if name not in known:
-            near = difflib.get_close_matches(name[:60], sorted(known), n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}?" if near else "for example 'motor.gain.a'"
-            raise ConfigError(f"measured: unknown field {name[:60]!r}; {hint}")
+        adapter = _find_number(model, name)
+        if adapter is None:
+            raise ConfigError(f"measured: unknown field {name[:60]!r}: must be like 'motor.gain.a'")
         for end in ("low", "high"):
             value = getattr(interval, end)
             try:
-                known[name].validate_python(value)
+                adapter.validate_python(value)
             except ValidationError as error:
                 allowed = error.errors(include_url=False)[0]["msg"].removeprefix("Input should ")
                 raise ConfigError(f"measured.{name}.{end} = {value:g}: must {allowed}") from error
 
 
-@functools.cache
-def _find_numbers(model: type[Section], prefix: str = "") -> dict[str, TypeAdapter[Any]]:
-    """Validators of all numbers of a section and its sections, by dotted name."""
-    found: dict[str, TypeAdapter[Any]] = {}
-    for name, field in model.model_fields.items():
-        kinds = list(_unpack_union(field.annotation))
-        inner = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)]
-        if inner:
-            found |= _find_numbers(inner[0], f"{prefix}{name}.")
-        elif float in kinds or int in kinds:
-            whole = field.annotation is int  # the interval of a whole number has any ends
-            bounds = () if whole else field.metadata
-            kind: Any = float if whole else field.annotation
-            adapter: TypeAdapter[Any] = TypeAdapter(Annotated[kind, *bounds, Field()])
-            found[f"{prefix}{name}"] = adapter
-            if field.annotation == PerWheel:
-                found |= {f"{prefix}{name}.{wheel}": adapter for wheel in WHEEL_LETTERS}
-    return found
-
-
-def _unpack_union(annotation: Any) -> Iterator[Any]:
-    """The types of a union, without the metadata of Annotated ones."""
-    if get_origin(annotation) is Annotated:
-        yield from _unpack_union(get_args(annotation)[0])
-    elif get_origin(annotation) in (Union, UnionType):
-        for part in get_args(annotation):
-            yield from _unpack_union(part)
-    else:
-        yield annotation
+@functools.lru_cache(maxsize=256)
+def _find_number(model: type[Section], name: str) -> TypeAdapter[Any] | None:
+    """The validator of a field by its dotted name; None where there is none."""
+    part, _, inner = name.partition(".")
+    field = model.model_fields.get(part)
+    if field is None:
+        return None
+    for kind in (field.annotation, *get_args(field.annotation)):
+        if isinstance(kind, type) and issubclass(kind, Section):
+            return _find_number(kind, inner)
+    if inner and not (field.annotation == PerWheel and inner in WHEEL_LETTERS):
+        return None
+    is_whole = field.annotation is int  # whose interval has any ends
+    kind: Any = float if is_whole else Annotated[field.annotation, *field.metadata, Field()]
+    return TypeAdapter(kind)
 
 
 def update_measured(
-    known: Mapping[str, Measured], found: Mapping[str, Measured | None]
+    measured: Mapping[str, Measured], findings: Mapping[str, Measured | None]
 ) -> dict[str, Measured]:
     """Return the intervals of a robot after new findings, for its field `measured`.
 
     An interval for all wheels replaces those of single wheels; one of a single wheel leaves the
     others theirs; None ends one.
     """
-    result = dict(known)
-    for name in found:
+    result = dict(measured)
+    for name in findings:
         field, _, wheel = name.rpartition(".")
         if wheel in WHEEL_LETTERS and field in result:
             every = result.pop(field)
             result = {f"{field}.{other}": every for other in WHEEL_LETTERS} | result
         for old in (name, *(f"{name}.{other}" for other in WHEEL_LETTERS)):
             result.pop(old, None)
-    return result | {name: interval for name, interval in found.items() if interval is not None}
+    return result | {name: interval for name, interval in findings.items() if interval is not None}

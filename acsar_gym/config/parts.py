@@ -75,8 +75,8 @@ def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
     if reasons:
         why = "; ".join(dict.fromkeys(reasons.values()))
         names = [*reasons]
-        told = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-        raise ConfigError(f"doesn't say {told}: {why}")
+        listing = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        raise ConfigError(f"doesn't say {listing}: {why}")
     if any(part.skids for part in parts) and MULTIPLIER not in fields:
         with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
             ratio = float(fields["wheelbase"]) / float(fields["wheel_separation"])

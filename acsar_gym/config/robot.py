@@ -266,8 +266,8 @@ class WheelConfig(Section):
 
 def _wheel(letter: Letter) -> BeforeValidator:
     """Return a validator that sets missing letters of a wheel to its own."""
-    own = {"motor": letter, "encoder": letter}
-    return BeforeValidator(lambda given: {**own, **given} if isinstance(given, dict) else given)
+    letters = {"motor": letter, "encoder": letter}
+    return BeforeValidator(lambda given: {**letters, **given} if isinstance(given, dict) else given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -511,8 +511,8 @@ class RobotConfig(Section):
         for name in ("wheel_separation", "wheelbase"):
             value, most = getattr(self, name), MOST_RADII * self.wheel_radius
             if value > most:
-                told = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
-                raise _not_in_metres(name, value, told)
+                allowed = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
+                raise _not_in_metres(name, value, allowed)
         body, most = self.body, MOST_TRACKS * max(self.wheel_separation, self.wheelbase)
         lengths = {
             **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
@@ -521,8 +521,8 @@ class RobotConfig(Section):
         }
         for name, value in lengths.items():
             if abs(value) > most:
-                told = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
-                raise _not_in_metres(name, value, told)
+                allowed = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
+                raise _not_in_metres(name, value, allowed)
         return self
 
     @model_validator(mode="after")
@@ -571,8 +571,8 @@ class RobotConfig(Section):
     @property
     def misfit(self) -> str:
         """One line that says how motors or board answer otherwise than simulated; empty if not."""
-        found = self.motor_fit
-        return f"this robot's simulation {found}" if found.startswith(MISFIT) else ""
+        fit = self.motor_fit
+        return f"this robot's simulation {fit}" if fit.startswith(MISFIT) else ""
 
     @property
     def feedback_rate(self) -> float:
@@ -678,15 +678,15 @@ class RobotConfig(Section):
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
-        for each in (path, *more):
-            if not isinstance(each, str | Path):
-                raise ConfigError(f"path = {show_value(each)}: must be a file's name")
+        for file in (path, *more):
+            if not isinstance(file, str | Path):
+                raise ConfigError(f"path = {show_value(file)}: must be a file's name")
         params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
         fields = files.read_fields((path, *more), params)
         try:
             return cls(**fields)
         except ConfigError as error:
-            names = ",".join(str(Path(each)) for each in (path, *more))
+            names = ",".join(str(Path(file)) for file in (path, *more))
             raise ConfigError(f"{names}: {error}") from error
 
     @classmethod

@@ -64,8 +64,10 @@ def read_parameters(data: Any, name: str = "") -> RobotPart:
     if name:
         matching = [node for node in nodes if name in (node, _last(node), node.strip("/"))]
         if not matching:
-            known = [_last(node) for node in drives or nodes]
-            raise ConfigError(f"has no controller {show_value(name)}{suggest_name(name, known)}")
+            controllers = [_last(node) for node in drives or nodes]
+            raise ConfigError(
+                f"has no controller {show_value(name)}{suggest_name(name, controllers)}"
+            )
         drives = matching
     if len(drives) > 1:
         names = [_last(node) for node in drives]
@@ -91,14 +93,14 @@ def _find_nodes(data: Any) -> dict[str, dict[str, Any]]:
     """Parameters of all nodes, with dotted names; nothing in files of other kinds."""
     if not isinstance(data, Mapping):
         return {}
-    found = dict(_walk(data, ""))
-    if not found:  # of ROS 1
-        found = {
+    nodes = dict(_walk(data, ""))
+    if not nodes:  # of ROS 1
+        nodes = {
             node: dict(_flatten(value))
             for node, value in data.items()
             if isinstance(value, Mapping) and "/" in str(value.get("type", ""))
         }
-    return found
+    return nodes
 
 
 def _walk(data: Mapping[str, Any], path: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -147,9 +149,9 @@ def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
     for name in GEOMETRY_FIELDS:  # a controller doesn't have them all
         if (value := params.get(name)) is not None and not _is_unset(value):
             fields[name] = value
-    for name, own in OTHER_NAMES.items():
+    for name, field in OTHER_NAMES.items():
         if isinstance(value := params.get(name), str) and value:
-            fields[own] = value
+            fields[field] = value
     timeout = params.get("cmd_vel_timeout")
     if timeout is not None and not _is_unset(timeout):
         fields["firmware"] = {"command_timeout": timeout}
@@ -191,21 +193,21 @@ def _read_limits(
     params: Mapping[str, Any], axis: str, limits: str, largest: str, fields: dict[str, Any]
 ) -> None:
     """Read the limits of an axis; those that are switched off or unset are none."""
-    found: dict[str, Any] = {}
+    axis_limits: dict[str, Any] = {}
     for kind, names in LIMITS.items():
         on = params.get(f"{axis}.has_{kind}_limits", True)
         for name in names:
             value = params.get(f"{axis}.{name}")
             if value is not None:
-                found[name] = value if on and not _is_unset(value) else None
+                axis_limits[name] = value if on and not _is_unset(value) else None
     if params.get(f"{axis}.has_velocity_limits", True):
         most, least = (params.get(f"{axis}.{end}_velocity") for end in ("max", "min"))
         if most is not None and not _is_unset(most):
             fields[largest] = most
         if least is not None and not _is_unset(least) and least != (most and -most):
-            found["min_velocity"] = least
-    if found:
-        fields[limits] = found
+            axis_limits["min_velocity"] = least
+    if axis_limits:
+        fields[limits] = axis_limits
 
 
 def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
@@ -266,7 +268,9 @@ def _parse_footprint(text: str) -> list[tuple[float, float]]:
 
 def _explain_others(nodes: Mapping[str, Mapping[str, Any]], types: Mapping[str, str]) -> str:
     """Say what a file is that has nothing to read."""
-    words = " ".join((*types.values(), *nodes, *(key for each in nodes.values() for key in each)))
+    words = " ".join(
+        (*types.values(), *nodes, *(key for params in nodes.values() for key in params))
+    )
     for drive, pattern in _OTHER_DRIVES.items():
         if pattern.search(words):
             return f"is a ROS parameter file of a robot with {drive}: {ONLY_FOUR}"

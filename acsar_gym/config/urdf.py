@@ -74,8 +74,10 @@ class Block:
 
     def is_own(self, names: Collection[str]) -> bool:
         """Whether it is of the robot's own driver, or of no driver and has its parameters alone."""
-        own = any(plugin.endswith(DRIVER_PLUGIN) for plugin in self.plugins)
-        return own or (not self.plugins and bool(self.params) and set(self.params) <= set(names))
+        is_driver = any(plugin.endswith(DRIVER_PLUGIN) for plugin in self.plugins)
+        return is_driver or (
+            not self.plugins and bool(self.params) and set(self.params) <= set(names)
+        )
 
 
 @dataclass(frozen=True)
@@ -161,11 +163,14 @@ def parse_urdf(text: str) -> Urdf:
         [_read_joint(element) for element in root.iterfind("joint")],
         [_read_block(element) for element in root.iter("ros2_control")],
         [
-            _read_plugin(each)
+            _read_plugin(element)
             for gazebo in root.iterfind("gazebo")
-            for each in gazebo.iter("plugin")
+            for element in gazebo.iter("plugin")
         ],
-        {each.get("reference", ""): _read_friction(each) for each in root.iterfind("gazebo")},
+        {
+            element.get("reference", ""): _read_friction(element)
+            for element in root.iterfind("gazebo")
+        },
     )
     _place_links(urdf)
     return urdf
@@ -218,10 +223,14 @@ def _read_link(element: Element) -> Link:
     mass = element.find("inertial/mass")
     weight = 0.0 if mass is None else _parse(mass.get("value", ""), 1, f"{where}: mass")[0]
     solid, seen = (
-        [shape for each in element.iterfind(tag) if (shape := _read_shape(each, where)) is not None]
+        [
+            shape
+            for child_element in element.iterfind(tag)
+            if (shape := _read_shape(child_element, where)) is not None
+        ]
         for tag in ("collision", "visual")
     )
-    meshes = [each.get("filename", "") for each in element.iter("mesh")]
+    meshes = [child_element.get("filename", "") for child_element in element.iter("mesh")]
     return Link(name, weight, solid or seen, meshes)
 
 
@@ -233,13 +242,13 @@ def _read_shape(element: Element, where: str) -> Shape | None:
         x, y, z = _parse(box.get("size", ""), 3, f"{where}: box size")
         return Shape("box", frame, (abs(x) / 2.0, abs(y) / 2.0, abs(z) / 2.0))
     for kind in ("cylinder", "capsule", "sphere"):
-        found = element.find(f"geometry/{kind}")
-        if found is None:
+        solid = element.find(f"geometry/{kind}")
+        if solid is None:
             continue
-        radius = abs(_parse(found.get("radius", ""), 1, f"{where}: {kind} radius")[0])
+        radius = abs(_parse(solid.get("radius", ""), 1, f"{where}: {kind} radius")[0])
         half = radius
         if kind != "sphere":
-            half = abs(_parse(found.get("length", ""), 1, f"{where}: {kind} length")[0]) / 2.0
+            half = abs(_parse(solid.get("length", ""), 1, f"{where}: {kind} length")[0]) / 2.0
         return Shape(kind, frame, (radius, radius, half + radius * (kind == "capsule")))
     return None
 
@@ -278,24 +287,24 @@ def _read_block(element: Element) -> Block:
     if len(params) > MAX_PARAMS:
         raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
     return Block(
-        [(each.text or "").strip() for each in element.iterfind("hardware/plugin")],
-        {each.get("name", ""): (each.text or "").strip() for each in params},
-        [each.get("name", "") for each in element.iterfind("joint")],
+        [(child.text or "").strip() for child in element.iterfind("hardware/plugin")],
+        {child.get("name", ""): (child.text or "").strip() for child in params},
+        [child.get("name", "") for child in element.iterfind("joint")],
     )
 
 
 def _read_plugin(element: Element) -> Plugin:
     name = f"{element.get('filename', '')} {element.get('name', '')}"
-    return Plugin(name, [(each.tag, (each.text or "").strip()) for each in element.iter()])
+    return Plugin(name, [(child.tag, (child.text or "").strip()) for child in element.iter()])
 
 
 def _read_friction(element: Element) -> list[float]:
     """Read the direction of friction on a link; empty where there is none."""
-    found = next(element.iter("fdir1"), None)
-    if found is None:
+    direction = next(element.iter("fdir1"), None)
+    if direction is None:
         return []
     try:
-        return [float(each) for each in (found.get("value") or found.text or "").split()]
+        return [float(word) for word in (direction.get("value") or direction.text or "").split()]
     except ValueError:
         return []
 
@@ -328,10 +337,10 @@ def _parse(text: str, count: int, where: str) -> Sequence[float]:
     if "${" in text or "$(" in text:
         raise ConfigError(UNEXPANDED)
     try:
-        numbers = [float(each) for each in text.split()]
+        numbers = [float(word) for word in text.split()]
     except ValueError:
         numbers = []
-    if len(numbers) != count or not all(abs(each) < LARGEST_NUMBER for each in numbers):
+    if len(numbers) != count or not all(abs(word) < LARGEST_NUMBER for word in numbers):
         wanted = "a number" if count == 1 else f"{count} numbers"
         raise ConfigError(f"{where} = {show_value(text)}: must be {wanted}")
     return numbers

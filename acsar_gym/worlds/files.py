@@ -350,14 +350,14 @@ def _barn_path(path: Path) -> Floats | None:
     """The path from start to goal of a published world, from its cells (row, column)."""
     name = path.stem.replace("world_", "path_", 1) + ".npy"
     folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
-    found = [folder / name for folder in folders if (folder / name).is_file()]
-    if not path.stem.startswith("world_") or not found:
+    paths = [folder / name for folder in folders if (folder / name).is_file()]
+    if not path.stem.startswith("world_") or not paths:
         return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the file may be of Python 2
             # Mapped, because a header may claim more bytes than the file has.
-            cells = np.lib.format.open_memmap(found[0], mode="r")
+            cells = np.lib.format.open_memmap(paths[0], mode="r")
     except Exception as error:  # NumPy raises all kinds for broken files
         raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from error
     if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":

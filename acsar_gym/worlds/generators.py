@@ -91,15 +91,15 @@ def generate_world(
     rng = _random_generator(kind, number)
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASING_FACTOR if high > low else 1.0
-    own = registry.find_own(kind)
-    maker = MAKERS[kind] if own is None else own.world
+    own_generator = registry.find_own(kind)
+    maker = MAKERS[kind] if own_generator is None else own_generator.world
     problem = ""
     for attempt in range(MAX_ATTEMPTS):
         try:
             world = maker(rng, max(hard * ease**attempt, low), radius)
             if world.path is None:
                 world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
-            elif own is not None:
+            elif own_generator is not None:
                 check_path(world, radius)
         except GeneratorError:
             raise

@@ -143,7 +143,7 @@ def surround_kinds(
     circles, segments = obstacles.arrays(robots)
     angles = [spec.angles() if spec else np.zeros(0) for spec in specs]
     outlines = [config.footprint for config in configs]
-    sides = [list(footprint.outline_sides(one)) if one else [] for one in outlines]
+    sides = [list(footprint.outline_sides(outline)) if outline else [] for outline in outlines]
     return Surroundings(
         circles,
         segments,
@@ -179,14 +179,14 @@ def pad_rows(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
 @jit
 def fan_of(around: Surroundings, kind: int, rays: int) -> Fan:
     """The rays of a kind of robots, which has so many of them."""
-    own = around.kinds
+    kinds = around.kinds
     return Fan(
         around.directions[kind, :rays],
-        own[kind, 0],
-        own[kind, 1],
-        own[kind, 2],
-        own[kind, 3],
-        own[kind, 4],
+        kinds[kind, 0],
+        kinds[kind, 1],
+        kinds[kind, 2],
+        kinds[kind, 3],
+        kinds[kind, 4],
     )
 
 
@@ -250,9 +250,9 @@ def see_segment(
         return
     last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     extra = widest_angle(margin, distance) * density
-    one = (angle_of(ax, ay) - fan.start) * density
+    end = (angle_of(ax, ay) - fan.start) * density
     width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * density
-    first, top = min(one, one + width) - extra, max(one, one + width) + extra
+    first, top = min(end, end + width) - extra, max(end, end + width) + extra
     top = min(top, first + FULL_TURN * density)
     for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
         if top + shift < 0.0 or first + shift > last:
@@ -360,8 +360,8 @@ def footprint_collides(
     x: float, y: float, cos: float, sin: float, which: int, around: Surroundings, kind: int = 0
 ) -> bool:
     """Whether the footprint of a kind's robot at this pose touches an obstacle of a set."""
-    own = around.kinds
-    half_x, half_y, is_box = own[kind, 5], own[kind, 6], own[kind, 7] == 0.0
+    kinds = around.kinds
+    half_x, half_y, is_box = kinds[kind, 5], kinds[kind, 6], kinds[kind, 7] == 0.0
     outer = math.sqrt(half_x * half_x + half_y * half_y)
     circles, segments = around.circles, around.segments
     for n in range(circles.shape[1]):
@@ -405,8 +405,8 @@ def segment_meets_box(
             if abs(start) > half:
                 return False
         else:
-            one, two = (-half - start) / along, (half - start) / along
-            near, far = max(near, min(one, two)), min(far, max(one, two))
+            enter, leave = (-half - start) / along, (half - start) / along
+            near, far = max(near, min(enter, leave)), min(far, max(enter, leave))
     return near <= far
 
 
@@ -429,12 +429,12 @@ def segment_meets_outline(
 @loop
 def is_inside(x: float, y: float, polygon: Floats) -> bool:
     """Whether a point lies within a polygon, (sides, 4)."""
-    found = False
+    inside = False
     for n in range(len(polygon)):
         ax, ay, bx, by = polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
         if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
-            found = not found
-    return found
+            inside = not inside
+    return inside
 
 
 @loop
@@ -547,8 +547,8 @@ def _side(a: Floats, b: Floats, c: Floats) -> Floats:
     return side
 
 
-def _dot(one: Floats, other: Floats) -> Floats:
-    product: Floats = one[0] * other[0] + one[1] * other[1]
+def _dot(first: Floats, second: Floats) -> Floats:
+    product: Floats = first[0] * second[0] + first[1] * second[1]
     return product
 
 

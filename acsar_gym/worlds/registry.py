@@ -260,23 +260,23 @@ def _read_sources(first: str) -> dict[str, bytes]:
 
     Python's own modules and this package's don't count; of installed ones only their version.
     """
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     waiting = [first]
     while waiting:
         name = waiting.pop()
         file = _source_file(name)
         if file is None and name == first:
             raise OSError(name)
-        if file is None or name in found:
+        if file is None or name in contents:
             continue
         installed = {"site-packages", "dist-packages"} & {*file.parts}
         if installed and name.partition(".")[0] != first.partition(".")[0]:
-            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
             continue
-        found[name] = file.read_bytes()
+        contents[name] = file.read_bytes()
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
         imported: list[str] = []
-        for node in ast.walk(ast.parse(found[name])):
+        for node in ast.walk(ast.parse(contents[name])):
             if isinstance(node, ast.Import):
                 imported += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
@@ -284,7 +284,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
                 imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
         ours = {*sys.stdlib_module_names, "acsar_gym"}
         waiting += [module for module in imported if module.partition(".")[0] not in ours]
-    return found
+    return contents
 
 
 def _source_file(name: str) -> Path | None:

@@ -352,13 +352,13 @@ class _WorldReader:
 
     def _list_places(self, uri: str, folder: Path | None) -> Iterator[Path]:
         """Files and folders of this name that there are, the first ones to be taken first."""
-        scheme, _, rest = uri.rpartition("://")
+        scheme, _, path_text = uri.rpartition("://")
         parts = _split_uri(uri)
         if not parts:
             return
         candidates = []
         if scheme in ("", "file"):
-            candidates += [Path(unquote(rest))] if rest.startswith("/") else []
+            candidates += [Path(unquote(path_text))] if path_text.startswith("/") else []
             candidates += [] if folder is None else [folder.joinpath(*parts)]
         for base in self._model_folders:
             for name in (parts[0], parts[0].lower(), parts[0].lower().replace(" ", "_")):
@@ -410,8 +410,8 @@ class _WorldReader:
 
 def _split_uri(uri: str) -> list[str]:
     """The parts of a model's or file's name: ["table", "meshes", "table.dae"]."""
-    scheme, _, rest = uri.replace("\\", "/").rpartition("://")
-    parts = [part for part in PurePosixPath(unquote(rest)).parts if part != "/"]
+    scheme, _, path_text = uri.replace("\\", "/").rpartition("://")
+    parts = [part for part in PurePosixPath(unquote(path_text)).parts if part != "/"]
     if scheme in ("http", "https") and "models" in parts:  # .../models/Table/2/files/meshes/x.dae
         parts = parts[parts.index("models") + 1 :]
         inner = parts[parts.index("files") + 1 :] if "files" in parts else []
