@@ -161,6 +161,56 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> Non
     assert "\\u4e16" in done.stdout
 
 
+def test_a_name_that_is_no_text_is_one_line(tmp_path: Path, call: Call) -> None:
+    path = tmp_path / "world.json"
+    path.write_text(WORLD.format('"\\ud800"'))
+    code, _, error = call("worlds", "check", path)
+    assert_one_line(code, error, "name")
+    assert error.isascii()
+
+
+HUNGRY = """
+import json, re, sys
+from pathlib import Path
+from acsar_gym import RobotConfig
+from acsar_gym.tools import atlas
+from acsar_gym.errors import AcsarError
+from acsar_gym.worlds import World, files
+folder = Path(sys.argv[1])
+
+def most_memory():  # getrusage would count what the parent had before it became this program
+    return int(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[1])
+
+for path in folder.iterdir():
+    try:
+        if path.suffix == ".json":
+            worlds = atlas.collect_worlds(str(path), None, None, 1)
+            found = atlas.check_worlds(worlds, None)[0].shortest
+        else:
+            found = str(RobotConfig.load(path))
+    except AcsarError as error:
+        found = str(error)
+    print(json.dumps([path.name, found, most_memory() / 1024.0]))
+"""
+
+
+def test_hostile_files_take_less_than_half_a_gigabyte(tmp_path: Path) -> None:
+    for suffix in ("yaml", "urdf"):
+        (tmp_path / f"endless.{suffix}").symlink_to("/dev/zero")
+        (tmp_path / f"sparse.{suffix}").touch()
+        os.truncate(tmp_path / f"sparse.{suffix}", 10**11)
+    ends = {"start": {"x": 0, "y": 0}, "goal": {"x": 4, "y": 0}}
+    far = {**ends, "circles": [[2, 0, 0.3], [9000, 9000, 1], [-9000, -9000, 1]]}
+    (tmp_path / "far.json").write_text(json.dumps(far))
+    command = [sys.executable, "-c", HUNGRY, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = {name: (value, peak) for name, value, peak in map(json.loads, done.stdout.splitlines())}
+    assert len(found) == 5, done.stdout
+    assert max(peak for _, peak in found.values()) < 500.0
+    assert found["far.json"][0] == pytest.approx(4.15, abs=0.05)
+    assert "isn't a regular file" in found["endless.yaml"][0]
+
+
 @pytest.mark.parametrize("model", [RobotConfig, *SECTIONS], ids=lambda model: model.__name__)
 def test_every_number_of_a_config_has_an_upper_bound(model: Any) -> None:
     for name, field in model.model_fields.items():

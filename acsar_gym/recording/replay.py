@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.robot import WIRE_LETTERS
+from acsar_gym.config.sections import WIRE_LETTERS
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.bodies import make_body
 from acsar_gym.physics.firmware import Firmware

@@ -55,23 +55,6 @@ def fill(world: World) -> float:
     return (len(world.circles) - CORRIDOR - WALLS) / INNER
 
 
-def slowly_smoothed(cells: Any) -> Any:
-    """The published rule, a cell at a time: 5 or more of 8 fill, 1 or fewer clear, else keep."""
-    result = cells.copy()
-    for row in range(30):
-        for column in range(30):
-            near = 0
-            for i in (row - 1, row, row + 1):
-                for j in (column - 1, column, column + 1):
-                    if (i, j) != (row, column) and 0 <= i < 30 and 0 <= j < 30:
-                        near += int(cells[i, j])
-            if near >= 5:
-                result[row, column] = True
-            elif near <= 1:
-                result[row, column] = False
-    return result
-
-
 def test_as_full_as_the_published_ones(worlds: list[World]) -> None:
     fills = [fill(world) for world in worlds]
     assert min(fills) >= 25 / INNER > 0.029
@@ -119,20 +102,6 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
         assert both[0] == pytest.approx(both[1], abs=1e-6)
         assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
         assert len(list(generators.find_crossable(field[None]))) == 1
-
-
-@pytest.mark.parametrize("passes", [2, 3, 4])
-def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None:
-    made = generators.draw_fields(np.random.default_rng(4), 0.25, passes)
-    assert made.shape == (generators.FIELDS_AT_ONCE, 30, 30)
-    raw = np.random.default_rng(4).random(made.shape) < 0.25
-    assert raw.mean() == pytest.approx(0.25, abs=0.01)
-    for cells, field in zip(raw[:8], made[:8], strict=True):
-        cells[[0, -1]] = True
-        for _ in range(passes):
-            cells = slowly_smoothed(cells)  # noqa: PLW2901
-        cells[[0, -1]] = True
-        assert np.array_equal(cells, field)
 
 
 def filled(count: int) -> Any:

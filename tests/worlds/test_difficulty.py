@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files
 from acsar_gym.worlds.difficulty import (
     VISIBILITY_RAYS,
     VISIBILITY_REACH,
@@ -19,7 +17,6 @@ from acsar_gym.worlds.difficulty import (
 )
 from acsar_gym.worlds.world import World
 
-BARN = Path(__file__).parents[2].parent / "shared" / "barn"
 ANGLES = 2.0 * math.pi * np.arange(VISIBILITY_RAYS) / VISIBILITY_RAYS
 
 
@@ -88,13 +85,3 @@ def test_bad_paths_and_radii_are_refused(path: Any, radius: float | None, messag
     options = {} if radius is None else {"radius": radius}
     with pytest.raises(WorldError, match=message):
         measure_difficulty(World(), path, **options)
-
-
-@pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
-def test_published_worlds_are_of_middling_difficulty() -> None:
-    for world in files.load_folder(BARN):
-        one = measure_difficulty(world)
-        assert 0.3 < one.closest_obstacle < one.visibility < VISIBILITY_REACH
-        assert one.characteristic_dimension < 2.0 * one.visibility
-        assert 0.0 < one.dispersion < 8.0
-        assert one.tortuosity == pytest.approx(world.length / 10.0)

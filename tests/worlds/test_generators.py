@@ -19,12 +19,9 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds import generators
 from acsar_gym.worlds.generators import (
     ARENA_HALF,
-    CORRIDOR_LENGTH,
     DEFAULT_RADIUS,
     PATH_MARGIN,
-    ROOM_DEPTH,
     generate_world,
-    make_rooms,
 )
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import PATH_SPACING, path_length, shortest_path
@@ -36,7 +33,6 @@ SEARCHED = ("open", "clutter", "rooms")
 CUT = 2e-3
 """How much nearer than its radius a path may come to an obstacle [m]."""
 LEVELS = (0.0, 0.35, 0.7, 1.0)
-FURNISHED = (0.0, 0.3, 0.7, 1.0)
 
 
 def way(world: World) -> Floats:
@@ -206,47 +202,3 @@ def test_too_large_a_footprint_is_one_clear_error(
 ) -> None:
     with pytest.raises(WorldError, match=r"footprint of radius .* m through; use "):
         generate_world(kind, 0, level, radius)
-
-
-RADIUS = 0.25
-
-
-def floor(seed: int, level: float, radius: float = RADIUS) -> World:
-    return make_rooms(np.random.default_rng(seed), level, radius)
-
-
-def half_width(world: World) -> float:
-    """Of the corridor."""
-    return float(world.segments[:4, 1].max()) - ROOM_DEPTH
-
-
-def gaps(world: World, y: float) -> list[tuple[float, float]]:
-    """Where the corridor's wall at this y has doors."""
-    lines = world.segments[4:]
-    on_it = lines[np.isclose(lines[:, [1, 3]], y, atol=1e-9).all(axis=1)]
-    pieces = sorted((min(x1, x2), max(x1, x2)) for x1, _, x2, _ in on_it.tolist())
-    edges = [0.0, *(edge for piece in pieces for edge in piece), CORRIDOR_LENGTH]
-    every = list(zip(edges[::2], edges[1::2], strict=True))
-    return [(low, high) for low, high in every if high - low > 1e-9]
-
-
-def dividers(world: World, side: float) -> list[float]:
-    """Where the walls between the rooms of one side stand: upright ones that meet the corridor."""
-    lines = world.segments[4:]
-    meets = np.isclose(lines[:, [1, 3]], side * half_width(world)).any(axis=1)
-    upright = np.isclose(lines[:, 0], lines[:, 2])
-    return sorted(lines[meets & upright, 0].tolist())
-
-
-@pytest.mark.parametrize("level", FURNISHED)
-def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
-    width = 1.3 - level * (1.3 - 2.0 * RADIUS - 0.2)
-    for seed in range(20):
-        world = floor(seed, level)
-        for side in (-1.0, 1.0):
-            doors = gaps(world, side * half_width(world))
-            assert [high - low for low, high in doors] == pytest.approx([width] * len(doors))
-            walls = [0.0, *dividers(world, side), CORRIDOR_LENGTH]
-            assert len(doors) == len(walls) - 1  # one for each room
-            for (low, high), left, right in zip(doors, walls[:-1], walls[1:], strict=True):
-                assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9

@@ -160,32 +160,6 @@ def test_a_wall_just_ahead_is_touched_exactly(x: float, theta: float, hit: bool)
     assert hits(CONFIG, (), [[0.2, -5.0, 0.2, 5.0]], np.array([[x, 0.0, theta]])) == [hit]
 
 
-@pytest.mark.parametrize(
-    ("obstacle", "hit"),
-    [
-        ((0.25, 0.0, 0.04), False),  # in the notch
-        ((0.25, 0.0, 0.14), True),
-        ((-0.1, 0.0, 0.01), True),  # within
-        ((0.0, 0.0, 5.0), True),  # around
-        ((-0.26, 0.26, 0.08), False),  # beyond a corner
-        ((-0.26, 0.26, 0.09), True),
-        ((0.2, -0.02, 0.2, 0.02), False),  # in the notch
-        ((0.2, -0.5, 0.2, 0.5), True),  # through both horns
-        ((-0.1, 0.0, -0.05, 0.0), True),  # within
-        ((0.3, -0.1, 0.3, 0.1), False),  # before the notch
-        ((-0.2, 0.5, -0.2, -0.5), True),  # along a side
-        ((-0.5, 0.2001, 0.5, 0.2001), False),
-    ],
-)
-def test_obstacles_in_and_beside_a_notch(obstacle: tuple[float, ...], hit: bool) -> None:
-    config, pose = CONFIG.with_(footprint=NOTCHED), np.zeros((1, 3))
-    if len(obstacle) == 3:
-        assert hits(config, [obstacle], (), pose) == [hit]
-    else:
-        assert hits(config, (), [obstacle], pose) == [hit]
-        assert hits(config, (), [(*obstacle[2:], *obstacle[:2])], pose) == [hit]
-
-
 ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # type: ignore[arg-type]
 
 

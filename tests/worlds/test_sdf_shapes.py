@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.worlds import sdf
-from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT, STEP_HEIGHT
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 
 Inside = Callable[[Any], Any]
 """Whether points (n, 3) in a body's own frame are inside of it."""
@@ -114,20 +114,6 @@ def test_what_is_lower_than_the_lidar_counts_by_its_shadow() -> None:
     _, segments = outline(log, 0.0, 0.0, 0.1, 0.0, math.pi / 2.0, 0.0)
     corners = np.array(segments)[:, :2]
     np.testing.assert_allclose(np.abs(corners).max(axis=0), [1.1, 0.1], atol=1e-6)
-
-
-def test_only_what_is_within_reach_casts_a_shadow() -> None:
-    """A board that leans against something: its foot, below the LiDAR of a taller robot."""
-    board = "<box><size>0.02 1 1</size></box>"
-    _, segments = outline(board, 0.0, 0.0, -0.3, 0.0, math.pi / 4.0, 0.0, height=0.45)
-    corners = np.array(segments)[:, :2]
-    top = -0.3 + math.sqrt(0.5) / 2.0 + 0.01 * math.sqrt(0.5)  # below the LiDAR
-    assert top < 0.45
-    # In the plane of the lean: from where the lower side comes out of the floor to the upper end.
-    assert corners[:, 1].tolist().count(0.5) == corners[:, 1].tolist().count(-0.5) >= 2
-    thick = 0.02 / math.sqrt(2.0)
-    assert corners[:, 0].min() == pytest.approx(0.3 + STEP_HEIGHT - thick, abs=1e-9)
-    assert corners[:, 0].max() == pytest.approx(math.sqrt(0.5) / 2.0 + 0.01 * math.sqrt(0.5))
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.world import (
-    Pose,
     Region,
     World,
     make_box,
@@ -26,9 +23,6 @@ from acsar_gym.worlds.world import (
 
 WIDTHS = {"circles": 3, "segments": 4, "path": 2}
 NO_DOOR = np.zeros((0, 2))
-coordinates = st.floats(-50.0, 50.0)
-angles = st.floats(-math.pi, math.pi)
-poses = st.tuples(coordinates, coordinates, angles)
 
 
 def array(*rows: Any) -> Any:
@@ -159,13 +153,6 @@ def test_walls_have_doors_where_asked(doors: Any, pieces: Any) -> None:
     found = make_wall((1.0, 5.0), (11.0, 5.0), doors)
     assert found.shape == (len(pieces), 4)
     assert found.tolist() == [[1.0 + low, 5.0, 1.0 + high, 5.0] for low, high in pieces]
-
-
-@given(start=poses, pose=poses)
-def test_to_the_world_and_back_is_the_same_pose(start: Pose, pose: Pose) -> None:
-    x, y, theta = to_odometry(start, to_world(start, pose))
-    assert (x, y) == pytest.approx(pose[:2], abs=1e-9)
-    assert math.remainder(theta - pose[2], math.tau) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_odometry_begins_at_the_start() -> None:
