@@ -19,7 +19,7 @@ PERMISSIVE = {
 """They ask for their notice in copies, and for little else."""
 WEAK = {"LGPL-2.1-or-later", "MPL-2.0"}
 """Changes of these packages themselves must be published; what imports them is free."""
-NOT_ASKED = {"all", "dev", "docs", "fuzz"}
+NOT_ASKED = {"all", "dev", "docs"}
 """Extras that no user of the package needs, and the sum of the others."""
 CUDA = ("cuda-", "nvidia-", "triton")
 """Begin of the names of what torch's builds for NVIDIA's devices bring along."""
