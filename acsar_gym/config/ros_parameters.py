@@ -18,7 +18,6 @@ from acsar_gym.config.parts import GEOMETRY_FIELDS, MEASURES, ONLY_FOUR, RobotPa
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
 MARK = "ros__parameters"  # key of a node's parameters in ROS 2
-MAX_NODES = 1_000
 OTHER_NAMES = {"odom_frame_id": "odom_frame", "base_frame_id": "base_frame"}
 AXES = (("linear.x", "linear_limits", "max_linear"), ("angular.z", "angular_limits", "max_angular"))
 LIMITS = {

@@ -25,7 +25,6 @@ PARALLEL = 0.95  # cosine from which two directions count as parallel
 ALIKE = 0.1  # wheels are alike if radius and height differ by at most this share of the radius
 SQUARE = 0.1  # four wheels are a rectangle if its sides differ from it by at most this share
 ROLLERS = 3  # a wheel that carries as many joints has rollers
-MAX_WHEELS = 100  # most joints that are looked at as wheels; each is compared with every other one
 UNKNOWN_RADIUS = 0.1  # stands for the radius of a mesh where heights are compared [m]
 CENTRED = 1e-3
 """A footprint whose middle is nearer to that of the wheels is a rectangle around them [m]."""
@@ -135,8 +134,6 @@ def _find_wheels(urdf: Urdf, named: set[str]) -> list[_Wheel]:
         is_mesh = any(urdf.links[link].meshes for link in rigid)
         if wheel.radius or joint.name in named or (is_mesh and not _shapes(urdf, rigid)):
             wheels.append(wheel)
-        if len(wheels) > MAX_WHEELS:
-            raise ConfigError(f"has more than {MAX_WHEELS} joints that could be wheels")
     return wheels
 
 

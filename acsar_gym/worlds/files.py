@@ -50,7 +50,6 @@ MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MAX_YAML_EVENTS = 210_000
 """Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
-MAX_WORLD_FILES = 10_000  # most worlds of a folder
 BARN_CELL = 0.15  # side of a cell of a published path [m]
 BARN_CORNER = (-4.575, 5.075)  # position of cell (0, 0) of a published path [m]
 MISSING_ENDS = {
@@ -242,10 +241,6 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
     paths = [path for path in paths if not path.name.startswith(".")]
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")
-    if len(paths) > MAX_WORLD_FILES:
-        raise WorldError(
-            f"{folder}: holds {len(paths):,} worlds, at most {MAX_WORLD_FILES:,} are read"
-        )
 
     def natural(path: Path) -> tuple[list[str | int], str]:
         parts = re.split(r"(\d+)", path.name)

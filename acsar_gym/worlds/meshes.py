@@ -19,7 +19,6 @@ from acsar_gym.worlds.world import Floats
 
 MESH_SUFFIXES = (".dae", ".stl", ".obj")
 MAX_MESH_BYTES = 64_000_000  # most bytes of a mesh's file
-MAX_FACES = 2_000_000  # most triangles of a mesh
 MAX_PARTS = 100_000  # most parts of a COLLADA file, instances counted each time
 JOINT_TOLERANCE = 1e-4
 """Ends of two pieces of an outline that are nearer than this are one corner [m]."""
@@ -60,8 +59,6 @@ def read_mesh(path: Path, submesh: str = "", *, centred: bool = False) -> Mesh:
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = [part.faces + offset for part, offset in zip(parts, offsets, strict=False)]
     mesh = Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
-    if len(mesh.faces) > MAX_FACES:
-        raise WorldError(f"has {len(mesh.faces):,} triangles, at most {MAX_FACES:,} are read")
     if not np.isfinite(mesh.vertices).all() or mesh.faces.max() >= len(mesh.vertices):
         raise WorldError(f"isn't a sound {suffix[1:].upper()} file: save it again")
     if centred:

@@ -50,10 +50,6 @@ RESTING_PLUGINS = (
     "shader|sonar|thermal|touch|video|visual|wrench"
 )
 """Words in the names of plugins that measure, show or tell something, but don't move a model."""
-WORLD_PLUGINS = (
-    f"{RESTING_PLUGINS}|api|broadcaster|commands|factory|init|physics|properties|scene|state"
-)
-"""The same for plugins of a world."""
 UNFOUND_MODELS = 5  # most models that one message lists as missing
 
 
@@ -239,7 +235,6 @@ class _WorldReader:
                 "folder has: name the folder with --models FOLDER or in GZ_SIM_RESOURCE_PATH "
                 "(models of Fuel must be downloaded), or write it out"
             )
-        self._find_world_plugins(world)
         circles: list[list[float]] = []
         segments: list[list[float]] = []
         for some_circles, some_segments in self._outline(world, np.eye(4), ""):
@@ -370,19 +365,11 @@ class _WorldReader:
                 if path.exists():
                     yield path
 
-    def _find_world_plugins(self, world: _Model) -> None:
-        """Note the models that a plugin of the world names, as it may move them."""
-        for plugin in world.element.iterfind("plugin"):
-            texts = {(inner.text or "").strip() for inner in plugin.iter()}
-            if _is_mover(plugin, WORLD_PLUGINS):
-                for name in sorted(texts & world.children.keys() - {""}):
-                    self._movers.append(_describe_mover(name, plugin))
-
     def _outline(
         self, model: _Model, frame: Matrix, scope: str
     ) -> Iterator[tuple[list[list[float]], list[list[float]]]]:
         """Circles and segments of each body of a model, whose frame in the world is given."""
-        movers = [plugin for plugin in model.plugins if _is_mover(plugin, RESTING_PLUGINS)]
+        movers = [plugin for plugin in model.plugins if _is_mover(plugin)]
         if movers:
             self._movers.append(_describe_mover(scope, movers[0]))
         for link in model.element.iterfind("link"):
@@ -419,11 +406,11 @@ def _split_uri(uri: str) -> list[str]:
     return parts
 
 
-def _is_mover(plugin: Element, resting: str) -> bool:
+def _is_mover(plugin: Element) -> bool:
     """Whether a plugin may move its model, judging by its names."""
     names = f"{plugin.get('filename', '')} {plugin.get('name', '')}"
     words = re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+(?![a-z])", names)
-    return not any(re.fullmatch(resting, word.lower()) for word in words)
+    return not any(re.fullmatch(RESTING_PLUGINS, word.lower()) for word in words)
 
 
 def _describe_mover(name: str, plugin: Element) -> str:

@@ -312,15 +312,8 @@ def moving(plugin: str, name: str = "m") -> str:
             [moving("<plugin filename='gz-sim-velocity-control-system' name='gz::sim::V'/>")],
             "model 'm' (plugin 'gz-sim-velocity-control-system')",
         ),
-        (
-            [
-                model(body(CYLINDER)),
-                "<plugin name='p' filename='libmove.so'><target>m</target></plugin>",
-            ],
-            "model 'm' (plugin 'libmove.so') stands where it begins",
-        ),
     ],
-    ids=["plugin", "actor", "several", "nested", "new Gazebo", "plugin of the world"],
+    ids=["plugin", "actor", "several", "nested", "new Gazebo"],
 )
 def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> None:
     path = tmp_path / "moving.world"
@@ -344,7 +337,6 @@ def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> Non
                 *("gz-sim-pose-publisher-system", "libgazebo_ros_joint_state_publisher.so"),
             )
         ),
-        ["<plugin name='gazebo_ros_state' filename='libgazebo_ros_state.so'/>", model("")],
         ["<plugin name='p' filename='libx.so'/>", model("")],
         ["<light name='l' type='point'/>", model(body(CYLINDER))],
     ],
