@@ -23,9 +23,12 @@ from typing import IO
 
 import pytest
 
+from acsar_gym import testing
 from acsar_gym.guard.shutdown import install_handlers
-from acsar_gym.testing import TIMEOUT, EmulatedBoard, wait_until
+from acsar_gym.testing import EmulatedBoard
 
+TIMEOUT = testing.TIMEOUT
+wait_until = testing.wait_until
 TRIALS = 3
 """A machine that stalls makes a board look slow: it is measured again, at most so often."""
 CLI = (sys.executable, "-m", "acsar_gym")

@@ -462,8 +462,8 @@ def _find_number(model: type[Section], name: str) -> TypeAdapter[Any] | None:
     if inner and not (field.annotation == PerWheel and inner in WIRE_LETTERS):
         return None
     is_whole = field.annotation is int  # whose interval has any ends
-    kind: Any = float if is_whole else Annotated[field.annotation, *field.metadata, Field()]
-    return TypeAdapter(kind)
+    number: Any = float if is_whole else Annotated[field.annotation, *field.metadata, Field()]
+    return TypeAdapter(number)
 
 
 def update_measured(

@@ -45,8 +45,9 @@ def cached_world(kind: str, number: int, difficulty: generators.Level, radius: f
     find_world = _open_cache(folder) if folder is not None and sources else None
     if find_world is None:
         return generators.generate_world(kind, number, difficulty, radius)
-    is_fixed = isinstance(difficulty, SupportsFloat)
-    level = float(difficulty) if is_fixed else generators.difficulty_limits(difficulty)
+    level: generators.Level = generators.difficulty_limits(difficulty)
+    if isinstance(difficulty, SupportsFloat):
+        level = float(difficulty)
     world: World = find_world(sources, kind, int(number), level, float(radius))
     return replace(world)  # validated, and read-only again
 
