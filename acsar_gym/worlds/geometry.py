@@ -38,36 +38,24 @@ class Obstacles:
     """
 
     circles: Floats | Sequence[Any] = ()
+    """Finite, with radii of 0 or more."""
     segments: Floats | Sequence[Any] = ()
 
     def arrays(self, robots: int) -> tuple[Floats, Floats]:
         """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`; or ConfigError."""
-        circles = _stack_rows("circles", self.circles, 3, robots)
-        segments = _stack_rows("segments", self.segments, 4, robots)
-        if (circles[:, :, 2] < 0.0).any():
-            raise ConfigError("obstacles: the radius of a circle must not be negative")
-        sets = max(len(circles), len(segments))
-        repeated = (np.broadcast_to(a, (sets, *a.shape[1:])) for a in (circles, segments))
-        circles, segments = map(np.ascontiguousarray, repeated)
-        return circles, segments
-
-
-def _stack_rows(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
-    """Check rows and convert them to (sets, rows, width)."""
-    try:
-        array = np.array(rows, np.float64)
-    except (TypeError, ValueError):
-        array = np.full(1, np.nan)
-    if array.size == 0:
-        return np.zeros((1, 0, width))
-    array = array[None] if array.ndim == 2 else array
-    if array.ndim != 3 or array.shape[2] != width or array.shape[0] not in (1, robots):
-        raise ConfigError(
-            f"obstacles: {name} must be of shape (n, {width}) or ({robots}, n, {width})"
-        )
-    if not np.isfinite(array).all():
-        raise ConfigError(f"obstacles: {name} must be finite numbers")
-    return array
+        stacks = []
+        for rows, width in ((self.circles, 3), (self.segments, 4)):
+            array = np.array(rows, np.float64)
+            array = array.reshape(1, 0, width) if array.size == 0 else array
+            array = array[None] if array.ndim == 2 else array
+            if array.shape[2:] != (width,) or len(array) not in (1, robots):
+                raise ConfigError(
+                    f"obstacles: must be of shape (n, {width}) or ({robots}, n, {width})"
+                )
+            stacks.append(array)
+        sets = max(map(len, stacks))
+        circles, segments = (np.broadcast_to(a, (sets, *a.shape[1:])) for a in stacks)
+        return np.ascontiguousarray(circles), np.ascontiguousarray(segments)
 
 
 @dataclass(frozen=True, slots=True)
