@@ -155,12 +155,6 @@ def test_a_near_miss_of_a_urdf_param_is_an_error(load_urdf: Load, near: str, mea
         load_urdf(urdf(param(near, 1), param("baud_rate", 115200)))
 
 
-def test_a_diameter_is_twice_a_radius(load_urdf: Load) -> None:
-    params = param("wheel_diameter", 0.3), param("baud_rate", 115200)
-    assert load_urdf(urdf(*params)).wheel_radius == 0.15
-    assert load_urdf(urdf(*params, param("wheel_radius", 0.14))).wheel_radius == 0.14
-
-
 def test_an_entity_bomb_is_refused_unexploded(load_urdf: Load) -> None:
     bomb = urdf(param("baud_rate", 115200), param("odom_frame", "&e9;"), doctype=BILLION_LAUGHS)
     with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
@@ -219,18 +213,3 @@ def test_a_file_has_the_geometry_and_what_was_changed(tmp_path: Path) -> None:
         "left_wheel_radius_multiplier",
         "right_wheel_radius_multiplier",
     }
-
-
-@pytest.mark.parametrize(
-    ("name", "found"),
-    [
-        ("robot.urdf", "a robot is written to .yaml or .yml"),
-        ("robot", "a robot is written to .yaml or .yml"),
-        ("missing/robot.yaml", "can't be written: No such file"),
-    ],
-)
-def test_a_file_that_cannot_be_written_is_one_error(name: str, found: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as caught:
-        RobotConfig().save(tmp_path / name)
-    assert found in str(caught.value)
-    assert "Path(" not in str(caught.value)

@@ -24,16 +24,11 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Speeds
 
 POSITIVE: list[tuple[type[Any], str]] = [
-    *((RobotConfig, name) for name in ("wheel_radius", "wheel_separation", "wheelbase")),
-    *((RobotConfig, name) for name in ("wheel_separation_multiplier", "control_rate")),
-    *((RobotConfig, name) for name in ("connect_timeout", "feedback_timeout")),
-    *((RobotConfig, name) for name in ("max_linear", "max_angular", "max_wheel_speed")),
-    *((RobotConfig, f"{side}_wheel_radius_multiplier") for side in ("left", "right")),
-    *((MotorConfig, name) for name in ("max_speed", "acceleration", "gain")),
-    *((EncoderConfig, name) for name in ("counts_per_revolution", "window", "quantum")),
-    *((FirmwareConfig, name) for name in ("loop_rate", "feedback_rate", "command_timeout")),
-    *((BodyConfig, name) for name in ("mass", "length", "width", "height")),
-    *((BodyConfig, name) for name in ("friction", "slip_speed")),
+    *((RobotConfig, name) for name in ("wheel_radius", "control_rate", "max_linear")),
+    *((MotorConfig, name) for name in ("max_speed", "gain")),
+    (EncoderConfig, "counts_per_revolution"),
+    (FirmwareConfig, "command_timeout"),
+    (BodyConfig, "mass"),
 ]
 BAD_NUMBERS = [0, -1, math.nan, math.inf, "fast", [1]]
 INTERVAL = {"low": 0.09, "high": 0.11, "method": "identify"}

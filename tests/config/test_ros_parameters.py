@@ -96,11 +96,6 @@ def test_a_controllers_file_is_a_robot(text: str, write: Write) -> None:
     assert skids == pytest.approx(1.7, abs=1e-4)
 
 
-def test_the_controllers_rate_is_taken_where_a_robot_can_tick_at_it(write: Write) -> None:
-    assert RobotConfig.of(write("controllers.yaml", FLAT)).control_rate == 50.0
-    assert RobotConfig.of(write("controllers.yaml", NESTED)).control_rate == 100.0
-
-
 def test_limits_and_time_out_are_those_of_humble(write: Write) -> None:
     text = drive(
         "cmd_vel_timeout: 0.25",
@@ -219,14 +214,6 @@ def test_nav2s_footprint_goes_with_a_robot(write: Write) -> None:
         assert set(config.footprint or ()) == {(0.35, 0.2), (0.35, -0.2), (-0.3, -0.2), (-0.3, 0.2)}
     with pytest.raises(ConfigError, match="nav2 knows the footprint alone"):
         RobotConfig.of(nav2)
-
-
-def test_nav2s_footprint_is_seen_from_the_middle_of_the_wheels(write: Write) -> None:
-    ahead = CART.replace("'0.18 ", "'0.28 ").replace("'-0.18 ", "'-0.08 ")
-    config = RobotConfig.of(f"{write('cart.urdf', ahead)},{write('nav2.yaml', NAV2)}")
-    assert config.footprint is not None
-    assert min(x for x, _ in config.footprint) == pytest.approx(-0.4)
-    assert max(x for x, _ in config.footprint) == pytest.approx(0.25)
 
 
 def test_a_radius_of_nav2_is_a_round_footprint(write: Write) -> None:

@@ -242,12 +242,6 @@ def test_mass_footprint_and_height_are_those_of_all_links(load: Load) -> None:
     assert body.height == pytest.approx(0.2 - 0.033 + 0.16)
 
 
-def test_a_rocker_belongs_to_the_body(load: Load) -> None:
-    body = load(RIGHT["rockers"][0]).body
-    assert body.mass == pytest.approx(202.0)
-    assert (body.length, body.width) == pytest.approx((0.914734 + 0.6, 1.13642 + 0.28))
-
-
 def test_a_footprint_is_seen_from_the_middle_between_the_wheels(load: Load) -> None:
     config = load(RIGHT["off centre"][0])
     assert config.footprint is not None
@@ -268,10 +262,6 @@ def test_the_base_of_an_arm_is_not_the_robots(load: Load) -> None:
     assert config.base_frame == "chassis"
 
 
-def test_the_port_of_the_base_is_taken_not_the_arms(load: Load) -> None:
-    assert load(RIGHT["base and arm"][0]).serial_port == "/dev/base"
-
-
 def test_a_lidars_place_is_that_of_its_frame(load: Load) -> None:
     cart = [PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1))]
     plain = load(robot(*cart))
@@ -282,12 +272,6 @@ def test_a_lidars_place_is_that_of_its_frame(load: Load) -> None:
     place = config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset
     assert place == pytest.approx((0.12, 0.01, 0.4))
     assert config.lidar_frame == "laser"
-
-
-def test_a_sensor_whose_place_isnt_known_doesnt_matter(load: Load) -> None:
-    imu = link("imu", box(9.0, 9.0, 9.0)) + joint("j", "base_link", "imu", "$(optenv IMU 0 0 0)")
-    config = load(robot(PLATE, four_wheels("base_link", 0.2, 0.25, 0.0, tyre(0.1)), imu))
-    assert config.body.length == 0.9
 
 
 def test_parameters_count_more_than_links(load: Load) -> None:

@@ -104,38 +104,6 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
         assert len(list(generators.find_crossable(field[None]))) == 1
 
 
-def filled(count: int) -> Any:
-    """A field of which as many cells are full, besides its two walls."""
-    field = np.zeros((30, 30), np.bool_)
-    field[[0, -1]] = True
-    rows, columns = np.divmod(np.arange(count), 30)
-    field[1 + rows, columns] = True
-    return field
-
-
-def walled(rows: Any) -> Any:
-    """A field with a wall across, but for a door."""
-    field = filled(0)
-    field[:, 15:17] = True
-    field[rows, 15:17] = False
-    return field
-
-
-@pytest.mark.parametrize(
-    ("field", "count"),
-    [
-        (walled(slice(10, 15)), 1),
-        (walled(slice(10, 14)), 0),
-        # Emptier or fuller than the published ones are left out.
-        *((filled(cells), int(25 <= cells <= 209)) for cells in (24, 25, 209, 210)),
-    ],
-    ids=["5 cells", "4 cells", "too empty", "empty", "full", "too full"],
-)
-def test_a_field_is_crossable_where_five_cells_are_free(field: Any, count: int) -> None:
-    found = list(generators.find_crossable(field[None]))
-    assert [np.array_equal(cells, field) for cells, _ in found] == [True] * count
-
-
 def test_a_footprint_that_no_field_lets_through_is_refused() -> None:
     with pytest.raises(WorldError, match="too large for BARN's fields: at most 1 m"):
         generators.generate_world("barn", 0, radius=1.1)

@@ -196,14 +196,6 @@ def test_broken_and_hostile_pictures_are_refused(data: bytes, problem: str, tmp_
     assert "\n" not in str(caught.value)
 
 
-def test_too_detailed_a_picture_is_refused(tmp_path: Path) -> None:
-    board = np.indices((300, 300)).sum(axis=0) % 2 * 255
-    board[::2, ::4] = 0  # a chess board alone would be straight lines
-    speckled = np.where(np.random.default_rng(0).random((300, 300)) < 0.5, board, 255)
-    with pytest.raises(WorldError, match=r"outlines are [\d,]+ segments, at most 20,000"):
-        loaded(tmp_path, pgm(speckled))
-
-
 def test_without_pillow_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

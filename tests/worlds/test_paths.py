@@ -40,26 +40,6 @@ def test_samples_by_hand() -> None:
 
 
 @pytest.mark.parametrize(
-    ("length", "spacing", "count"),
-    [
-        (1.0, 0.05, 21),
-        (1.0, 0.3, 5),  # 0.25 m apart, never more than asked
-        (0.3, 0.1, 4),  # 0.3 / 0.1 is a little more than 3
-        (1.0, 50.0, 2),
-        (100.0, 0.05, 2001),
-    ],
-)
-def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
-    length: float, spacing: float, count: int
-) -> None:
-    found = sample_path(array([2.0, 1.0], [2.0, 1.0 - length]), spacing)
-    assert found.shape == (count, 3)
-    assert np.diff(found[:, 1]) == pytest.approx(-length / (count - 1))
-    assert found[[0, -1], :2].tolist() == [[2.0, 1.0], [2.0, 1.0 - length]]
-    assert (found[:, 2] == -math.pi / 2.0).all()
-
-
-@pytest.mark.parametrize(
     ("path", "theta"),
     [
         (array([1, 2], [3, 2]), 0.0),

@@ -162,23 +162,6 @@ def test_a_given_world_without_a_path_gets_one(source: Any) -> None:
     assert Pool.of(given)[0] is given
 
 
-@pytest.mark.parametrize("path", [None, WAY], ids=["without a path", "with a path"])
-@pytest.mark.parametrize(
-    ("start", "goal", "message"),
-    [
-        (Region(0.1, 0.0), ENDS["goal"], r"the start \(0\.1, 0\) lies 0\.00 m"),
-        (ENDS["start"], Region(0.7, 0.0), r"the goal \(0\.7, 0\) lies 0\.20 m"),
-        (ENDS["start"], Region(2.0, 0.0, 1.3), r"the goal .* needs 1\.55 m"),
-    ],
-)
-def test_given_worlds_whose_ends_are_not_free_are_refused(
-    start: Region, goal: Region, message: str, path: Any
-) -> None:
-    world = World(PILLAR, start=start, goal=goal, path=path, name="mine")
-    with pytest.raises(WorldError, match=f"^mine: {message}"):
-        Pool.of(world)
-
-
 def test_files_and_folders(folder: Path) -> None:
     files.save_world(SOUND, folder / "mine.json")
     for source in ("./mine.json", folder / "mine.json"):

@@ -113,13 +113,6 @@ def test_round_bodies_lie_where_their_poses_say(models: list[str], expected: lis
     np.testing.assert_allclose(drawn(*models)[0], [expected], atol=1e-12)
 
 
-def test_boxes_become_four_segments() -> None:
-    _, segments = drawn(model(body(BOX), pose(1, 1, 0, 0, 0, math.pi / 2.0)))
-    corners = [[0.5, 2.0], [0.5, 0.0], [1.5, 0.0], [1.5, 2.0]]
-    expected = [[*corners[i], *corners[(i + 1) % 4]] for i in range(4)]
-    np.testing.assert_allclose(segments, expected, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     "harmless",
     [
@@ -413,17 +406,6 @@ def test_models_are_found_by_package_and_path(uri: str, tmp_path: Path) -> None:
     write_model(package / "models", "table", MOVED)
     write_model(package / "worlds" / "own", "table", MOVED)
     assert load_included(package / "worlds", include(uri)) == [[1.0, 1.0, 0.1]]
-
-
-def test_the_newest_file_of_a_model_counts(tmp_path: Path) -> None:
-    write_model(tmp_path, "table", model(""), "old.sdf")
-    write_model(tmp_path, "table", MOVED, "new.sdf")
-    (tmp_path / "table" / "model.config").write_text(
-        "<?xml version='1.0'?><model><name>Table</name><sdf version='1.9'>old.sdf</sdf>"
-        "<sdf version='1.10'>new.sdf</sdf></model>",
-        encoding="utf-8",
-    )
-    assert load_included(tmp_path, include("model://table")) == [[1.0, 1.0, 0.1]]
 
 
 @pytest.mark.parametrize(
