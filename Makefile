@@ -112,7 +112,7 @@ $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 	@.ci/venv $(ECOSYSTEM) "$(PYTHON)"
 	$(ECOSYSTEM)/bin/pip install --quiet --constraint tests/ecosystem/constraints.txt \
 	  rl_zoo3 'ray[rllib]' torchrl skrl sbx-rl minari pytest onnx onnxscript torch \
-	  accelerate av datasets --editable '.[bullet,fast,deploy,export]'
+	  accelerate av datasets --editable '.[bullet,deploy,export]'
 	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0 \
 	  lerobot==0.4.4 torchvision==0.28.0
 	touch $@

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from importlib import metadata
 from typing import Any
 
@@ -40,8 +41,8 @@ HEAD = """# Licences
 
 `acsar_gym` is under the MIT licence. This table has all that `pip install 'acsar_gym[all]'`
 installs on Linux, with the licences that the packages themselves name; `make licences` writes it,
-and a test compares it with what is installed. All are permissive, but for those marked: their weak
-copyleft asks only that changes of these packages themselves are published.
+and refuses others. All are permissive, but for those marked: their weak copyleft asks only that
+changes of these packages themselves are published.
 
 torch counts as its build for processors, which `constraints.txt` is for. Those for NVIDIA's devices
 bring libraries under NVIDIA's own licences.
@@ -121,4 +122,8 @@ def rows() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    print(HEAD + "\n".join(rows().values()))
+    table = rows()
+    other = [name for name in table if not parts(licence(name)) <= PERMISSIVE | WEAK]
+    if other:
+        sys.exit(f"make licences: neither permissive nor weak copyleft: {', '.join(other)}")
+    print(HEAD + "\n".join(table.values()))

@@ -8,13 +8,14 @@ from collections.abc import Callable
 
 import numpy as np
 from lidar_tools import Floats, room
-from serial_tools import Emulated, wait_until
+from serial_tools import Emulated
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.lidar.contract import Lidar
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.serial import SerialLidar
+from acsar_gym.testing import wait_until
 from acsar_gym.worlds import Scene
 
 ROUNDED = 0.003

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
-import json
 import os
 import select
 import shlex
@@ -15,21 +14,21 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext
 from multiprocessing.forkserver import ensure_running
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import pytest
 
+from acsar_gym import testing
 from acsar_gym.guard.shutdown import install_handlers
-from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.testing import EmulatedBoard
 
-TIMEOUT = 30.0
-"""Longest wait for anything another process does [s]; far more than it should take."""
+TIMEOUT = testing.TIMEOUT
+wait_until = testing.wait_until
 TRIALS = 3
 """A machine that stalls makes a board look slow: it is measured again, at most so often."""
 CLI = (sys.executable, "-m", "acsar_gym")
@@ -78,7 +77,6 @@ while True:
 """
 """A serial device server: the device in argv[1] behind the TCP port that it prints."""
 
-Command = tuple[float | None, float | None, float | None, float | None]
 StartEmulator = Callable[..., "Emulated"]
 RobotFile = Callable[..., Path]
 
@@ -179,25 +177,13 @@ def _run(
     (main or cli.main)()
 
 
-@dataclass
-class Emulated:
+class Emulated(EmulatedBoard):
     """An emulator in another process: `device` is what links open."""
 
-    process: Forked | Started
-    device: str
-    log: Path
-    _known: list[dict[str, Any]] = field(default_factory=list)
-    _read: int = 0
-    """How many bytes of the log are in `_known`, or forgotten."""
-
-    def events(self) -> list[dict[str, Any]]:
-        with self.log.open("rb") as log:
-            log.seek(self._read)
-            lines = log.read().splitlines(keepends=True)
-        complete = [line for line in lines if line.endswith(b"\n")]
-        self._known += map(json.loads, complete)
-        self._read += sum(map(len, complete))
-        return list(self._known)
+    def __init__(self, process: Forked | Started, device: str, log: Path) -> None:
+        super().__init__(process.send_signal, device, log)
+        self.process = process
+        self.log = log
 
     def forget(self) -> None:
         """Begin a new log once what was written until now has arrived, and the robot stands."""
@@ -209,62 +195,11 @@ class Emulated:
             return len(loops) >= 5
 
         wait_until(lambda: has_arrived() and self.stands(loops=20), "a robot that stands")
-        self._known.clear()
-
-    def received(self) -> bytes:
-        """Everything that clients have put on the wire."""
-        return "".join(e["rx"] for e in self.events() if "rx" in e).encode("latin-1")
-
-    def commands(self) -> list[Command]:
-        """The wheel speeds of every command line so far."""
-        return [reading.speeds for reading in Decoder().feed(self.received())]
-
-    def poses(self) -> list[tuple[float, float, float]]:
-        """Where the robot really was, once a loop of the firmware."""
-        return [tuple(event["pose"]) for event in self.events() if "pose" in event]
-
-    def is_driven(self) -> bool:
-        """Whether the newest command turns wheels."""
-        commands = self.commands()
-        return bool(commands) and commands[-1] != ZERO
-
-    def is_stopped(self) -> bool:
-        """Whether wheels were commanded to turn, and the newest command is zero."""
-        commands = self.commands()
-        return any(command != ZERO for command in commands) and commands[-1] == ZERO
-
-    def stands(self, loops: int = 100) -> bool:
-        """Whether the robot hasn't moved for so many loops of 5 ms."""
-        poses = self.poses()
-        spread = [max(values) - min(values) for values in zip(*poses[-loops:], strict=True)]
-        return len(poses) > loops and max(spread) < 1e-4
-
-    def pause(self) -> None:
-        self.process.send_signal(signal.SIGSTOP)
-
-    def resume(self) -> None:
-        self.process.send_signal(signal.SIGCONT)
+        self._events.clear()
 
     def devices(self) -> list[str]:
         """The name of the device after each pull and plug; "" where the cable was out."""
         return [event["device"] for event in self.events() if "device" in event]
-
-    def pull(self) -> None:
-        """Pull the cable, as opposed to the board's plug: the robot goes on."""
-        if self.device:
-            self._signal(signal.SIGUSR1)
-            self.device = ""
-
-    def plug(self) -> None:
-        """Plug it in again; `device` is the new name."""
-        if not self.device:
-            self.device = self._signal(signal.SIGUSR2)
-
-    def _signal(self, number: signal.Signals) -> str:
-        known = len(self.devices())
-        self.process.send_signal(number)
-        wait_until(lambda: len(self.devices()) > known, "a cable that moves")
-        return self.devices()[-1]
 
     def since_plugged(self) -> bytes:
         """What clients have put on the wire since the cable moved for the last time."""
@@ -334,14 +269,6 @@ def program(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.kill()
-
-
-def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """Return when the condition holds; fails after TIMEOUT."""
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline, f"{what}: not within {TIMEOUT:g} s"
-        time.sleep(0.02)
 
 
 def open_files() -> int:

@@ -11,9 +11,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from serial_tools import Emulated, RobotFile, wait_until
+from serial_tools import Emulated, RobotFile
 
 from acsar_gym import RobotConfig
+from acsar_gym.testing import wait_until
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
 

@@ -9,11 +9,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from serial_tools import Emulated, no_leak, wait_until
+from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LinkError
 from acsar_gym.protocol import ZERO
+from acsar_gym.testing import wait_until
 
 pytestmark = pytest.mark.usefixtures("deadline")
 

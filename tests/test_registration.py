@@ -12,12 +12,12 @@ import gymnasium
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
-from serial_tools import TIMEOUT
 
 import acsar_gym
 from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import ConfigError
 from acsar_gym.tasks import ObstacleGoal
+from acsar_gym.testing import TIMEOUT
 
 KNOWN = "assert gymnasium.spec('acsar_gym/PointGoal-v0').max_episode_steps == 200"
 ORDERS = {

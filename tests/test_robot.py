@@ -11,52 +11,14 @@ from board_like import LikeABoard
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
-from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.protocol import ZERO
 from acsar_gym.recording import Recorder, read
-from acsar_gym.truth import GroundTruth
+from acsar_gym.testing import ScriptedLink
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
 
 LINE = b"ap01.00,bp02.00,cp03.00,dp04.00\r\n"
-
-
-class ScriptedLink:
-    """Answers with what it is told to; keeps what was written."""
-
-    truth: GroundTruth | None = None
-    lateness: float | None = None
-
-    def __init__(self, *answers: bytes, then: bytes = b"") -> None:
-        self.answers = list(answers)
-        self.then = then
-        self.written: list[bytes] = []
-        self.opened = self.closed = 0
-        self.pause = 0.0
-        self._now = 0.0
-
-    def open(self) -> None:
-        self.opened += 1
-
-    def reset(self, scene: Scene) -> None:
-        pass
-
-    def write(self, data: bytes) -> None:
-        self.written.append(data)
-
-    def advance(self, period: float) -> bytes:
-        self._now += period + self.pause
-        self.pause = 0.0
-        return self.answers.pop(0) if self.answers else self.then
-
-    def now(self) -> float:
-        return self._now
-
-    def close(self) -> None:
-        self.closed += 1
-
-    def last_command(self) -> tuple[float | None, ...]:
-        return Decoder().feed(self.written[-1])[-1].speeds
 
 
 STILL = b"ap00.00,bp00.00,cp00.00,dp00.00\r\n"
@@ -103,7 +65,7 @@ def test_activating_twice_is_once_and_the_last_command_is_zero() -> None:
     robot.deactivate()
     robot.deactivate()
     assert link.closed == 1
-    assert link.last_command() == ZERO
+    assert link.commands[-1] == ZERO
 
 
 def test_an_exception_in_the_block_stops_the_wheels() -> None:
@@ -111,7 +73,7 @@ def test_an_exception_in_the_block_stops_the_wheels() -> None:
     with pytest.raises(ZeroDivisionError), Robot(link, RobotConfig()) as robot:
         robot.tick((5.0, 5.0, 5.0, 5.0))
         raise ZeroDivisionError
-    assert link.last_command() == ZERO
+    assert link.commands[-1] == ZERO
     assert link.closed == 1
 
 
@@ -126,7 +88,7 @@ def test_what_must_not_be_sent_stops_the_wheels(bad: tuple[float, ...]) -> None:
     robot, link = standing()
     with pytest.raises(CommandError):
         robot.drive(*bad) if len(bad) == 2 else robot.tick(bad)
-    assert link.last_command() == ZERO
+    assert link.commands[-1] == ZERO
     assert link.closed == 1
     with pytest.raises(LinkError, match="activate"):
         robot.tick(ZERO)
@@ -158,7 +120,17 @@ def test_silence_ends_with_an_error_and_a_stop() -> None:
         for _ in range(100):
             robot.tick((5.0, 5.0, 5.0, 5.0))
     assert 50 <= len(link.written) <= 55
-    assert link.last_command() == ZERO
+    assert link.commands[-1] == ZERO
+    assert link.closed == 1
+
+
+def test_silence_ends_with_a_stop_while_nothing_is_commanded_too() -> None:
+    robot, link = standing(then=b"")
+    robot.tick((5.0, 5.0, 5.0, 5.0))
+    with pytest.raises(BoardSilentError):
+        for _ in range(100):
+            robot.listen()
+    assert link.commands[-1] == ZERO
     assert link.closed == 1
 
 

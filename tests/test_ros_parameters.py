@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from typing import Any
 
@@ -12,8 +11,6 @@ from defusedxml import ElementTree
 
 from acsar_gym import RobotConfig
 from acsar_gym.config import SpeedLimits
-from acsar_gym.kinematics import inverse
-from acsar_gym.odometry import Odometry
 from acsar_gym.resources import ASSETS
 
 URDF = ASSETS / "robots" / "acsar.urdf"
@@ -90,40 +87,6 @@ def test_the_filter_agrees_with_controller_and_preset() -> None:
     used = [number for number, on in enumerate(filter_["odom0_config"]) if on]
     assert used == [6, 7, 11]  # vx, vy, vyaw of 15 states
     assert len(filter_["odom0_config"]) == 15
-
-
-def controller_pose(ours: dict[str, Any], speeds: list[tuple[float, float]], dt: float) -> Any:
-    """Where diff_drive_controller's odometry ends, from (left, right) wheel speeds [rad/s]."""
-    separation = ours["wheel_separation"] * ours["wheel_separation_multiplier"]
-    x = y = theta = 0.0
-    for left, right in speeds:
-        v_left = left * ours["wheel_radius"] * ours["left_wheel_radius_multiplier"]
-        v_right = right * ours["wheel_radius"] * ours["right_wheel_radius_multiplier"]
-        linear, angular = (v_left + v_right) / 2.0, (v_right - v_left) / separation
-        before, theta = theta, theta + angular * dt
-        if abs(angular * dt) < 1e-6:
-            x += linear * math.cos(before) * dt
-            y += linear * math.sin(before) * dt
-        else:  # exactly along the arc
-            x += linear / angular * (math.sin(theta) - math.sin(before))
-            y -= linear / angular * (math.cos(theta) - math.cos(before))
-    return x, y
-
-
-def test_the_controllers_odometry_is_where_ours_is_after_half_a_minute() -> None:
-    ours = parameters("controllers.yaml", "diff_drive_controller")
-    odometry = Odometry(
-        ACSAR.wheel_radius, ACSAR.wheel_separation, ACSAR.wheel_separation_multiplier
-    )
-    dt, speeds = 0.01, []
-    for tick in range(3000):
-        four = inverse(0.25, 0.15 + 0.3 * math.sin(0.002 * tick), 0.05, ACSAR.effective_separation)
-        speeds.append((four[1], four[0]))
-        odometry.update(four, dt)
-    x, y, _ = odometry.pose
-    assert math.dist((x, y), controller_pose(ours, speeds, dt)) < 0.005
-    without = ours | {"wheel_separation_multiplier": 1.0}
-    assert math.dist((x, y), controller_pose(without, speeds, dt)) > 1.0
 
 
 def test_the_boards_program_has_the_numbers_of_its_preset() -> None:

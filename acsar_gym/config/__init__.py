@@ -6,23 +6,27 @@ only. `lidar` is the range sensor, simulated or real, and `measured` has the int
 measured. Bad values raise one `ConfigError` that names field, value and allowed range.
 """
 
-from acsar_gym.config.limits import Geofence, SpeedLimits
-from acsar_gym.config.measured import Measured, update_measured
 from acsar_gym.config.robot import (
     BAUD_RATES,
     BITS_PER_BYTE,
     LINE_BYTES,
+    RobotConfig,
+    RobotSource,
+    whole_ratio,
+)
+from acsar_gym.config.sections import (
     BodyConfig,
     EncoderConfig,
     FirmwareConfig,
+    Geofence,
     LidarConfig,
+    Measured,
     MotorConfig,
-    RobotConfig,
-    RobotSource,
+    SpeedLimits,
     WheelConfig,
     WheelMotor,
     WheelsConfig,
-    whole_ratio,
+    update_measured,
 )
 
 __all__ = [

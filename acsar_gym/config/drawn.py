@@ -22,38 +22,27 @@ SPLITS = {"train": range(512), "validation": range(1000, 1032), "test": range(20
 """Numbers of the robots that policies learn with, are chosen by, and are measured with."""
 RADII = (0.16, 0.193, 0.233, 0.282, 0.341, 0.411, 0.497, 0.6)
 """Radii of the discs around footprints [m]: robots of equal radius share their worlds."""
-LARGEST_CIRCLE = 0.45
-"""Robots of a larger radius are rectangles [m]."""
-RAYS = (64,)
-"""How many rays a LiDAR has, one of these."""
+LARGEST_CIRCLE = 0.45  # robots of a larger radius are rectangles [m]
+RAYS = (64,)  # how many rays a LiDAR has, one of these
 FIELDS_OF_VIEW = (2.0 * math.pi,) * 7 + (1.5 * math.pi,) * 2 + (math.pi,)
 """Angles that a LiDAR sees, one of these [rad]."""
 _NAME = re.compile(rf"{PREFIX}(?:(\d{{1,9}})(?:-(\d{{1,9}}))?|({'|'.join(SPLITS)}))")
 
 
-def is_drawn(text: str) -> bool:
-    """Whether a robot's name is meant to be that of drawn ones."""
-    return text.startswith(PREFIX)
-
-
 def parse_numbers(text: str) -> range | None:
-    """Return the numbers of the drawn robots of a name.
+    """Return the numbers of a name such as "drawn:17", "drawn:0-63" or "drawn:train".
 
-    Args:
-        text: such as "drawn:17", "drawn:0-63" or "drawn:train"; None for the names of others.
-
-    Raises:
-        ConfigError: the name of drawn robots is malformed, or holds none.
+    None for the names of others; ConfigError for a malformed one, or one that holds no robot.
     """
-    if not is_drawn(text):
+    if not text.startswith(PREFIX):
         return None
-    found = _NAME.fullmatch(text)
-    if found is None:
+    match = _NAME.fullmatch(text)
+    if match is None:
         names = ", ".join(repr(PREFIX + name) for name in SPLITS)
         raise ConfigError(
             f"robot = {show_value(text)}: must be like 'drawn:17', 'drawn:0-63' or {names}"
         )
-    first, last, split = found.groups()
+    first, last, split = match.groups()
     if split:
         return SPLITS[split]
     numbers = range(int(first), int(last or first) + 1)
@@ -72,9 +61,6 @@ def draw_robot(number: int) -> dict[str, Any]:
     """Return the fields of a drawn robot.
 
     All numbers are rounded, so that the last digits of a machine's logarithm don't matter.
-
-    Args:
-        number: of the robot.
     """
     rng = np.random.default_rng([crc32(b"drawn"), number])
 

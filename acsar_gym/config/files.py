@@ -23,25 +23,21 @@ _NAMED_CONTROLLER = re.compile(r"(.+\.ya?ml):([^:]+)", re.DOTALL)
 
 def find_preset(name: str) -> Path:
     """Return the file of a preset; ConfigError suggests a similar name."""
-    known = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
-    if not isinstance(name, str) or name not in known:
-        near = suggest_name(str(name)[:40] if isinstance(name, str) else "", known)
+    presets = {path.stem: path for path in (ASSETS / "robots").glob("*.yaml")}
+    if not isinstance(name, str) or name not in presets:
+        near = suggest_name(str(name)[:40] if isinstance(name, str) else "", presets)
         raise ConfigError(f"unknown robot preset {show_value(name)}{near}")
-    return known[name]
+    return presets[name]
 
 
 def split_controller(name: str) -> tuple[Path, str]:
     """Return a file and the controller in it: "controllers.yaml:base_drive"; "" for none."""
-    found = _NAMED_CONTROLLER.fullmatch(name)
-    return (Path(found[1]), found[2]) if found else (Path(name), "")
+    match = _NAMED_CONTROLLER.fullmatch(name)
+    return (Path(match[1]), match[2]) if match else (Path(name), "")
 
 
 def group_parts(names: Sequence[str]) -> list[list[str]]:
-    """Group the names of a list of robots: a ROS parameter file belongs to the name before it.
-
-    Args:
-        names: presets and files.
-    """
+    """Group a list of robots: a ROS parameter file belongs to the name before it."""
     groups: list[list[str]] = []
     for name in names:
         if groups and _is_parameter_file(name):
@@ -70,17 +66,8 @@ def read_text(path: Path) -> str:
 def read_fields(sources: Sequence[str | Path], params: Sequence[str]) -> dict[str, Any]:
     """Read the fields of a robot from the files that describe it, without validating them.
 
-    Args:
-        sources: .yaml, .yml or .urdf files; a later one counts more. A ROS parameter file may have
-            the name of a controller behind a colon.
-        params: parameter names that a URDF may use.
-
-    Returns:
-        Field names and values; those of a URDF's parameters are strings.
-
-    Raises:
-        ConfigError: a file can't be read, or they don't say how large the robot is. The message
-            begins with the file.
+    A later file counts more. ConfigError, which begins with the file, where one can't be read, or
+    where they don't say how large the robot is. `params` are the names that a URDF may use.
     """
     parts = [RobotPart() for _ in sources]
     driven: Sequence[str] = ()
@@ -104,13 +91,9 @@ def read_fields(sources: Sequence[str | Path], params: Sequence[str]) -> dict[st
 
 
 def find_parts(robot: str) -> list[str | Path]:
-    """Return the files of one robot by its name on a command line.
+    """Return the files of one robot: a preset or file, and ROS parameter files behind commas.
 
-    Args:
-        robot: a preset or file, with ROS parameter files behind it, separated by commas.
-
-    Raises:
-        ConfigError: there is no such preset or file, or it names several robots.
+    ConfigError where there is no such preset or file, or it names several robots.
     """
     names = [robot] if Path(robot).exists() else robot.split(",")
     if len(group_parts(names)) > 1:
@@ -144,17 +127,7 @@ def _read_part(source: str | Path, params: Sequence[str], driven: Sequence[str])
 
 
 def read_own_fields(text: str) -> dict[str, Any]:
-    """Parse the YAML of this package's own robot files.
-
-    Args:
-        text: the YAML.
-
-    Returns:
-        Field names and values, not validated.
-
-    Raises:
-        ConfigError: it isn't such YAML.
-    """
+    """Parse this package's own robot files; ConfigError for other YAML."""
     data = reading.parse_yaml(text)
     if ros_parameters.is_parameter_file(data):
         raise ConfigError("is a file of ROS parameters")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,8 +15,7 @@ from acsar_gym.errors import ConfigError
 FleetSource = RobotSource | Sequence[RobotSource]
 """Type of a batch's `robot` argument; see `make_fleet`."""
 _COUNTED = re.compile(r"(?:([0-9]{1,5})x)?(.*)", re.DOTALL)
-MAX_KINDS = 10_000
-"""Robots of a fleet, at most."""
+MAX_KINDS = 10_000  # robots of a fleet, at most
 SHARED_FIELDS = (
     "control_rate",
     "baud_rate",
@@ -49,25 +49,23 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
         ConfigError: for a robot as `RobotConfig.of`, no robot, more than 10,000, or robots whose
             `SHARED_FIELDS` differ.
     """
-    each: Sequence[RobotSource]
-    if isinstance(source, str):
-        names = [",".join(group) for group in files.group_parts(source.split(","))]
-        counted = [_COUNTED.fullmatch(name) for name in names]
-        parts = [found.groups() for found in counted if found]
-        each = [name for count, part in parts for name in drawn.expand_name(part) * int(count or 1)]
-    elif isinstance(source, Sequence):
-        each = source
+    robots: list[RobotSource] = []
+    if not isinstance(source, str):
+        robots += source if isinstance(source, Sequence) else [source]
     else:
-        return Fleet((RobotConfig.of(source),), (_name(source, 0),))
-    if not 1 <= len(each) <= MAX_KINDS:
+        for group in files.group_parts(source.split(",")):
+            counted = _COUNTED.match(",".join(group))
+            count, name = counted.groups() if counted else ("1", "")
+            robots += drawn.expand_name(name) * int(count or 1)
+    if not 1 <= len(robots) <= MAX_KINDS:
         raise ConfigError(
-            f"robot: a fleet of {len(each):,} robots: must have 1 to {MAX_KINDS:,}; "
+            f"robot: a fleet of {len(robots):,} robots: must have 1 to {MAX_KINDS:,}; "
             "drawn ones are given as 'drawn:0-63'"
         )
-    used = each[:most]
+    used = robots[:most]
     fleet = Fleet(
-        tuple(RobotConfig.of(one) for one in used),
-        tuple(_name(one, place) for place, one in enumerate(used)),
+        tuple(RobotConfig.of(robot) for robot in used),
+        tuple(_name(robot, place) for place, robot in enumerate(used)),
     )
     for place in range(1, len(used)):
         for path in SHARED_FIELDS:
@@ -76,27 +74,13 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
 
 
 def check_equal(fleet: Fleet, place: int, path: str) -> None:
-    """Raise ConfigError where a field of a fleet's robot isn't that of its first one.
-
-    Args:
-        fleet: the robots.
-        place: of the robot.
-        path: dotted name of the field.
-    """
-    one, other = (_get_field(fleet.robots[at], path) for at in (0, place))
-    if one != other:
+    """Raise ConfigError where a field of a fleet's robot isn't that of its first one."""
+    first, other = map(attrgetter(path), (fleet.robots[0], fleet.robots[place]))
+    if first != other:
         raise ConfigError(
-            f"robot: {fleet.names[0]} has {path} = {one}, {fleet.names[place]} {other}: must be "
+            f"robot: {fleet.names[0]} has {path} = {first}, {fleet.names[place]} {other}: must be "
             "the same for all robots of a batch"
         )
-
-
-def _get_field(config: RobotConfig, path: str) -> object:
-    """A field by its dotted name."""
-    found: object = config
-    for name in path.split("."):
-        found = getattr(found, name)
-    return found
 
 
 def _name(source: RobotSource, place: int) -> str:

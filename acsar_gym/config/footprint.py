@@ -21,12 +21,9 @@ from acsar_gym.errors import ConfigError
 Point = tuple[float, float]
 Outline = tuple[Point, ...]
 MAX_CORNERS = 100
-CIRCLE_CORNERS = 16
-"""Corners of a round footprint, as nav2 draws it."""
-MIN_BORDER_DISTANCE = 1e-3
-"""Smallest allowed distance of an outline from the origin [m]."""
-MIN_AREA = 1e-9
-"""Three points are collinear if twice their area is below this [m^2]."""
+CIRCLE_CORNERS = 16  # corners of a round footprint, as nav2 draws it
+MIN_BORDER_DISTANCE = 1e-3  # smallest allowed distance of an outline from the origin [m]
+MIN_AREA = 1e-9  # three points are collinear if twice their area is below this [m^2]
 
 
 def make_rectangle(length: float, width: float) -> Outline:
@@ -36,11 +33,7 @@ def make_rectangle(length: float, width: float) -> Outline:
 
 
 def make_circle(radius: float) -> Outline:
-    """Return the corners of a circle; the first is at exactly this distance, others a hair nearer.
-
-    Args:
-        radius: [m].
-    """
+    """Return corners of a circle: the first at exactly this radius, others a hair nearer."""
     angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
     near = radius - 2e-6
     others = [
@@ -50,17 +43,10 @@ def make_circle(radius: float) -> Outline:
 
 
 def validate_outline(corners: Sequence[Point]) -> Outline:
-    """Validate an outline.
+    """Return an outline counter-clockwise, without the first corner repeated at the end.
 
-    Args:
-        corners: (x, y) [m], in either direction; the last may repeat the first.
-
-    Returns:
-        The outline, counter-clockwise, without a repeated corner.
-
-    Raises:
-        ValueError: there are fewer than three corners or more than 100, sides cross or touch
-            each other, or the origin isn't inside.
+    ValueError for fewer than three corners or more than 100, sides that cross or touch each other,
+    and an origin that isn't inside.
     """
     outline = tuple(corners[:-1] if len(corners) > 1 and corners[0] == corners[-1] else corners)
     if not 3 <= len(outline) <= MAX_CORNERS:
@@ -117,22 +103,16 @@ def border_distance(outline: Outline, x: float, y: float) -> float:
 
 
 def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArray[np.float64]:
-    """Return how far an outline reaches from a place along bearings; 0 where it isn't met [m].
-
-    Args:
-        outline: corners [m].
-        place: x, y of the rays' origin [m].
-        bearings: of the rays [rad]; of any shape, which is also that of the result.
-    """
-    found = np.zeros(np.shape(bearings))
+    """Return how far an outline reaches from a place along bearings; 0 where it isn't met."""
+    reaches = np.zeros(np.shape(bearings))
     (x, y), cos, sin = place, np.cos(bearings), np.sin(bearings)
     for (ax, ay), (bx, by) in outline_sides(outline):
         a, b = cos * (ax - x) + sin * (ay - y), cos * (bx - x) + sin * (by - y)  # along the ray
         c, d = cos * (ay - y) - sin * (ax - x), cos * (by - y) - sin * (bx - x)  # across
         met = (c > 0.0) != (d > 0.0)
         reach = a + (b - a) * c / np.where(met, c - d, 1.0)
-        found = np.where(met, np.maximum(found, reach), found)
-    return found
+        reaches = np.where(met, np.maximum(reaches, reach), reaches)
+    return reaches
 
 
 def convex_pieces(outline: Outline) -> list[Outline]:

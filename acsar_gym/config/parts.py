@@ -19,7 +19,17 @@ HINTS = {
     "robot_radius": "write footprint, the corners around it",
 }
 """What to write instead of fields of other programs; in some, wheel_base is the track."""
-MEASURES = ("wheel_radius", "wheel_separation", "wheelbase")
+GEOMETRY_FIELDS = (
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
+"""Fields that mean in files of others what they mean here, and are always written."""
+ONLY_FOUR = "only robots with four driven wheels that skid are simulated and driven"
+MEASURES = GEOMETRY_FIELDS[:3]
 """What must be known of a robot that isn't this package's own."""
 MULTIPLIER = "wheel_separation_multiplier"
 """With equal wheel loads 1 + (wheelbase / wheel_separation)^2; see `RobotConfig`."""
@@ -52,11 +62,7 @@ class RobotPart:
 
 
 def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
-    """Return the fields of a robot; a later file counts more than one before it.
-
-    Raises:
-        ConfigError: none of the files says one of `MEASURES`.
-    """
+    """Return the fields of a robot; ConfigError where no file says one of `MEASURES`."""
     fields: dict[str, Any] = {}
     for part in (*(RobotPart(part.guesses) for part in parts), *parts):
         fields = _update(fields, part.fields)
@@ -69,8 +75,8 @@ def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
     if reasons:
         why = "; ".join(dict.fromkeys(reasons.values()))
         names = [*reasons]
-        told = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-        raise ConfigError(f"doesn't say {told}: {why}")
+        listing = " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        raise ConfigError(f"doesn't say {listing}: {why}")
     if any(part.skids for part in parts) and MULTIPLIER not in fields:
         with contextlib.suppress(TypeError, ValueError, ZeroDivisionError):
             ratio = float(fields["wheelbase"]) / float(fields["wheel_separation"])

@@ -5,182 +5,33 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ModelWrapValidatorHandler,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from acsar_gym.config.footprint import Corners, Outline, make_rectangle, outline_radius
-from acsar_gym.config.limits import (
+from acsar_gym.config.parts import HINTS, MANY_ROBOTS
+from acsar_gym.config.section import Length, Name, Offset, Rate, Section, Speed, Wait
+from acsar_gym.config.sections import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
     AngularLimits,
+    BodyConfig,
+    EncoderConfig,
+    FirmwareConfig,
     Geofence,
+    LidarConfig,
     LinearLimits,
+    LogHashes,
+    Measured,
+    MotorConfig,
+    WheelsConfig,
     default_acceleration,
-)
-from acsar_gym.config.measured import LogHashes, Measured, validate_measured
-from acsar_gym.config.parts import HINTS, MANY_ROBOTS
-from acsar_gym.config.section import (
-    Delay,
-    Length,
-    Name,
-    Offset,
-    PerWheel,
-    Rate,
-    Section,
-    Speed,
-    Wait,
-    per_wheel,
-    value_of_wheel,
+    validate_measured,
 )
 from acsar_gym.errors import ConfigError, show_value
-
-
-class LidarConfig(Section):
-    """The LiDAR and how its scans are used; its position is lidar_x/y/z_offset of the robot."""
-
-    section = "lidar"
-    rays: Annotated[int, Field(gt=0, le=10_000)] = 64
-    """Rays of an observation; each has the range between the two measurements next to it in
-    direction."""
-    field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
-    """Angle covered by the rays, centred on the x axis [rad]; a full turn has no duplicate ray."""
-    min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1
-    """Smaller measurements are set to this range [m]."""
-    max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
-    """Larger or failed measurements are set to this range [m], at most 1 km."""
-    rate: Rate = 10.0
-    """Scans per second [Hz], at most 10,000."""
-    noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
-    """Standard deviation of simulated ranges [m]; typical of hobby LiDARs at a few metres."""
-    bias: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
-    """Added to all simulated ranges [m]."""
-    dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    """Share of simulated measurements that fail."""
-    outliers: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Share of simulated measurements at an edge that lie anywhere between what is before and what
-    is behind it, as the beam meets both."""
-    timeout: Wait = 1.0
-    """A scan older than this is an error that stops the robot [s], at most 1 h."""
-
-    @model_validator(mode="after")
-    def _ranges_and_times_fit(self) -> Self:
-        """Check the order of the ranges, and the time-out against the rate."""
-        if self.min_range >= self.max_range:
-            raise ConfigError(
-                f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "
-                f"{self.max_range:g} m"
-            )
-        if self.timeout < 1.5 / self.rate:
-            raise ConfigError(
-                f"lidar.timeout = {self.timeout:g} s: must be at least one and a half periods of "
-                f"lidar.rate = {self.rate:g} Hz"
-            )
-        return self
-
-
-class WheelMotor(NamedTuple):
-    """The motor values of one wheel; see `MotorConfig`."""
-
-    gain: float
-    acceleration: float
-    time_constant: float
-    deadband: float
-
-
-class MotorConfig(Section):
-    """The motors and their speed control; values of single wheels as four numbers, a to d."""
-
-    section = "motor"
-    max_speed: Speed = 30.0
-    """Largest wheel speed of the motors [rad/s], at most 1,000."""
-    gain: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=100.0))] = 1.0
-    """Wheel speed for a set point of 1 rad/s, at most 100; a number, or four."""
-    acceleration: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=1e6))] = 60.0
-    """Acceleration of the firmware's set point ramp [rad/s^2], at most 1e6; a number, or four."""
-    time_constant: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=100.0))] = 0.08
-    """Time constant of the first-order speed loop [s], at most 100; hobby motors have 0.05-0.2. A
-    number, or four."""
-    deadband: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=1e3))] = 0.0
-    """Set points times gain below this don't turn the wheel [rad/s], at most 1,000; a number, or
-    four."""
-
-    def of_wheel(self, wheel: int) -> WheelMotor:
-        """Return the values of one wheel.
-
-        Args:
-            wheel: 0 to 3 for a to d.
-        """
-        return WheelMotor(
-            *(value_of_wheel(getattr(self, name), wheel) for name in WheelMotor._fields)
-        )
-
-
-class EncoderConfig(Section):
-    """The wheel encoders, as the firmware reads them."""
-
-    section = "encoder"
-    counts_per_revolution: Annotated[int, Field(gt=0, le=10_000_000)] = 1320
-    """Counts per turn of the wheel, at most ten million."""
-    window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
-    """Averaging time of the feedback [s], at most 5 s and 2,000 loops of the firmware."""
-    quantum: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
-    """Printed speeds are rounded to multiples of this [rad/s], at most 100; None: not rounded, but
-    for the two decimals of a line."""
-
-
-class FirmwareConfig(Section):
-    """The program of the microcontroller."""
-
-    section = "firmware"
-    loop_rate: Rate = 200.0
-    """Rate of its control loop, and of the simulation's substeps [Hz], at most 10,000."""
-    feedback_rate: Rate | None = None
-    """Feedback lines per second [Hz]; None: one per tick of the control rate."""
-    processing_time: Delay = 0.00125
-    """Time from the last byte of a line to its effect, and from encoder to first byte [s], at most
-    1 s."""
-    command_delay: Delay = 0.0
-    """Further time from the last byte of a command to its effect [s], at most 1 s."""
-    delay_samples: Annotated[tuple[Delay, ...], Field(max_length=1_000)] = ()
-    """Measured delays of commands on top of `command_delay` [s], as quantiles of equal weight. Only
-    randomization uses them: each episode draws one."""
-    command_timeout: Wait | None = 0.5
-    """Motors stop after this time without a valid command [s], at most 1 h; None: never."""
-
-
-class BodyConfig(Section):
-    """Chassis and ground."""
-
-    section = "body"
-    mass: Annotated[float, Field(gt=0.0, le=1e5)] = 4.0
-    """Mass of the whole robot [kg], at most 100 t."""
-    length: Length = 0.34
-    """Length of the footprint, along x [m]."""
-    width: Length = 0.34
-    """Width of the footprint over the wheels, along y [m]."""
-    height: Length = 0.12
-    """Height of the top of the chassis above ground [m]."""
-    friction: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Coulomb friction coefficient between tyre and ground, at most 100."""
-    slip_speed: Speed = 0.005
-    """Slip speed below which friction is proportional to slip [m/s], at most 1,000."""
-    turn_factor: Annotated[float, Field(gt=1.0, le=100.0)] | None = None
-    """Factor by which the robot turns slower than the differential-drive formula says, at most 100.
-    It sets the tyres' sideways friction: (mu_lateral / mu_longitudinal)^2 =
-    (turn_factor - 1) (wheel_separation / wheelbase)^2. None: equal friction in all directions, so
-    1 + (wheelbase / wheel_separation)^2. MuJoCo's contacts know neither this nor `slip_speed`."""
-
 
 MISFIT = "doesn't fit: "
 """Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
@@ -226,10 +77,8 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
 
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
-LINE_BYTES = 33
-"""Length of a full line with CR LF, without the optional trailing comma [bytes]."""
-BITS_PER_BYTE = 10
-"""8N1: a start bit, eight data bits, a stop bit."""
+LINE_BYTES = 33  # length of a full line with CR LF, without the optional trailing comma [bytes]
+BITS_PER_BYTE = 10  # 8N1: a start bit, eight data bits, a stop bit
 
 
 def validate_baud_rate(value: int) -> int:
@@ -237,118 +86,6 @@ def validate_baud_rate(value: int) -> int:
     if value not in BAUD_RATES:
         raise ValueError(f"must be one of {', '.join(map(str, BAUD_RATES))}")
     return value
-
-
-WIRE_LETTERS = "abcd"
-Letter = Literal["a", "b", "c", "d"]
-Sign = Literal[1, -1]
-Speeds = tuple[float, float, float, float]
-Heard = tuple[float | None, float | None, float | None, float | None]
-
-
-class WheelConfig(Section):
-    """One wheel's motor and encoder on the wire."""
-
-    section = "wheels"
-    motor: Letter
-    """Letter that commands it."""
-    motor_sign: Sign = 1
-    """-1 where a positive command turns it backward."""
-    encoder: Letter
-    """Letter that reports its speed."""
-    sign: Sign = 1
-    """-1 where its encoder reports a forward turn as negative."""
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _as_one_error(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Leave errors to WheelsConfig, which knows the wheel's name."""
-        return handler(data)
-
-
-def _wheel(letter: Letter) -> BeforeValidator:
-    """Return a validator that sets missing letters of a wheel to its own."""
-    own = {"motor": letter, "encoder": letter}
-    return BeforeValidator(lambda given: {**own, **given} if isinstance(given, dict) else given)
-
-
-@dataclass(frozen=True, slots=True)
-class WheelLetters:
-    """Which letter belongs to each wheel, for one direction of the wire.
-
-    Attributes:
-        places: index of each wheel's letter, in the order of the wheels.
-        signs: 1.0 or -1.0 for each wheel.
-    """
-
-    places: tuple[int, int, int, int]
-    signs: Speeds
-
-    def to_wire(self, speeds: Sequence[float]) -> Speeds:
-        """Convert speeds of the wheels to those of the letters a, b, c, d [rad/s]."""
-        wire = [0.0, 0.0, 0.0, 0.0]
-        for place, sign, speed in zip(self.places, self.signs, speeds, strict=True):
-            wire[place] = sign * speed + 0.0  # no negative zero
-        return wire[0], wire[1], wire[2], wire[3]
-
-    def to_wheels(self, wire: Heard) -> Heard:
-        """Convert speeds of the letters to those of the wheels [rad/s]; None where one misses."""
-        a, b, c, d = (
-            None if (speed := wire[place]) is None else sign * speed + 0.0
-            for place, sign in zip(self.places, self.signs, strict=True)
-        )
-        return a, b, c, d
-
-
-class WheelsConfig(Section):
-    """The wiring: letters and signs of each wheel's motor and encoder."""
-
-    section = "wheels"
-    a: Annotated[WheelConfig, _wheel("a")] = WheelConfig(motor="a", encoder="a")
-    """The front right wheel."""
-    b: Annotated[WheelConfig, _wheel("b")] = WheelConfig(motor="b", encoder="b")
-    """The front left wheel."""
-    c: Annotated[WheelConfig, _wheel("c")] = WheelConfig(motor="c", encoder="c")
-    """The rear left wheel."""
-    d: Annotated[WheelConfig, _wheel("d")] = WheelConfig(motor="d", encoder="d")
-    """The rear right wheel."""
-
-    @model_validator(mode="after")
-    def _letters_are_used_once(self) -> Self:
-        """Check that no letter belongs to two wheels."""
-        for part in ("motor", "encoder"):
-            used = Counter(getattr(wheel, part) for wheel in self.each)
-            twice = sorted(letter for letter, count in used.items() if count > 1)
-            if twice:
-                raise ConfigError(
-                    f"wheels: {part} {twice[0]} belongs to {used[twice[0]]} wheels: each letter "
-                    "must be used once"
-                )
-        return self
-
-    @property
-    def each(self) -> tuple[WheelConfig, WheelConfig, WheelConfig, WheelConfig]:
-        """The wheels in the order a, b, c, d."""
-        return self.a, self.b, self.c, self.d
-
-    @property
-    def motors(self) -> WheelLetters | None:
-        """Letters of the commands; None where every wheel has its own, forward."""
-        return _letters([(wheel.motor, wheel.motor_sign) for wheel in self.each])
-
-    @property
-    def encoders(self) -> WheelLetters | None:
-        """Letters of the feedback; None where every wheel has its own, forward."""
-        return _letters([(wheel.encoder, wheel.sign) for wheel in self.each])
-
-
-def _letters(named: Sequence[tuple[str, int]]) -> WheelLetters | None:
-    """Return the mapping of four wheels; None for the identity."""
-    if [letter for letter, sign in named if sign == 1] == list(WIRE_LETTERS):
-        return None
-    a, b, c, d = (WIRE_LETTERS.index(letter) for letter, _ in named)
-    sa, sb, sc, sd = (float(sign) for _, sign in named)
-    return WheelLetters((a, b, c, d), (sa, sb, sc, sd))
 
 
 CONTACT_PATCH = 0.01
@@ -374,10 +111,8 @@ MOST_LENGTHS = {
 }
 """Least and largest sizes of robots on four wheels [m]; loaders in mines have the largest."""
 LIDAR_OFFSETS = ("lidar_x_offset", "lidar_y_offset", "lidar_z_offset")
-MOST_RADII = 50.0
-"""Tracks and wheelbases are at most as many wheel radii long."""
-MOST_TRACKS = 20.0
-"""A robot reaches from its middle at most as many times its track or wheelbase."""
+MOST_RADII = 50.0  # tracks and wheelbases are at most as many wheel radii long
+MOST_TRACKS = 20.0  # a robot reaches from its middle at most as many times its track or wheelbase
 
 
 class RobotConfig(Section):
@@ -515,8 +250,8 @@ class RobotConfig(Section):
         for name in ("wheel_separation", "wheelbase"):
             value, most = getattr(self, name), MOST_RADII * self.wheel_radius
             if value > most:
-                told = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
-                raise _not_in_metres(name, value, told)
+                allowed = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
+                raise _not_in_metres(name, value, allowed)
         body, most = self.body, MOST_TRACKS * max(self.wheel_separation, self.wheelbase)
         lengths = {
             **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
@@ -525,8 +260,8 @@ class RobotConfig(Section):
         }
         for name, value in lengths.items():
             if abs(value) > most:
-                told = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
-                raise _not_in_metres(name, value, told)
+                allowed = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
+                raise _not_in_metres(name, value, allowed)
         return self
 
     @model_validator(mode="after")
@@ -575,8 +310,8 @@ class RobotConfig(Section):
     @property
     def misfit(self) -> str:
         """One line that says how motors or board answer otherwise than simulated; empty if not."""
-        found = self.motor_fit
-        return f"this robot's simulation {found}" if found.startswith(MISFIT) else ""
+        fit = self.motor_fit
+        return f"this robot's simulation {fit}" if fit.startswith(MISFIT) else ""
 
     @property
     def feedback_rate(self) -> float:
@@ -682,15 +417,15 @@ class RobotConfig(Section):
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
-        for each in (path, *more):
-            if not isinstance(each, str | Path):
-                raise ConfigError(f"path = {show_value(each)}: must be a file's name")
+        for file in (path, *more):
+            if not isinstance(file, str | Path):
+                raise ConfigError(f"path = {show_value(file)}: must be a file's name")
         params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
         fields = files.read_fields((path, *more), params)
         try:
             return cls(**fields)
         except ConfigError as error:
-            names = ",".join(str(Path(each)) for each in (path, *more))
+            names = ",".join(str(Path(file)) for file in (path, *more))
             raise ConfigError(f"{names}: {error}") from error
 
     @classmethod

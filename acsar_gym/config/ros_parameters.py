@@ -14,20 +14,10 @@ from typing import Any
 
 from acsar_gym import reading
 from acsar_gym.config.footprint import make_circle
-from acsar_gym.config.parts import MEASURES, RobotPart
+from acsar_gym.config.parts import GEOMETRY_FIELDS, MEASURES, ONLY_FOUR, RobotPart
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MARK = "ros__parameters"
-"""Key of a node's parameters in ROS 2."""
-MAX_NODES = 1_000
-SAME_NAMES = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-)
-"""Parameters of the controller that are fields of a robot."""
+MARK = "ros__parameters"  # key of a node's parameters in ROS 2
 OTHER_NAMES = {"odom_frame_id": "odom_frame", "base_frame_id": "base_frame"}
 AXES = (("linear.x", "linear_limits", "max_linear"), ("angular.z", "angular_limits", "max_angular"))
 LIMITS = {
@@ -43,8 +33,7 @@ LIMITS = {
 """Limits by the flag that switches them on: has_acceleration_limits, has_jerk_limits."""
 USUAL_RATES = (10, 20, 40, 50, 100, 200)
 """Rates of a controller manager at which a robot can tick [Hz]; others don't fit its steps."""
-SKIDS = 1.02
-"""A wheel_separation_multiplier above this tells how the wheels skid."""
+SKIDS = 1.02  # a wheel_separation_multiplier above this tells how the wheels skid
 _OTHER_DRIVES = {
     "mecanum or omni wheels": re.compile(r"mecanum|omni_wheel"),
     "a steered axle": re.compile(r"ackermann|bicycle|tricycle|steering"),
@@ -55,26 +44,15 @@ _DIFF_DRIVE = re.compile(r"diff_drive_controller")
 
 
 def is_parameter_file(data: Any) -> bool:
-    """Whether a YAML document is a file of ROS parameters.
-
-    Args:
-        data: the parsed document.
-    """
+    """Whether a parsed YAML document is a file of ROS parameters."""
     return bool(_find_nodes(data))
 
 
 def read_parameters(data: Any, name: str = "") -> RobotPart:
-    """Read a robot's fields from a file of ROS parameters.
+    """Read a robot's fields from a parsed file of ROS parameters.
 
-    Args:
-        data: the parsed document.
-        name: of the controller, where the file has several.
-
-    Returns:
-        What it says of the robot; `wheel_joints` are in the order a, b, c, d.
-
-    Raises:
-        ConfigError: it has nothing of a robot with four driven wheels; the message says what it is.
+    `name` is the controller's, where there are several. ConfigError says what a file is that has
+    nothing of a robot with four driven wheels.
     """
     nodes = _find_nodes(data)
     wild = [node for node in nodes if node.endswith("*")]
@@ -85,8 +63,10 @@ def read_parameters(data: Any, name: str = "") -> RobotPart:
     if name:
         matching = [node for node in nodes if name in (node, _last(node), node.strip("/"))]
         if not matching:
-            known = [_last(node) for node in drives or nodes]
-            raise ConfigError(f"has no controller {show_value(name)}{suggest_name(name, known)}")
+            controllers = [_last(node) for node in drives or nodes]
+            raise ConfigError(
+                f"has no controller {show_value(name)}{suggest_name(name, controllers)}"
+            )
         drives = matching
     if len(drives) > 1:
         names = [_last(node) for node in drives]
@@ -112,14 +92,14 @@ def _find_nodes(data: Any) -> dict[str, dict[str, Any]]:
     """Parameters of all nodes, with dotted names; nothing in files of other kinds."""
     if not isinstance(data, Mapping):
         return {}
-    found = dict(_walk(data, ""))
-    if not found:  # of ROS 1
-        found = {
+    nodes = dict(_walk(data, ""))
+    if not nodes:  # of ROS 1
+        nodes = {
             node: dict(_flatten(value))
             for node, value in data.items()
             if isinstance(value, Mapping) and "/" in str(value.get("type", ""))
         }
-    return found
+    return nodes
 
 
 def _walk(data: Mapping[str, Any], path: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -165,12 +145,12 @@ def _is_diff_drive(params: Mapping[str, Any], kind: str) -> bool:
 def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
     """Read the parameters of one controller."""
     fields = part.fields
-    for name in SAME_NAMES:
+    for name in GEOMETRY_FIELDS:  # a controller doesn't have them all
         if (value := params.get(name)) is not None and not _is_unset(value):
             fields[name] = value
-    for name, own in OTHER_NAMES.items():
+    for name, field in OTHER_NAMES.items():
         if isinstance(value := params.get(name), str) and value:
-            fields[own] = value
+            fields[field] = value
     timeout = params.get("cmd_vel_timeout")
     if timeout is not None and not _is_unset(timeout):
         fields["firmware"] = {"command_timeout": timeout}
@@ -212,21 +192,21 @@ def _read_limits(
     params: Mapping[str, Any], axis: str, limits: str, largest: str, fields: dict[str, Any]
 ) -> None:
     """Read the limits of an axis; those that are switched off or unset are none."""
-    found: dict[str, Any] = {}
+    axis_limits: dict[str, Any] = {}
     for kind, names in LIMITS.items():
         on = params.get(f"{axis}.has_{kind}_limits", True)
         for name in names:
             value = params.get(f"{axis}.{name}")
             if value is not None:
-                found[name] = value if on and not _is_unset(value) else None
+                axis_limits[name] = value if on and not _is_unset(value) else None
     if params.get(f"{axis}.has_velocity_limits", True):
         most, least = (params.get(f"{axis}.{end}_velocity") for end in ("max", "min"))
         if most is not None and not _is_unset(most):
             fields[largest] = most
         if least is not None and not _is_unset(least) and least != (most and -most):
-            found["min_velocity"] = least
-    if found:
-        fields[limits] = found
+            axis_limits["min_velocity"] = least
+    if axis_limits:
+        fields[limits] = axis_limits
 
 
 def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
@@ -246,8 +226,7 @@ def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
     elif part.driven and (len(part.driven) > 2 or params.get("wheels_per_side", 1) in (0, 1)):
         count = "two driven wheels" if len(part.driven) == 2 else f"{len(part.driven)} wheels"
         part.drive_problem = (
-            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): only "
-            "robots with four driven wheels that skid are simulated and driven"
+            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): {ONLY_FOUR}"
         )
 
 
@@ -288,13 +267,12 @@ def _parse_footprint(text: str) -> list[tuple[float, float]]:
 
 def _explain_others(nodes: Mapping[str, Mapping[str, Any]], types: Mapping[str, str]) -> str:
     """Say what a file is that has nothing to read."""
-    words = " ".join((*types.values(), *nodes, *(key for each in nodes.values() for key in each)))
+    words = " ".join(
+        (*types.values(), *nodes, *(key for params in nodes.values() for key in params))
+    )
     for drive, pattern in _OTHER_DRIVES.items():
         if pattern.search(words):
-            return (
-                f"is a ROS parameter file of a robot with {drive}: only robots with four driven "
-                "wheels that skid are simulated and driven"
-            )
+            return f"is a ROS parameter file of a robot with {drive}: {ONLY_FOUR}"
     names = ", ".join(dict.fromkeys(_last(node)[:40] for node in [*nodes][:4]))
     return (
         f"is a ROS parameter file ({names}{', ...' if len(nodes) > 4 else ''}) without a "

@@ -22,8 +22,7 @@ from pydantic_core import PydanticCustomError
 
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MAX_PROBLEMS = 10
-"""Most problems that one message lists."""
+MAX_PROBLEMS = 10  # most problems that one message lists
 
 
 class Section(BaseModel):
@@ -42,23 +41,23 @@ class Section(BaseModel):
         try:
             return handler(data)
         except ValidationError as error:
-            found = error.errors(include_url=False, include_context=False)
+            problems = error.errors(include_url=False, include_context=False)
             if (strange := cls._describe_stranger(data)) is not None:
                 raise ConfigError(strange) from error
-            told = [cls._describe_problem(item) for item in found[:MAX_PROBLEMS]]
-            if len(found) > MAX_PROBLEMS:
-                told.append(f"and {len(found) - MAX_PROBLEMS:,} more")
-            raise ConfigError("; ".join(told)) from error
+            lines = [cls._describe_problem(item) for item in problems[:MAX_PROBLEMS]]
+            if len(problems) > MAX_PROBLEMS:
+                lines.append(f"and {len(problems) - MAX_PROBLEMS:,} more")
+            raise ConfigError("; ".join(lines)) from error
 
     @classmethod
     def _describe_stranger(cls, data: Any) -> str | None:
         """What to say of several fields of which this section has none; None for others."""
         if not isinstance(data, Mapping) or len(data) < 2 or cls.model_fields.keys() & data.keys():
             return None
-        known = ", ".join([*cls.model_fields][:4])
+        fields = ", ".join([*cls.model_fields][:4])
         return (
             f"unknown field {str(next(iter(data)))[:40]!r}, and none of the {len(data):,} is known "
-            f"here: {known}, ..."
+            f"here: {fields}, ..."
         )
 
     @classmethod
@@ -78,19 +77,13 @@ class Section(BaseModel):
         return f"{field} = {show_value(item['input'])}: {must}{allowed}"
 
 
-Length = Annotated[float, Field(gt=0.0, le=100.0)]
-"""[m]"""
-Offset = Annotated[float, Field(ge=-100.0, le=100.0)]
-"""[m]"""
-Speed = Annotated[float, Field(gt=0.0, le=1e3)]
-"""[m/s] or [rad/s]"""
-Rate = Annotated[float, Field(gt=0.0, le=1e4)]
-"""[Hz]"""
-Wait = Annotated[float, Field(gt=0.0, le=3600.0)]
-"""[s], at most 1 h."""
+Length = Annotated[float, Field(gt=0.0, le=100.0)]  # [m]
+Offset = Annotated[float, Field(ge=-100.0, le=100.0)]  # [m]
+Speed = Annotated[float, Field(gt=0.0, le=1e3)]  # [m/s] or [rad/s]
+Rate = Annotated[float, Field(gt=0.0, le=1e4)]  # [Hz]
+Wait = Annotated[float, Field(gt=0.0, le=3600.0)]  # [s], at most 1 h
 Name = Annotated[str, Field(max_length=1000)]
-Delay = Annotated[float, Field(ge=0.0, le=1.0)]
-"""[s], at most 1 s."""
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]  # [s], at most 1 s
 PerWheel = float | tuple[float, float, float, float]
 """A number for all wheels, or four in the order a, b, c, d."""
 
@@ -102,16 +95,18 @@ def value_of_wheel(value: PerWheel, wheel: int) -> float:
 
 def per_wheel(bounds: Any) -> WrapValidator:
     """Return a validator of `PerWheel` fields, whose numbers have bounds: a pydantic `Field`."""
-    one: TypeAdapter[float] = TypeAdapter(Annotated[float, bounds], config={"allow_inf_nan": False})
+    adapter: TypeAdapter[float] = TypeAdapter(
+        Annotated[float, bounds], config={"allow_inf_nan": False}
+    )
 
     def checked(value: Any, _: Any) -> PerWheel:
         if not isinstance(value, list | tuple):
-            return one.validate_python(value)
+            return adapter.validate_python(value)
         if len(value) != 4:
             raise PydanticCustomError(
                 "per_wheel", "must be a valid number, or four for the wheels a, b, c, d"
             )
-        a, b, c, d = map(one.validate_python, value)
+        a, b, c, d = map(adapter.validate_python, value)
         return a, b, c, d
 
     return WrapValidator(checked)

@@ -21,14 +21,11 @@ from acsar_gym.errors import ConfigError, show_value
 Floats = NDArray[np.float64]
 MAX_PARAMS = 1_000
 """Most parameters of a hardware block; each is compared with the names of all fields."""
-LARGEST_NUMBER = 1e6
-"""Of lengths, angles and masses that are read."""
-ENDLESS = 4.0 * math.pi
-"""A revolute joint with a wider range than this turns as a wheel does [rad]."""
+LARGEST_NUMBER = 1e6  # of lengths, angles and masses that are read
+ENDLESS = 4.0 * math.pi  # a revolute joint with a wider range than this turns as a wheel does [rad]
 DRIVER_PLUGIN = "ACSARInterface"
 """Class of the robot's own driver, whose parameters are this package's, with its defaults."""
-WORLD_LINKS = ("world", "map", "odom")
-"""Links that are no part of a robot."""
+WORLD_LINKS = ("world", "map", "odom")  # links that are no part of a robot
 UNEXPANDED = "is xacro that isn't expanded: run 'xacro FILE.urdf.xacro > robot.urdf', and use that"
 
 
@@ -76,13 +73,11 @@ class Block:
     joints: list[str]
 
     def is_own(self, names: Collection[str]) -> bool:
-        """Whether it is of the robot's own driver, or of no driver and has its parameters alone.
-
-        Args:
-            names: parameters of that driver.
-        """
-        own = any(plugin.endswith(DRIVER_PLUGIN) for plugin in self.plugins)
-        return own or (not self.plugins and bool(self.params) and set(self.params) <= set(names))
+        """Whether it is of the robot's own driver, or of no driver and has its parameters alone."""
+        is_driver = any(plugin.endswith(DRIVER_PLUGIN) for plugin in self.plugins)
+        return is_driver or (
+            not self.plugins and bool(self.params) and set(self.params) <= set(names)
+        )
 
 
 @dataclass(frozen=True)
@@ -138,12 +133,7 @@ class Urdf:
         return self.find_rigid(top, through)
 
     def find_rigid(self, link: str, through: Iterable[str] = ()) -> list[str]:
-        """Return the links that are fixed below one, itself included.
-
-        Args:
-            link: name of the first link.
-            through: names of joints that count as fixed.
-        """
+        """Return the links fixed below one, itself included; `through` counts as fixed."""
         passed, names = set(through), [link]
         for name in names:  # grows
             joints = self.below.get(name, ())
@@ -156,11 +146,7 @@ class Urdf:
 
 
 def parse_urdf(text: str) -> Urdf:
-    """Parse a URDF that was expanded from xacro.
-
-    Raises:
-        ConfigError: it is malformed, or its joints form no tree. The message doesn't name the file.
-    """
+    """Parse a URDF that was expanded from xacro; ConfigError where it is malformed or no tree."""
     try:
         root: Element = defusedxml.ElementTree.fromstring(text)
     except (ParseError, DefusedXmlException, ValueError) as error:
@@ -177,11 +163,14 @@ def parse_urdf(text: str) -> Urdf:
         [_read_joint(element) for element in root.iterfind("joint")],
         [_read_block(element) for element in root.iter("ros2_control")],
         [
-            _read_plugin(each)
+            _read_plugin(element)
             for gazebo in root.iterfind("gazebo")
-            for each in gazebo.iter("plugin")
+            for element in gazebo.iter("plugin")
         ],
-        {each.get("reference", ""): _read_friction(each) for each in root.iterfind("gazebo")},
+        {
+            element.get("reference", ""): _read_friction(element)
+            for element in root.iterfind("gazebo")
+        },
     )
     _place_links(urdf)
     return urdf
@@ -217,10 +206,7 @@ def _place_links(urdf: Urdf) -> None:
 
 
 def _find_base(urdf: Urdf, links: Collection[str]) -> Iterator[str]:
-    """Yield links that are named as base links are; with a prefix only where none carries them.
-
-    An arm's base has such a name, too.
-    """
+    """Yield links named as base links are; with a prefix only at the top: arms have bases."""
     for name in ("base_link", "base_footprint"):
         if name in links:
             yield name
@@ -237,10 +223,14 @@ def _read_link(element: Element) -> Link:
     mass = element.find("inertial/mass")
     weight = 0.0 if mass is None else _parse(mass.get("value", ""), 1, f"{where}: mass")[0]
     solid, seen = (
-        [shape for each in element.iterfind(tag) if (shape := _read_shape(each, where)) is not None]
+        [
+            shape
+            for child_element in element.iterfind(tag)
+            if (shape := _read_shape(child_element, where)) is not None
+        ]
         for tag in ("collision", "visual")
     )
-    meshes = [each.get("filename", "") for each in element.iter("mesh")]
+    meshes = [child_element.get("filename", "") for child_element in element.iter("mesh")]
     return Link(name, weight, solid or seen, meshes)
 
 
@@ -252,13 +242,13 @@ def _read_shape(element: Element, where: str) -> Shape | None:
         x, y, z = _parse(box.get("size", ""), 3, f"{where}: box size")
         return Shape("box", frame, (abs(x) / 2.0, abs(y) / 2.0, abs(z) / 2.0))
     for kind in ("cylinder", "capsule", "sphere"):
-        found = element.find(f"geometry/{kind}")
-        if found is None:
+        solid = element.find(f"geometry/{kind}")
+        if solid is None:
             continue
-        radius = abs(_parse(found.get("radius", ""), 1, f"{where}: {kind} radius")[0])
+        radius = abs(_parse(solid.get("radius", ""), 1, f"{where}: {kind} radius")[0])
         half = radius
         if kind != "sphere":
-            half = abs(_parse(found.get("length", ""), 1, f"{where}: {kind} length")[0]) / 2.0
+            half = abs(_parse(solid.get("length", ""), 1, f"{where}: {kind} length")[0]) / 2.0
         return Shape(kind, frame, (radius, radius, half + radius * (kind == "capsule")))
     return None
 
@@ -297,24 +287,24 @@ def _read_block(element: Element) -> Block:
     if len(params) > MAX_PARAMS:
         raise ConfigError(f"has a hardware block of {len(params):,} params: remove those not used")
     return Block(
-        [(each.text or "").strip() for each in element.iterfind("hardware/plugin")],
-        {each.get("name", ""): (each.text or "").strip() for each in params},
-        [each.get("name", "") for each in element.iterfind("joint")],
+        [(child.text or "").strip() for child in element.iterfind("hardware/plugin")],
+        {child.get("name", ""): (child.text or "").strip() for child in params},
+        [child.get("name", "") for child in element.iterfind("joint")],
     )
 
 
 def _read_plugin(element: Element) -> Plugin:
     name = f"{element.get('filename', '')} {element.get('name', '')}"
-    return Plugin(name, [(each.tag, (each.text or "").strip()) for each in element.iter()])
+    return Plugin(name, [(child.tag, (child.text or "").strip()) for child in element.iter()])
 
 
 def _read_friction(element: Element) -> list[float]:
     """Read the direction of friction on a link; empty where there is none."""
-    found = next(element.iter("fdir1"), None)
-    if found is None:
+    direction = next(element.iter("fdir1"), None)
+    if direction is None:
         return []
     try:
-        return [float(each) for each in (found.get("value") or found.text or "").split()]
+        return [float(word) for word in (direction.get("value") or direction.text or "").split()]
     except ValueError:
         return []
 
@@ -326,14 +316,20 @@ def _read_origin(element: Element, where: str) -> Floats:
     if origin is None:
         return frame
     frame[:3, 3] = _parse(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
-    angles = _parse(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy")
-    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
-    frame[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    frame[:3, :3] = turn(_parse(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy"))
     return frame
+
+
+def turn(angles: Sequence[float]) -> Floats:
+    """Return the rotation by roll, pitch and yaw [rad] about fixed axes, (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _parse(text: str, count: int, where: str) -> Sequence[float]:
@@ -341,10 +337,10 @@ def _parse(text: str, count: int, where: str) -> Sequence[float]:
     if "${" in text or "$(" in text:
         raise ConfigError(UNEXPANDED)
     try:
-        numbers = [float(each) for each in text.split()]
+        numbers = [float(word) for word in text.split()]
     except ValueError:
         numbers = []
-    if len(numbers) != count or not all(abs(each) < LARGEST_NUMBER for each in numbers):
+    if len(numbers) != count or not all(abs(word) < LARGEST_NUMBER for word in numbers):
         wanted = "a number" if count == 1 else f"{count} numbers"
         raise ConfigError(f"{where} = {show_value(text)}: must be {wanted}")
     return numbers

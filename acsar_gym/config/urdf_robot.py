@@ -14,39 +14,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acsar_gym.config.parts import HINTS, MEASURES, RobotPart
+from acsar_gym.config.parts import GEOMETRY_FIELDS, HINTS, MEASURES, ONLY_FOUR, RobotPart
 from acsar_gym.config.urdf import Block, Floats, Joint, Shape, Urdf, parse_urdf
 from acsar_gym.errors import ConfigError, show_value
 
 DRIVER_DEFAULTS = {"baud_rate": "9600", "control_rate": "20"}
 """Of the robot's own driver, if the URDF has no baud_rate [bit/s]; with a rate that fits [Hz]."""
-SHARED_PARAMS = (
-    "wheel_radius",
-    "wheel_separation",
-    "wheelbase",
-    "wheel_separation_multiplier",
-    "left_wheel_radius_multiplier",
-    "right_wheel_radius_multiplier",
-    "serial_port",
-)
-"""Parameters that mean in other drivers what they mean here."""
-DIAMETER = "wheel_diameter"
-"""Parameter of drivers that don't say the radius."""
-PARALLEL = 0.95
-"""Cosine from which two directions count as parallel."""
-ALIKE = 0.1
-"""Wheels are alike if radius and height differ by at most this share of the radius."""
-SQUARE = 0.1
-"""Four wheels are a rectangle if its sides differ from it by at most this share."""
-ROLLERS = 3
-"""A wheel that carries as many joints has rollers."""
-MAX_WHEELS = 100
-"""Most joints that are looked at as wheels; each is compared with every other one."""
-UNKNOWN_RADIUS = 0.1
-"""Stands for the radius of a mesh where heights are compared [m]."""
+DIAMETER = "wheel_diameter"  # parameter of drivers that don't say the radius
+PARALLEL = 0.95  # cosine from which two directions count as parallel
+ALIKE = 0.1  # wheels are alike if radius and height differ by at most this share of the radius
+SQUARE = 0.1  # four wheels are a rectangle if its sides differ from it by at most this share
+ROLLERS = 3  # a wheel that carries as many joints has rollers
+UNKNOWN_RADIUS = 0.1  # stands for the radius of a mesh where heights are compared [m]
 CENTRED = 1e-3
 """A footprint whose middle is nearer to that of the wheels is a rectangle around them [m]."""
-ONLY_FOUR = "only robots with four driven wheels that skid are simulated and driven"
 _CASTER = re.compile(r"castor|caster", re.IGNORECASE)
 _STEERING = re.compile(r"steer", re.IGNORECASE)
 _MECANUM = re.compile(r"mecanum|omni.?wheel|roller", re.IGNORECASE)
@@ -66,24 +47,15 @@ class _Wheel:
 
 
 def read_urdf(text: str, names: Sequence[str], driven: Sequence[str] = ()) -> RobotPart:
-    """Read the fields of a robot from its URDF.
+    """Read the fields of a robot from its URDF, which was expanded from xacro.
 
-    Args:
-        text: the URDF, expanded from xacro.
-        names: parameters that the block of the robot's own driver may have.
-        driven: joints that a controller drives, if that is known.
-
-    Returns:
-        What it says of the robot.
-
-    Raises:
-        ConfigError: it is malformed, or isn't a robot with four driven wheels; the message says
-            what it is, and doesn't name the file.
+    `names` are parameters that the block of the robot's own driver may have, `driven` the joints of
+    a controller. ConfigError says what a robot is that hasn't four driven wheels.
     """
     urdf = parse_urdf(text)
-    known = {joint.name for joint in urdf.joints}
+    joints = {joint.name for joint in urdf.joints}
     for name in driven:
-        if name not in known:
+        if name not in joints:
             raise ConfigError(f"has no joint {show_value(name)}, which the controller drives")
     commanded = [name for block in urdf.blocks for name in block.joints]
     wheels = _find_wheels(urdf, {*commanded, *driven})
@@ -104,10 +76,10 @@ def read_urdf(text: str, names: Sequence[str], driven: Sequence[str] = ()) -> Ro
 def _choose_blocks(urdf: Urdf, wheels: set[str], names: Sequence[str]) -> list[Block]:
     """The blocks of the base: whose joints are wheels, else one of the own driver, or named so."""
     of_wheels = [block for block in urdf.blocks if wheels & set(block.joints)]
-    own = [block for block in urdf.blocks if block.is_own(names)]
+    of_driver = [block for block in urdf.blocks if block.is_own(names)]
     named = [block for block in urdf.blocks if any("wheel" in name for name in block.joints)]
     measured = [block for block in urdf.blocks if {*MEASURES, DIAMETER} & set(block.params)]
-    return of_wheels or own[:1] or named[:1] or measured[:1]
+    return of_wheels or of_driver[:1] or named[:1] or measured[:1]
 
 
 def _take_params(block: Block, names: Sequence[str], part: RobotPart) -> None:
@@ -115,9 +87,10 @@ def _take_params(block: Block, names: Sequence[str], part: RobotPart) -> None:
     if DIAMETER in block.params:
         part.fields["wheel_radius"] = _halve(block.params[DIAMETER])
     if not block.is_own(names):
-        part.fields |= {name: block.params[name] for name in SHARED_PARAMS if name in block.params}
+        shared = (*GEOMETRY_FIELDS, "serial_port")
+        part.fields |= {name: block.params[name] for name in shared if name in block.params}
         return
-    for name in (each for each in block.params if each not in names):
+    for name in (param for param in block.params if param not in names):
         near = difflib.get_close_matches(name, names, n=1, cutoff=0.85)
         if near:
             hint = HINTS.get(name, f"did you mean {near[0]!r}?")
@@ -139,31 +112,28 @@ def _halve(diameter: str) -> float:
 
 
 def _find_wheels(urdf: Urdf, named: set[str]) -> list[_Wheel]:
-    """Find what may be a wheel, but for casters.
-
-    Args:
-        urdf: the robot.
-        named: joints that somebody commands: they need no shape to be wheels.
-    """
+    """Find what may be a wheel, but for casters; `named` joints need no shape."""
     wheels: list[_Wheel] = []
     for joint in (joint for joint in urdf.joints if joint.is_endless):
         rigid = urdf.find_rigid(joint.child)
-        onward = [each for link in rigid for each in urdf.below.get(link, ())]
-        if 0 < sum(each.kind != "fixed" for each in onward) < ROLLERS:
+        onward = [link_joint for link in rigid for link_joint in urdf.below.get(link, ())]
+        if 0 < sum(link_joint.kind != "fixed" for link_joint in onward) < ROLLERS:
             continue
         chain = list(urdf.find_chain(joint))
-        problem = next((each.problem for each in chain if each.problem), "")
+        problem = next((link_joint.problem for link_joint in chain if link_joint.problem), "")
         if problem and (joint.name in named or "wheel" in joint.name.lower()):
             raise ConfigError(problem)
         sideways = abs(urdf.find_axis(joint)[1]) > PARALLEL
-        if problem or not sideways or any(_is_caster(urdf, each, joint) for each in chain):
+        if (
+            problem
+            or not sideways
+            or any(_is_caster(urdf, link_joint, joint) for link_joint in chain)
+        ):
             continue
         wheel = _measure_wheel(urdf, joint, rigid)
         is_mesh = any(urdf.links[link].meshes for link in rigid)
         if wheel.radius or joint.name in named or (is_mesh and not _shapes(urdf, rigid)):
             wheels.append(wheel)
-        if len(wheels) > MAX_WHEELS:
-            raise ConfigError(f"has more than {MAX_WHEELS} joints that could be wheels")
     return wheels
 
 
@@ -206,8 +176,8 @@ def _measure_wheel(urdf: Urdf, joint: Joint, rigid: Iterable[str]) -> _Wheel:
             tyres.append((shape.half[0], along, 0.0 if is_ball else shape.half[2]))
     if not tyres:
         return _Wheel(joint, hub, None, 0.0)
-    radius = max(each[0] for each in tyres)
-    largest = [each for each in tyres if each[0] > 0.99 * radius]
+    radius = max(tyre[0] for tyre in tyres)
+    largest = [tyre for tyre in tyres if tyre[0] > 0.99 * radius]
     low = min(along - half for _, along, half in largest)
     high = max(along + half for _, along, half in largest)
     return _Wheel(joint, hub + (low + high) / 2.0 * axis, radius, high - low)
@@ -222,12 +192,12 @@ def _choose_wheels(wheels: Sequence[_Wheel], named: Iterable[str]) -> list[_Whee
     return [wheel for wheel in wheels if best and _are_alike(best[0], wheel)]
 
 
-def _are_alike(one: _Wheel, other: _Wheel) -> bool:
+def _are_alike(first: _Wheel, second: _Wheel) -> bool:
     """Whether two wheels have the same height and, where both are known, radius."""
-    radius = one.radius or other.radius or UNKNOWN_RADIUS
-    differences = [abs(one.place[2] - other.place[2])]
-    if one.radius and other.radius:
-        differences.append(abs(one.radius - other.radius))
+    radius = first.radius or second.radius or UNKNOWN_RADIUS
+    differences = [abs(first.place[2] - second.place[2])]
+    if first.radius and second.radius:
+        differences.append(abs(first.radius - second.radius))
     return bool(max(differences) <= ALIKE * radius)
 
 
@@ -254,17 +224,17 @@ def _check_drive(
     steering += [j.name for j in urdf.joints if j.kind == "revolute" and _STEERING.search(j.name)]
     drives = [f"{plugin.name} {plugin.values}" for plugin in urdf.plugins]
     drives += [plugin for block in base for plugin in block.plugins]
-    if steering or any(_STEERED_DRIVE.search(each) for each in drives):
+    if steering or any(_STEERED_DRIVE.search(drive) for drive in drives):
         names = f" ({_list(dict.fromkeys(steering))})" if steering else ""
         raise ConfigError(f"is a robot with a steered axle{names}: {ONLY_FOUR}")
-    if any(_MECANUM_DRIVE.search(each) for each in [*drives, urdf.name]) or any(
+    if any(_MECANUM_DRIVE.search(drive) for drive in [*drives, urdf.name]) or any(
         _has_rollers(urdf, wheel) for wheel in chosen
     ):
         raise ConfigError(f"is a robot with mecanum or omni wheels: {ONLY_FOUR}")
     names = _list(wheel.joint.name for wheel in chosen)
     if len(chosen) == 2:
-        one, other = chosen
-        track = abs(one.place[1] - other.place[1])
+        first, second = chosen
+        track = abs(first.place[1] - second.place[1])
         raise ConfigError(
             f"is a robot with two driven wheels ({names}), {track:.4g} m apart, and what "
             f"carries it besides, a differential drive: {ONLY_FOUR}"
@@ -277,7 +247,9 @@ def _check_drive(
 def _has_rollers(urdf: Urdf, wheel: _Wheel) -> bool:
     """Whether names, rollers or friction tell a mecanum or omni wheel."""
     rigid = urdf.find_rigid(wheel.joint.child)
-    onward = [each for link in rigid for each in urdf.below.get(link, ()) if each.kind != "fixed"]
+    onward = [
+        roller for link in rigid for roller in urdf.below.get(link, ()) if roller.kind != "fixed"
+    ]
     meshes = [mesh for link in rigid for mesh in urdf.links[link].meshes]
     words = " ".join((wheel.joint.name, *rigid, *meshes))
     friction = urdf.friction.get(wheel.joint.child, [])
@@ -287,8 +259,8 @@ def _has_rollers(urdf: Urdf, wheel: _Wheel) -> bool:
 
 def _list(names: Iterable[str]) -> str:
     """Name a few things."""
-    each = [name[:60] for name in names]
-    return ", ".join(each[:4]) + (", ..." if len(each) > 4 else "")
+    short = [name[:60] for name in names]
+    return ", ".join(short[:4]) + (", ..." if len(short) > 4 else "")
 
 
 # Measures
@@ -365,10 +337,7 @@ def _find_radius(urdf: Urdf, wheels: Sequence[_Wheel], height: float) -> float |
 def _measure_body(
     urdf: Urdf, wheels: Sequence[_Wheel], centre: Floats, radius: float, part: RobotPart
 ) -> None:
-    """Set mass, footprint and height by the primitives of base and wheels.
-
-    The height is that of the shape with the largest area, as a mast isn't the chassis.
-    """
+    """Set mass, footprint and height; the latter is that of the largest shape, which no mast is."""
     carriers = [joint.name for wheel in wheels for joint in list(urdf.find_chain(wheel.joint))[1:]]
     base = _shapes(urdf, urdf.find_body(carriers))
     places = np.array([frame[:3, 3] for frame, _ in base] + [wheel.place for wheel in wheels])

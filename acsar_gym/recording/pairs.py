@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.robot import WIRE_LETTERS
+from acsar_gym.config.sections import WIRE_LETTERS
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 

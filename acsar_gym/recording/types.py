@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.robot import WheelLetters
+from acsar_gym.config.sections import WheelLetters
 from acsar_gym.protocol import ECHO_ZERO, ZERO, Decoder, EchoDecoder, Reading, Speeds, encode
 
 Floats = NDArray[np.float64]

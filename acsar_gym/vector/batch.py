@@ -32,7 +32,7 @@ from acsar_gym.vector.kernel import drive, episode, layout, lidars
 from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_sensors
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
-from acsar_gym.worlds import World, cache, geometry
+from acsar_gym.worlds import World, geometry
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -457,8 +457,7 @@ def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[Wor
                 f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
                 f"them all when it begins: at most {MAX_WORLDS:,}"
             )
-        with cache.keep_worlds():
-            made = [align_with_path(world) if follow else world for world in pool]
+        made = [align_with_path(world) if follow else world for world in pool]
         places[id(pool)] = range(len(worlds), len(worlds) + len(made))
         worlds += made
     return worlds, [range(0) if pool is None else places[id(pool)] for pool in pools]

@@ -19,14 +19,12 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds.geometry import Surroundings, cast_rays, point_clearance
 from acsar_gym.worlds.world import Floats, World
 
-PLACE_SPACING = 0.15
-"""Distance between two points of the path that are measured, at most [m]."""
-VISIBILITY_REACH = 5.0
-"""Length of the rays [m]; this is also the distance where nothing is nearer."""
+PLACE_SPACING = 0.15  # distance between two points of the path that are measured, at most [m]
+VISIBILITY_REACH = 5.0  # length of the rays [m]; this is also the distance where nothing is nearer
 VISIBILITY_RAYS = 64
 """Rays from each point, the first one along x; published: 8, and 16 for dispersion."""
 DISPERSION_RADIUS = 0.75
-"""Default radius of dispersion: the published 3 cells, and 2 by which the published obstacles
+"""Radius of dispersion: the published 3 cells, and 2 by which the published obstacles
 are enlarged [m]."""
 MAX_PLACES = 20_000
 
@@ -40,7 +38,7 @@ class Difficulty:
     visibility: float
     """Mean length of rays in all directions, each at most VISIBILITY_REACH [m]."""
     dispersion: float
-    """How often, in a full turn, the view changes between an obstacle within `radius` and none."""
+    """How often, in a full turn, the view changes between an obstacle that is near and none."""
     characteristic_dimension: float
     """Length of the shortest straight line through the point from obstacle to obstacle: a ray
     and the opposite one, over 32 axes; at most 2 VISIBILITY_REACH [m]."""
@@ -48,22 +46,11 @@ class Difficulty:
     """Length of the path divided by the distance of its ends; 1 is straight, inf a round trip."""
 
 
-def measure_difficulty(
-    world: World, path: Floats | None = None, radius: float = DISPERSION_RADIUS
-) -> Difficulty:
-    """Measure the difficulty of a world.
+def measure_difficulty(world: World, path: Floats | None = None) -> Difficulty:
+    """Measure the difficulty of a world along a path (points, 2) [m]; None for the world's own.
 
-    Args:
-        world: with the obstacles.
-        path: (points, 2) [m]; None for the world's own.
-        radius: of dispersion, at most VISIBILITY_REACH [m].
-
-    Raises:
-        WorldError: there is no path, or it isn't of finite numbers, has no length, or is longer
-            than 3 km.
+    WorldError where there is no path, or one that has no length or is longer than 3 km.
     """
-    if not 0.0 < radius <= VISIBILITY_REACH:
-        raise WorldError(f"radius = {radius}: must be within (0, {VISIBILITY_REACH:g}] m")
     path = World(path=world.path if path is None else path).path
     if path is None:
         raise WorldError(f"world {world.name!r} has no path to measure its difficulty along")
@@ -89,7 +76,7 @@ def measure_difficulty(
     for (x, y), row in zip(places.tolist(), ranges, strict=True):
         cast_rays(x, y, 1.0, 0.0, 0, around, row)
     nearest = np.clip(point_clearance(places, world), 0.0, VISIBILITY_REACH)
-    near = ranges <= radius
+    near = ranges <= DISPERSION_RADIUS
     across = ranges + np.roll(ranges, VISIBILITY_RAYS // 2, axis=1)
     chord = math.dist(path[0], path[-1])
     return Difficulty(

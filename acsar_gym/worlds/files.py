@@ -21,7 +21,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import tokenize
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -44,37 +43,22 @@ from acsar_gym.worlds.generators import (
 from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats, Region, World
 
-MAX_IMPORT_BYTES = sdf.MAX_SDF_BYTES
-"""Most bytes of an SDF file or a picture."""
+MAX_IMPORT_BYTES = sdf.MAX_SDF_BYTES  # most bytes of an SDF file or a picture
 MODEL_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
 """Environment variables in which Gazebo finds folders of models."""
 MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 MAX_YAML_EVENTS = 210_000
 """Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
-MAX_KEYS = 100
-"""Most keys of a mapping."""
-MAX_WORLD_FILES = 10_000
-"""Most worlds of a folder."""
-MAX_FOLDER_OBSTACLES = 1_000_000
-"""Most obstacles of all worlds of a folder."""
-BARN_CELL = 0.15
-"""Side of a cell of a published path [m]."""
-BARN_CORNER = (-4.575, 5.075)
-"""Position of cell (0, 0) of a published path [m]."""
-NPY_ERRORS = (
-    *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
-    *(MemoryError, RecursionError, tokenize.TokenError),
-)
-"""Exceptions that NumPy raises for broken files."""
+BARN_CELL = 0.15  # side of a cell of a published path [m]
+BARN_CORNER = (-4.575, 5.075)  # position of cell (0, 0) of a published path [m]
 MISSING_ENDS = {
     (True, True): "has no start and no goal: add --start X,Y,THETA --goal X,Y",
     (True, False): "has no start: add --start X,Y,THETA",
     (False, True): "has no goal: add --goal X,Y",
 }
 """Whether a file lacks a start and a goal, and what is said then."""
-PLACE_FORM = re.compile(r"\s*[,\s]\s*")
-"""Between the numbers of a place on the command line."""
+PLACE_FORM = re.compile(r"\s*[,\s]\s*")  # between the numbers of a place on the command line
 WORLD_SUFFIXES = (".world", ".sdf", ".yaml", ".yml", ".json")
 
 Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
@@ -164,11 +148,7 @@ class Placement(Section):
         return None if self.goal is None else Region(*self.goal)
 
     def list_model_folders(self, folder: Path) -> list[Path]:
-        """Where a Gazebo world's models are looked for, in this order.
-
-        Args:
-            folder: of the world's file.
-        """
+        """Where a Gazebo world's models are looked for, in this order."""
         texts = [self.models, *(os.environ.get(name, "") for name in MODEL_VARIABLES)]
         named = [
             Path(part).expanduser() for text in texts for part in text.split(os.pathsep) if part
@@ -181,23 +161,12 @@ class FileSource(Placement):
 
     path: Path
 
-    @property
-    def placement(self) -> Placement:
-        """What the file doesn't say."""
-        return Placement(start=self.start, goal=self.goal, models=self.models, height=self.height)
-
 
 def load_world(path: Path | str, placement: Placement | None = None) -> World:
     """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
 
-    Args:
-        path: the file.
-        placement: start and goal instead of the file's own, folders of models, and the LiDAR's
-            height.
-
-    Raises:
-        WorldError: it can't be read, or nobody says where start or goal are.
-        MissingExtraError: a map without Pillow, or a Gazebo world with meshes without trimesh.
+    WorldError where it can't be read, or nobody says where start or goal are; MissingExtraError for
+    a map without Pillow, or meshes without trimesh.
     """
     path, placement = Path(path), placement or Placement()
     suffix = path.suffix.lower()
@@ -223,7 +192,10 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     obstacles = sdf.read_obstacles(
         content, path.parent, placement.list_model_folders(path.parent), placement.height
     )
-    _warn_of_movers(path, obstacles)
+    if moving := obstacles.describe_movers():
+        warnings.warn(
+            f"{path}: what moves in Gazebo doesn't move here: {moving}", WorldWarning, stacklevel=3
+        )
     start, goal, way = placement.start_region, placement.goal_region, None
     if is_barn(obstacles.circles):
         way = _barn_path(path) if start is None and goal is None else None
@@ -245,29 +217,8 @@ def _describe_extent(obstacles: sdf.SdfObstacles) -> str:
     return f", where obstacles are at x {left:.3g} to {right:.3g}, y {low:.3g} to {high:.3g}"
 
 
-def _warn_of_movers(path: Path, obstacles: sdf.SdfObstacles) -> None:
-    notes = []
-    if obstacles.movers:
-        stand = "stand where they begin" if len(obstacles.movers) > 1 else "stands where it begins"
-        notes.append(f"{', '.join(obstacles.movers)} {stand}")
-    if obstacles.actors:
-        notes.append(
-            f"{', '.join(obstacles.actors)} {'are' if len(obstacles.actors) > 1 else 'is'} left out"
-        )
-    if notes:
-        warnings.warn(
-            f"{path}: what moves in Gazebo doesn't move here: {'; '.join(notes)}",
-            WorldWarning,
-            stacklevel=4,
-        )
-
-
 def is_barn(circles: Floats) -> bool:
-    """Whether these are the cylinders of one of BARN's worlds: those of its corridor are there.
-
-    Args:
-        circles: (n, 3): x, y, radius [m].
-    """
+    """Whether circles are those of a BARN world: its corridor's cylinders are there."""
     cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
     corridor = place_cylinders(np.zeros((0, 0), np.bool_))
     cells = {tuple(cell) for cell in np.rint(cylinders[:, :2] / BARN_CELL_SIDE * 2.0).tolist()}
@@ -279,14 +230,7 @@ def is_barn(circles: Floats) -> bool:
 def load_folder(folder: Path, placement: Placement | None = None) -> list[World]:
     """Read all worlds of a folder in natural order: world_2 comes before world_10.
 
-    Args:
-        folder: of the files.
-        placement: see `load_world`; the same for all of them.
-
-    Raises:
-        WorldError: for a folder that is missing, without worlds or with too many, and for the
-            first bad file.
-        MissingExtraError: as `load_world`.
+    WorldError for a folder without worlds or with too many, and for the first bad file.
     """
     try:
         if not folder.is_dir():
@@ -297,33 +241,16 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
     paths = [path for path in paths if not path.name.startswith(".")]
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")
-    if len(paths) > MAX_WORLD_FILES:
-        raise WorldError(
-            f"{folder}: holds {len(paths):,} worlds, at most {MAX_WORLD_FILES:,} are read"
-        )
 
     def natural(path: Path) -> tuple[list[str | int], str]:
         parts = re.split(r"(\d+)", path.name)
         return [int(part) if part.isdecimal() else part for part in parts], path.name
 
-    worlds: list[World] = []
-    obstacles = 0
-    for path in sorted(paths, key=natural):
-        worlds.append(load_world(path, placement))
-        obstacles += worlds[-1].obstacles
-        if obstacles > MAX_FOLDER_OBSTACLES:
-            raise WorldError(
-                f"{folder}: holds more than {MAX_FOLDER_OBSTACLES:,} obstacles: use fewer"
-            )
-    return worlds
+    return [load_world(path, placement) for path in sorted(paths, key=natural)]
 
 
 def save_world(world: World, path: Path) -> None:
-    """Write a world in the project's own format; `load_world` gives the same world.
-
-    Raises WorldError for other suffixes than `.json`, `.yaml` and `.yml`, and where the file can't
-    be written.
-    """
+    """Write a world in the project's own format: `.json`, `.yaml` or `.yml`."""
     try:
         data = format_world(world, path.suffix)
     except WorldError as error:
@@ -332,15 +259,7 @@ def save_world(world: World, path: Path) -> None:
 
 
 def format_world(world: World, suffix: str) -> bytes:
-    """Format a world in the project's own format.
-
-    Args:
-        world: to format.
-        suffix: `.json`, `.yaml` or `.yml`.
-
-    Raises:
-        WorldError: for another suffix, and a name that isn't text.
-    """
+    """Format a world in the project's own format, of a suffix as `save_world`."""
     start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
     if world.start.theta is not None:
         start["theta"] = world.start.theta
@@ -381,9 +300,6 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(WorldFile.model_fields)}")
     data = _place_ends(data, placement)
-    for mapping in (data, data["start"], data["goal"]):
-        if isinstance(mapping, dict) and len(mapping) > MAX_KEYS:
-            raise WorldError(f"has {len(mapping):,} keys, at most {MAX_KEYS} are read")
     model = MapFile if "image" in data else WorldFile
     try:
         file = model.model_validate({"name": path.stem, **data})
@@ -429,15 +345,15 @@ def _barn_path(path: Path) -> Floats | None:
     """The path from start to goal of a published world, from its cells (row, column)."""
     name = path.stem.replace("world_", "path_", 1) + ".npy"
     folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
-    found = [folder / name for folder in folders if (folder / name).is_file()]
-    if not path.stem.startswith("world_") or not found:
+    paths = [folder / name for folder in folders if (folder / name).is_file()]
+    if not path.stem.startswith("world_") or not paths:
         return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the file may be of Python 2
             # Mapped, because a header may claim more bytes than the file has.
-            cells = np.lib.format.open_memmap(found[0], mode="r")
-    except NPY_ERRORS as error:
+            cells = np.lib.format.open_memmap(paths[0], mode="r")
+    except Exception as error:  # NumPy raises all kinds for broken files
         raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from error
     if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
         raise WorldError(f"{name}: must hold cells (row, column), has shape {cells.shape}")

@@ -30,41 +30,28 @@ DEFAULT_RADIUS = 0.25
 EASING_FACTOR = 0.97
 """Where difficulty varies, every attempt that fails multiplies the next one's difficulty by
 this."""
-MAX_ATTEMPTS = 200
-"""Worlds that are tried before a footprint counts as too large."""
-ARENA_HALF = 4.0
-"""Half the side of the open and the cluttered floor [m]."""
+MAX_ATTEMPTS = 200  # worlds that are tried before a footprint counts as too large
+ARENA_HALF = 4.0  # half the side of the open and the cluttered floor [m]
 
-CORRIDOR_LENGTH = 10.0
-"""Length of the corridor between rooms, along x [m]."""
-ROOM_DEPTH = 3.0
-"""Depth of the rooms, along y [m]."""
-WIDEST_DOOR = 1.3
-"""Width of doors at difficulty 0 [m]."""
-DOOR_MARGIN = 0.2
-"""How much wider than the footprint's disc doors are at difficulty 1 [m]."""
+CORRIDOR_LENGTH = 10.0  # length of the corridor between rooms, along x [m]
+ROOM_DEPTH = 3.0  # depth of the rooms, along y [m]
+WIDEST_DOOR = 1.3  # width of doors at difficulty 0 [m]
+DOOR_MARGIN = 0.2  # how much wider than the footprint's disc doors are at difficulty 1 [m]
 
 BARN_CELLS = 30
-BARN_CELL_SIDE = 0.15
-"""Side of a cell [m]."""
-CYLINDER_RADIUS = 0.075
-"""Radius of a cylinder [m]."""
-BARN_FIELD = (-4.425, 5.175)
-"""Centre of cell (0, 0) [m]."""
-BARN_ROBOT_CELLS = 5
-"""Side of the square robot that must be able to cross [cells]."""
+BARN_CELL_SIDE = 0.15  # side of a cell [m]
+CYLINDER_RADIUS = 0.075  # radius of a cylinder [m]
+BARN_FIELD = (-4.425, 5.175)  # centre of cell (0, 0) [m]
+BARN_ROBOT_CELLS = 5  # side of the square robot that must be able to cross [cells]
 BARN_ROBOT_RADIUS = BARN_ROBOT_CELLS * BARN_CELL_SIDE / 2.0
 """Half of that side [m]: this robot's centre keeps this distance from the cylinders."""
 BARN_FILLED = (25, 209)
 """Least and most cells filled in the published worlds, without the first and the last row."""
-BARN_LENGTHS = (10.0, 13.9)
-"""Least and greatest length of the published worlds' paths [m]."""
+BARN_LENGTHS = (10.0, 13.9)  # least and greatest length of the published worlds' paths [m]
 BARN_START = Region(-2.0, 3.0, 0.0, math.pi / 2.0)
 BARN_GOAL = Region(-2.0, 13.0)
-BARN_LARGEST_RADIUS = 1.0
-"""Radius of the largest footprint that is tried [m]."""
-FIELDS_AT_ONCE = 64
-"""Fields that are made and checked together."""
+BARN_LARGEST_RADIUS = 1.0  # radius of the largest footprint that is tried [m]
+FIELDS_AT_ONCE = 64  # fields that are made and checked together
 FIELDS_OF_LARGER = 16
 """As many for footprints larger than BARN's robot, which get easier ones where none of these fit:
 crowded fields are hopeless for them."""
@@ -104,15 +91,15 @@ def generate_world(
     rng = _random_generator(kind, number)
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASING_FACTOR if high > low else 1.0
-    own = registry.find_own(kind)
-    maker = MAKERS[kind] if own is None else own.world
+    own_generator = registry.find_own(kind)
+    maker = MAKERS[kind] if own_generator is None else own_generator.world
     problem = ""
     for attempt in range(MAX_ATTEMPTS):
         try:
             world = maker(rng, max(hard * ease**attempt, low), radius)
             if world.path is None:
                 world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
-            elif own is not None:
+            elif own_generator is not None:
                 check_path(world, radius)
         except GeneratorError:
             raise
@@ -127,11 +114,7 @@ def generate_world(
 
 
 def draw_difficulty(kind: str, number: int, difficulty: Level = None) -> float:
-    """The difficulty from which `generate_world` starts for this world, 0 to 1.
-
-    Where no world of this difficulty can be crossed, `generate_world` makes an easier one, within
-    the range.
-    """
+    """The difficulty from which `generate_world` starts for this world, 0 to 1."""
     low, high = difficulty_limits(difficulty)
     return low + (high - low) * _random_generator(kind, number).uniform()
 
@@ -301,20 +284,10 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
     """Make a world like those of BARN (Perille et al. 2020), by its cellular automaton.
 
     A field of 30 x 30 cells of 0.15 m, with a cylinder in each filled cell, behind a walled
-    corridor of 5 m. Layout and frame are those of the published worlds: start (-2, 3) heading along
-    +y, goal 10 m ahead. BARN's 5 x 5-cell robot can cross it, and a footprint of this radius, too.
-    The path is made like the published ones: a shortest one over cells from any free cell of the
-    first column to any of the last one, with the start before and the goal behind it.
-
-    Args:
-        rng: of the world.
-        difficulty: 0 to 1; picks the share of cells filled before smoothing: 0.15, 0.2, 0.25 or
-            0.3.
-        radius: of the disc around the footprint [m].
-
-    Raises:
-        GeneratorError: the footprint is larger than 1 m, or BARN's robot can't cross any field.
-        WorldError: a footprint larger than BARN's robot can't cross any of a few fields.
+    corridor of 5 m: layout and frame of the published worlds. BARN's 5 x 5-cell robot can cross it,
+    and a footprint of this radius, too. The path is a shortest one over cells from any free cell of
+    the first column to any of the last one, as the published ones are. Difficulty picks the share
+    of cells filled before smoothing: 0.15, 0.2, 0.25 or 0.3.
     """
     if radius > BARN_LARGEST_RADIUS:
         raise GeneratorError(
@@ -350,10 +323,7 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
 def draw_fields(
     rng: np.random.Generator, fill: float, passes: int, count: int = FIELDS_AT_ONCE
 ) -> Mask:
-    """(count, 30, 30): random cells, smoothed; the first and the last row are walls.
-
-    Smoothing: five or more of its eight neighbours fill a cell, one or none clears it.
-    """
+    """(count, 30, 30): random cells, smoothed; the first and the last row are walls."""
     cells = rng.random((count, BARN_CELLS, BARN_CELLS)) < fill
     cells[:, 0] = cells[:, -1] = True
     for _ in range(passes):
@@ -369,14 +339,9 @@ def _shifted(padded: NDArray[Any], i: int, j: int) -> NDArray[Any]:
 
 
 def find_crossable(fields: Mask, radius: float = BARN_ROBOT_RADIUS) -> Iterator[tuple[Mask, Mask]]:
-    """Fields that a robot can cross, with as many filled cells as published ones.
+    """Yield fields that a robot can cross, with as many filled cells as published ones.
 
-    Yields the field's cells, and those in which the robot's centre may be: cells that are connected
-    with the first and the last column.
-
-    Args:
-        fields: (fields, 30, 30).
-        radius: of the disc around the footprint [m]; the robot is BARN's, unless that is larger.
+    With each the cells in which the robot's centre may be, which connect the first and last column.
     """
     with require_extra("a world with obstacles", "scipy"):
         from scipy.ndimage import label  # noqa: PLC0415 - slow to import
@@ -399,10 +364,7 @@ def find_crossable(fields: Mask, radius: float = BARN_ROBOT_RADIUS) -> Iterator[
 
 
 def list_near_cells(radius: float) -> list[tuple[int, int]]:
-    """Cells, from that of a robot's centre, which mustn't be filled where the robot is.
-
-    Those of BARN's square robot, or of a disc of this radius [m] that is larger.
-    """
+    """Cells, from that of a robot's centre, which mustn't be filled where the robot is."""
     if radius <= BARN_ROBOT_RADIUS:
         sides = range(-(BARN_ROBOT_CELLS // 2), BARN_ROBOT_CELLS // 2 + 1)
         return [(i, j) for i in sides for j in sides]

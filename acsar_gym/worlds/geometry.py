@@ -26,8 +26,7 @@ FULL_TURN = 2.0 * math.pi
 RAY_TOLERANCE = 1e-7
 """Tolerance at both ends of the range of rays that can meet an obstacle: more than `angle_of` may
 be wrong by [rad]."""
-CLEARANCE_CHUNK = 2**14
-"""Distances that are computed at a time, so that memory stays at a few MB."""
+CLEARANCE_CHUNK = 2**14  # distances that are computed at a time, so that memory stays at a few MB
 
 
 @dataclass(frozen=True)
@@ -39,47 +38,29 @@ class Obstacles:
     """
 
     circles: Floats | Sequence[Any] = ()
+    """Finite, with radii of 0 or more."""
     segments: Floats | Sequence[Any] = ()
 
     def arrays(self, robots: int) -> tuple[Floats, Floats]:
-        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`.
-
-        ConfigError for other shapes.
-        """
-        circles = _stack_rows("circles", self.circles, 3, robots)
-        segments = _stack_rows("segments", self.segments, 4, robots)
-        if (circles[:, :, 2] < 0.0).any():
-            raise ConfigError("obstacles: the radius of a circle must not be negative")
-        sets = max(len(circles), len(segments))
-        repeated = (np.broadcast_to(a, (sets, *a.shape[1:])) for a in (circles, segments))
-        circles, segments = map(np.ascontiguousarray, repeated)
-        return circles, segments
-
-
-def _stack_rows(name: str, rows: Floats | Sequence[Any], width: int, robots: int) -> Floats:
-    """Check rows and convert them to (sets, rows, width)."""
-    try:
-        array = np.array(rows, np.float64)
-    except (TypeError, ValueError):
-        array = np.full(1, np.nan)
-    if array.size == 0:
-        return np.zeros((1, 0, width))
-    array = array[None] if array.ndim == 2 else array
-    if array.ndim != 3 or array.shape[2] != width or array.shape[0] not in (1, robots):
-        raise ConfigError(
-            f"obstacles: {name} must be of shape (n, {width}) or ({robots}, n, {width})"
-        )
-    if not np.isfinite(array).all():
-        raise ConfigError(f"obstacles: {name} must be finite numbers")
-    return array
+        """Circles (W, C, 3) and segments (W, S, 4), W being 1 or `robots`; or ConfigError."""
+        stacks = []
+        for rows, width in ((self.circles, 3), (self.segments, 4)):
+            array = np.array(rows, np.float64)
+            array = array.reshape(1, 0, width) if array.size == 0 else array
+            array = array[None] if array.ndim == 2 else array
+            if array.shape[2:] != (width,) or len(array) not in (1, robots):
+                raise ConfigError(
+                    f"obstacles: must be of shape (n, {width}) or ({robots}, n, {width})"
+                )
+            stacks.append(array)
+        sets = max(map(len, stacks))
+        circles, segments = (np.broadcast_to(a, (sets, *a.shape[1:])) for a in stacks)
+        return np.ascontiguousarray(circles), np.ascontiguousarray(segments)
 
 
 @dataclass(frozen=True, slots=True)
 class RaySpec:
-    """The rays of a planar LiDAR, counter-clockwise, the first one at -field_of_view / 2.
-
-    Its values are those of a `LidarConfig`, which has checked them.
-    """
+    """The rays of a planar LiDAR, counter-clockwise, the first one at -field_of_view / 2."""
 
     rays: int
     reach: float = 5.0
@@ -136,11 +117,7 @@ class Fan(NamedTuple):
 def make_surroundings(
     obstacles: Obstacles, spec: RaySpec | None, robots: int, config: RobotConfig
 ) -> Surroundings:
-    """Make the arrays around robots of one kind.
-
-    `spec` are the rays of the LiDAR, None without one. Raises ConfigError for obstacles of a wrong
-    shape, or that aren't finite numbers.
-    """
+    """Make the arrays around robots of one kind; see `surround_kinds`."""
     return surround_kinds(obstacles, [spec], robots, [config])
 
 
@@ -150,14 +127,11 @@ def surround_kinds(
     robots: int,
     configs: Sequence[RobotConfig],
 ) -> Surroundings:
-    """Make the arrays around robots of several kinds; `specs` has the rays of each kind.
-
-    Raises ConfigError as `make_surroundings`.
-    """
+    """Make the arrays around robots of several kinds; ConfigError as `Obstacles.arrays`."""
     circles, segments = obstacles.arrays(robots)
     angles = [spec.angles() if spec else np.zeros(0) for spec in specs]
     outlines = [config.footprint for config in configs]
-    sides = [list(footprint.outline_sides(one)) if one else [] for one in outlines]
+    sides = [list(footprint.outline_sides(outline)) if outline else [] for outline in outlines]
     return Surroundings(
         circles,
         segments,
@@ -193,14 +167,14 @@ def pad_rows(rows: Sequence[Floats], unused: tuple[float, ...]) -> Floats:
 @jit
 def fan_of(around: Surroundings, kind: int, rays: int) -> Fan:
     """The rays of a kind of robots, which has so many of them."""
-    own = around.kinds
+    kinds = around.kinds
     return Fan(
         around.directions[kind, :rays],
-        own[kind, 0],
-        own[kind, 1],
-        own[kind, 2],
-        own[kind, 3],
-        own[kind, 4],
+        kinds[kind, 0],
+        kinds[kind, 1],
+        kinds[kind, 2],
+        kinds[kind, 3],
+        kinds[kind, 4],
     )
 
 
@@ -223,10 +197,7 @@ def see_circle(
     margin: float,
     fan: Fan,
 ) -> None:
-    """Shorten the rays that meet a circle at (x, y) in the sensor's frame.
-
-    The origins of the rays lie within `margin` of the sensor.
-    """
+    """Shorten the rays that meet a circle; they begin within `margin` of the sensor."""
     last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     half = widest_angle(radius + margin, math.sqrt(x * x + y * y)) * density
     middle = (angle_of(x, y) - fan.start) * density
@@ -267,9 +238,9 @@ def see_segment(
         return
     last, directions, density = len(ranges) - 1, fan.directions, 1.0 / fan.step
     extra = widest_angle(margin, distance) * density
-    one = (angle_of(ax, ay) - fan.start) * density
+    end = (angle_of(ax, ay) - fan.start) * density
     width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * density
-    first, top = min(one, one + width) - extra, max(one, one + width) + extra
+    first, top = min(end, end + width) - extra, max(end, end + width) + extra
     top = min(top, first + FULL_TURN * density)
     for shift in (-FULL_TURN * density, 0.0, FULL_TURN * density):
         if top + shift < 0.0 or first + shift > last:
@@ -300,17 +271,8 @@ def cast_lines(  # noqa: PLR0913, PLR0917 - as `cast_rays`
 ) -> None:
     """Compute the ranges of rays that begin at places of their own; otherwise as `cast_rays`.
 
-    Args:
-        x: of the base in the frame of the world [m].
-        y: of the base in the frame of the world [m].
-        cos: of its heading.
-        sin: of its heading.
-        which: index of the set of obstacles.
-        around: obstacles and rays.
-        origins: (rays, 2): where each ray begins, from the LiDAR's place at this pose, in the frame
-            of the base [m].
-        ranges: (rays,) [m]; written.
-        kind: of the robot, whose rays these are.
+    `origins` (rays, 2) are where each ray begins, from the LiDAR's place at this pose, in the frame
+    of the base [m].
     """
     fan = fan_of(around, kind, len(ranges))
     x += cos * fan.mount_x - sin * fan.mount_y
@@ -348,8 +310,7 @@ def cast_rays(
 ) -> None:
     """Compute the ranges of all rays (rays,) [m] from a base at this pose; writes `ranges`.
 
-    `which` is the index of the set of obstacles. Rays that meet nothing within reach have the
-    reach. From inside a circle all ranges are zero.
+    Rays that meet nothing within reach have the reach. From inside a circle all ranges are zero.
     """
     cast_lines(x, y, cos, sin, which, around, np.zeros((len(ranges), 2)), ranges)
 
@@ -357,15 +318,9 @@ def cast_rays(
 def measure_ranges(
     place: tuple[float | Floats, float | Floats], bearings: Floats, world: World | None
 ) -> Floats:
-    """Compute ranges at any bearings, in plain NumPy; `cast_rays` is faster for evenly spaced rays.
+    """Compute ranges (rays,) [m] at any bearings [rad] by NumPy; inf where nothing is met.
 
-    Args:
-        place: x, y in the frame of the world [m]: of all rays, or (rays,) each.
-        bearings: (rays,) in the frame of the world [rad].
-        world: with the obstacles, or None.
-
-    Returns:
-        (rays,) [m]; inf where there is no obstacle.
+    `place` is x, y of all rays, or (rays,) each.
     """
     if world is None:
         return np.full(len(bearings), np.inf)
@@ -392,19 +347,9 @@ def measure_ranges(
 def footprint_collides(
     x: float, y: float, cos: float, sin: float, which: int, around: Surroundings, kind: int = 0
 ) -> bool:
-    """Whether the footprint touches an obstacle.
-
-    Args:
-        x: of the base in the frame of the world [m].
-        y: of the base in the frame of the world [m].
-        cos: of the heading.
-        sin: of the heading.
-        which: index of the set of obstacles.
-        around: obstacles and footprints.
-        kind: of the robot, whose footprint it is.
-    """
-    own = around.kinds
-    half_x, half_y, is_box = own[kind, 5], own[kind, 6], own[kind, 7] == 0.0
+    """Whether the footprint of a kind's robot at this pose touches an obstacle of a set."""
+    kinds = around.kinds
+    half_x, half_y, is_box = kinds[kind, 5], kinds[kind, 6], kinds[kind, 7] == 0.0
     outer = math.sqrt(half_x * half_x + half_y * half_y)
     circles, segments = around.circles, around.segments
     for n in range(circles.shape[1]):
@@ -441,18 +386,15 @@ def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: f
 def segment_meets_box(
     ax: float, ay: float, bx: float, by: float, half_x: float, half_y: float
 ) -> bool:
-    """Whether a segment touches the box of these half sizes around the origin.
-
-    By the algorithm of Liang and Barsky (1984).
-    """
+    """Whether a segment touches the box of these half sizes, by Liang and Barsky (1984)."""
     near, far = 0.0, 1.0
     for start, along, half in ((ax, bx - ax, half_x), (ay, by - ay, half_y)):
         if abs(along) < 1e-15:
             if abs(start) > half:
                 return False
         else:
-            one, two = (-half - start) / along, (half - start) / along
-            near, far = max(near, min(one, two)), min(far, max(one, two))
+            enter, leave = (-half - start) / along, (half - start) / along
+            near, far = max(near, min(enter, leave)), min(far, max(enter, leave))
     return near <= far
 
 
@@ -475,12 +417,12 @@ def segment_meets_outline(
 @loop
 def is_inside(x: float, y: float, polygon: Floats) -> bool:
     """Whether a point lies within a polygon, (sides, 4)."""
-    found = False
+    inside = False
     for n in range(len(polygon)):
         ax, ay, bx, by = polygon[n, 0], polygon[n, 1], polygon[n, 2], polygon[n, 3]
         if (ay > y) != (by > y) and x < ax + (bx - ax) * (y - ay) / (by - ay):
-            found = not found
-    return found
+            inside = not inside
+    return inside
 
 
 @loop
@@ -515,17 +457,9 @@ def segment_meets_polygon(ax: float, ay: float, bx: float, by: float, polygon: F
 
 
 def point_clearance(points: ArrayLike, world: World) -> Floats:
-    """Compute distances of points to the nearest obstacle.
+    """Distances of points (N, 2) to the nearest obstacle (N,) [m].
 
-    Args:
-        points: (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: negative inside a circle, zero on a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for points of another shape.
+    Negative inside a circle, zero on a segment, inf without obstacles.
     """
     places = _validate_points(points)
     centres, radii = world.circles.T[:2, None], world.circles[:, 2]
@@ -539,19 +473,10 @@ def point_clearance(points: ArrayLike, world: World) -> Floats:
 
 
 def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
-    """Compute the least distance of straight lines to any obstacle.
+    """Least distances (N,) of lines from a to b, (N, 2) each, to any obstacle [m].
 
-    Args:
-        a: beginnings, (N, 2) [m].
-        b: ends, (N, 2) [m].
-        world: with the obstacles.
-
-    Returns:
-        (N,) [m]: minus the depth where a line enters a circle, zero where it touches or crosses
-        a segment, inf without obstacles.
-
-    Raises:
-        ValueError: for other shapes.
+    Minus the depth where a line enters a circle, zero where it meets a segment, inf without
+    obstacles.
     """
     starts, ends = _validate_points(a), _validate_points(b)
     if len(starts) != len(ends):
@@ -610,8 +535,8 @@ def _side(a: Floats, b: Floats, c: Floats) -> Floats:
     return side
 
 
-def _dot(one: Floats, other: Floats) -> Floats:
-    product: Floats = one[0] * other[0] + one[1] * other[1]
+def _dot(first: Floats, second: Floats) -> Floats:
+    product: Floats = first[0] * second[0] + first[1] * second[1]
     return product
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import difflib
 import io
 import math
-import re
-import struct
 import warnings
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -25,26 +23,9 @@ from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats
 
 Mask = NDArray[np.bool_]
 PICTURE_SUFFIXES = (".pgm", ".png", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg")
-PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
-"""Formats that Pillow may try; PGM is a PPM for it."""
+PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")  # formats that Pillow may try; PGM is a PPM for it
 MAX_MAP_PIXELS = 4096 * 4096
 UNSOUND_PICTURE = "isn't a sound PGM, PNG, BMP or JPEG picture: save it again"
-PLAIN_MAGIC = (b"P1", b"P2", b"P3")
-"""First bytes of pictures whose pixels are decimal numbers."""
-MAX_PLAIN_PIXELS = 1_000_000
-"""Most pixels of such pictures, which are slow to read."""
-MAX_PACKED_BYTES = 5_000_000
-"""Most bytes of a PNG or JPEG; each of their parts may be empty, and takes a while to skip."""
-PNM_HEADER = re.compile(
-    rb"P(?:[14](?:(?:\s|#[^\r\n]*[\r\n])+\d+){2}|[2356](?:(?:\s|#[^\r\n]*[\r\n])+\d+){3})\s"
-)
-"""How a PBM, PGM or PPM begins. Pillow reads comments and spaces byte by byte, for minutes."""
-MAX_HEADER = 10_000
-PICTURE_ERRORS = (
-    *(OSError, ValueError, TypeError, LookupError, ArithmeticError, SyntaxError, EOFError),
-    *(struct.error, MemoryError, NotImplementedError),
-)
-"""Exceptions that Pillow raises for broken pictures."""
 Share = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 
@@ -72,10 +53,7 @@ class MapSettings(Section):
 
 
 def read_settings(data: Mapping[str, Any]) -> MapSettings:
-    """Read the settings in a map's YAML. WorldError says what is missing or wrong.
-
-    Unknown keys are ignored, as map_server does, unless they look like a misspelt one.
-    """
+    """Read the settings in a map's YAML; keys that look misspelt are refused."""
     fields = MapSettings.model_fields
     for key in (key for key in data if isinstance(key, str) and key not in fields):
         if near := difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8):
@@ -90,18 +68,9 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
 
 
 def map_segments(picture: bytes, config: MapSettings) -> Floats:
-    """Compute the outlines of what is occupied in a picture.
+    """Compute the outlines of what is occupied, (segments, 4) in the map's frame [m].
 
-    Args:
-        picture: content of the file.
-        config: settings of the map.
-
-    Returns:
-        (segments, 4) in the frame of the map [m].
-
-    Raises:
-        WorldError: the picture is broken, too large or too detailed.
-        MissingExtraError: Pillow isn't installed.
+    WorldError for a picture that is broken, too large or too detailed.
     """
     levels, shades, opaque = _read_levels(picture)
     mask = occupied_shades(shades, config)[levels]
@@ -114,12 +83,7 @@ def map_segments(picture: bytes, config: MapSettings) -> Floats:
 
 
 def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
-    """Which brightness levels are obstacles.
-
-    Args:
-        shades: 0 (black) to 1 (white), NaN where transparent.
-        config: settings of the map.
-    """
+    """Which shades, 0 (black) to 1 (white) and NaN where transparent, are obstacles."""
     bright = 1.0 - shades if config.negate else shades
     percent = np.round(shades * 255.0)
     raw: Mask = (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
@@ -128,16 +92,9 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
 
 
 def trace_outlines(mask: Mask) -> Floats:
-    """Find the edges between occupied pixels and others; edges in a row become one segment.
+    """Find the edges between occupied pixels (rows, columns) and others.
 
-    Args:
-        mask: (rows, columns), whether a pixel is occupied.
-
-    Returns:
-        (segments, 4) in pixels from the lower left corner.
-
-    Raises:
-        WorldError: for more than 20,000.
+    Returns (segments, 4) in pixels from the lower left corner; WorldError for more than 20,000.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
     level, left, right = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
@@ -160,42 +117,34 @@ def _find_runs(edges: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray
 
 
 def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask | None]:
-    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque.
-
-    A level is the grey value or the sum of three colours, to use less memory.
-    """
+    """Levels of all pixels, brightness (0 to 1) of each level, and which pixels are opaque."""
     try:
         from PIL import Image  # noqa: PLC0415
     except ImportError as error:
         raise MissingExtraError("reading a map's picture", "pictures") from error
-    plain = picture[:2] in PLAIN_MAGIC
-    if picture[:1] == b"P":
-        header = PNM_HEADER.match(picture[:MAX_HEADER])
-        if not header or (plain and picture.find(b"#", header.end()) >= 0):
-            raise WorldError(UNSOUND_PICTURE)
-    if picture[:2] in (b"\x89P", b"\xff\xd8") and len(picture) > MAX_PACKED_BYTES:
-        raise WorldError(f"has more than {MAX_PACKED_BYTES / 1e6:g} MB: save it as PGM")
-    most = MAX_PLAIN_PIXELS if plain else MAX_MAP_PIXELS
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(io.BytesIO(picture), formats=PILLOW_FORMATS) as image:
-                width, height = image.size
-                if width * height > most:
-                    binary = ", or save it in binary form" if plain else ""
-                    raise WorldError(
-                        f"is {width:,} x {height:,} pixels, more than {most:,}: crop or shrink "
-                        f"it{binary}"
-                    )
+                _check_size(*image.size)
                 if image.mode.startswith("I"):  # 16 bits, which Pillow would clip, not scale
                     grey = np.clip(np.asarray(image), 0, 65535)
                     return grey, np.arange(65536) / 65535.0, None
                 if image.mode in ("1", "L"):
                     return np.asarray(image.convert("L")), np.arange(256) / 255.0, None
                 pixels = np.asarray(image.convert("RGBA"))
+    except WorldError:
+        raise
     except Image.DecompressionBombError as error:
         raise WorldError(f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it") from error
-    except PICTURE_ERRORS as error:
+    except Exception as error:  # Pillow raises all kinds for broken pictures
         raise WorldError(UNSOUND_PICTURE) from error
     levels = pixels[:, :, 0].astype(np.uint16) + pixels[:, :, 1] + pixels[:, :, 2]
     return levels, np.arange(766) / 3.0 / 255.0, pixels[:, :, 3] == 255
+
+
+def _check_size(width: int, height: int) -> None:
+    if width * height > MAX_MAP_PIXELS:
+        raise WorldError(
+            f"is {width:,} x {height:,} pixels, more than {MAX_MAP_PIXELS:,}: crop or shrink it"
+        )

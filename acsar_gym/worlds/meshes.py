@@ -18,16 +18,11 @@ from acsar_gym.errors import WorldError, require_extra
 from acsar_gym.worlds.world import Floats
 
 MESH_SUFFIXES = (".dae", ".stl", ".obj")
-MAX_MESH_BYTES = 64_000_000
-"""Most bytes of a mesh's file."""
-MAX_FACES = 2_000_000
-"""Most triangles of a mesh."""
-MAX_PARTS = 100_000
-"""Most parts of a COLLADA file, instances counted each time."""
+MAX_MESH_BYTES = 64_000_000  # most bytes of a mesh's file
+MAX_PARTS = 100_000  # most parts of a COLLADA file, instances counted each time
 JOINT_TOLERANCE = 1e-4
 """Ends of two pieces of an outline that are nearer than this are one corner [m]."""
-OUTLINE_TOLERANCE = 0.005
-"""How far a simplified outline may lie from the mesh's own [m]."""
+OUTLINE_TOLERANCE = 0.005  # how far a simplified outline may lie from the mesh's own [m]
 
 
 class Mesh(NamedTuple):
@@ -42,14 +37,8 @@ class Mesh(NamedTuple):
 def read_mesh(path: Path, submesh: str = "", *, centred: bool = False) -> Mesh:
     """Read a mesh as Gazebo does: in the file's unit, with z up whatever it says.
 
-    Args:
-        path: .dae, .stl or .obj.
-        submesh: name of the only part that counts; empty: all.
-        centred: whether the part is moved to the origin.
-
-    Raises:
-        WorldError: it can't be read, is too large, or has no such part.
-        MissingExtraError: trimesh isn't installed.
+    `submesh` is the name of the only part that counts, `centred` whether it is moved to the origin.
+    WorldError where it can't be read, is too large, or has no such part.
     """
     suffix = path.suffix.lower()
     if suffix not in MESH_SUFFIXES:
@@ -70,8 +59,6 @@ def read_mesh(path: Path, submesh: str = "", *, centred: bool = False) -> Mesh:
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
     faces = [part.faces + offset for part, offset in zip(parts, offsets, strict=False)]
     mesh = Mesh(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
-    if len(mesh.faces) > MAX_FACES:
-        raise WorldError(f"has {len(mesh.faces):,} triangles, at most {MAX_FACES:,} are read")
     if not np.isfinite(mesh.vertices).all() or mesh.faces.max() >= len(mesh.vertices):
         raise WorldError(f"isn't a sound {suffix[1:].upper()} file: save it again")
     if centred:
@@ -124,16 +111,7 @@ def _list_collada(collada: Any, data: bytes, submesh: str) -> list[Mesh]:
 
 
 def cut_mesh(vertices: Floats, faces: NDArray[np.int64], heights: Sequence[float]) -> Floats:
-    """The outline of a mesh at some heights, seen from above.
-
-    Args:
-        vertices: (vertices, 3) [m].
-        faces: (faces, 3).
-        heights: of the cuts [m].
-
-    Returns:
-        (segments, 4) [m].
-    """
+    """The outline of a mesh at some heights, seen from above, (segments, 4) [m]."""
     trimesh, _ = _import_readers()
     mesh = trimesh.Trimesh(vertices, faces, process=False, validate=False)
     outlines = [np.zeros((0, 4))]
@@ -145,14 +123,7 @@ def cut_mesh(vertices: Floats, faces: NDArray[np.int64], heights: Sequence[float
 
 
 def simplify_outline(segments: Floats) -> Floats:
-    """Join the pieces of an outline, and leave out corners within OUTLINE_TOLERANCE.
-
-    Args:
-        segments: (n, 4), in any order [m].
-
-    Returns:
-        (m, 4) [m].
-    """
+    """Join pieces of an outline (n, 4); leave out corners within OUTLINE_TOLERANCE."""
     ends = np.round(segments.reshape(-1, 2) / JOINT_TOLERANCE).astype(np.int64)
     corners, numbers = np.unique(ends, axis=0, return_inverse=True)
     neighbours: dict[int, set[int]] = defaultdict(set)

@@ -23,12 +23,9 @@ from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
-MAX_NUMBERS = 10**9
-"""Most numbers of a pool."""
-KEPT_WORLDS = 512
-"""Generated worlds that a pool keeps in memory."""
-MAX_RANKED = 100_000
-"""Largest pool that can be sorted by difficulty."""
+MAX_NUMBERS = 10**9  # most numbers of a pool
+KEPT_WORLDS = 512  # generated worlds that a pool keeps in memory
+MAX_RANKED = 100_000  # largest pool that can be sorted by difficulty
 
 Source = str | Path | World | Sequence[World] | Mapping[str, Any]
 """What users may pass as `worlds=`; the fields of a mapping are those of `files.FileSource`."""
@@ -136,10 +133,7 @@ class Pool:
 
     @cached_property
     def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Indices into `numbers` from the easiest to the hardest world, and their difficulties.
-
-        Raises WorldError for worlds that have none, and for a pool of more than 100,000.
-        """
+        """Indices into `numbers` from the easiest to the hardest world, and their difficulties."""
         if not self.generated:
             raise WorldError(f"difficulty: only generated worlds have one, {self.kind!r} hasn't")
         if len(self) > MAX_RANKED:
@@ -153,10 +147,7 @@ class Pool:
         return order, levels[order]
 
     def ranks(self, difficulty: Level) -> range:
-        """Range of ranks (see `by_difficulty`) whose difficulty is in a range (low, high).
-
-        Raises WorldError where there is none.
-        """
+        """Range of ranks (see `by_difficulty`) whose difficulty is in a range (low, high)."""
         low, high = generators.difficulty_limits(difficulty)
         _, levels = self.by_difficulty
         first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
@@ -176,17 +167,9 @@ def _make_world(module: str, kind: str, difficulty: Level, radius: float, number
 
 @lru_cache(maxsize=16)
 def check_world(world: World, radius: float) -> World:
-    """Check a world's start and goal, and add a shortest path where it has none.
+    """Return a world with a path, the same object for the same world.
 
-    Args:
-        world: to check.
-        radius: of the disc around the footprint [m].
-
-    Returns:
-        The world with a path; the same object for the same world.
-
-    Raises:
-        WorldError: start or goal aren't free for the footprint, or there is no path between them.
+    WorldError where start or goal aren't free for the footprint, or there is no path between them.
     """
     if world.path is None:
         return replace(world, path=shortest_path(world, radius))
@@ -198,19 +181,11 @@ def check_world(world: World, radius: float) -> World:
 def read_worlds(
     source: str | Path | Mapping[str, Any], height: float = LIDAR_HEIGHT
 ) -> list[World] | None:
-    """Read worlds of a file or a folder; None for the name of a generator.
-
-    Args:
-        source: see `Pool.of`.
-        height: of the LiDAR above the floor [m], unless a mapping says another one.
-
-    Raises:
-        ConfigError, WorldError: they can't be read.
-    """
+    """Read worlds of a file or folder; None for the name of a generator."""
     placement = files.Placement(height=height)
     if isinstance(source, Mapping):
-        file = files.FileSource(**{"height": height, **source})
-        source, placement = file.path, file.placement
+        placement = files.FileSource(**{"height": height, **source})
+        source = placement.path
         if registry.parse_known_name(str(source)):
             raise WorldError(
                 f"worlds = {show_value(str(source))}: generated worlds have a start and a goal of "
@@ -234,14 +209,7 @@ def place_worlds(
 ) -> str | dict[str, str] | None:
     """Join the name of worlds with what their file doesn't say, for `Pool.of`.
 
-    Args:
-        worlds: kind, file or folder; None for an env's own.
-        start: "X,Y,THETA" [m, rad].
-        goal: "X,Y" [m].
-        models: folders of Gazebo's models.
-
-    Raises:
-        ConfigError: something of it is given, but no name.
+    Places are texts like "X,Y,THETA" [m, rad]. ConfigError where something is given, but no name.
     """
     options = {"start": start, "goal": goal, "models": models}
     given = {name: value for name, value in options.items() if value is not None}

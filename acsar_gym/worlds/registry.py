@@ -15,7 +15,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import FunctionType
 from typing import TYPE_CHECKING, Any
 
 from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
 
 BUILT_IN_KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 """Names of the generators of this package."""
-MAX_GENERATOR_NAME = 40
-"""Most characters of a name."""
+MAX_GENERATOR_NAME = 40  # most characters of a name
 TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
 SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
 """What may follow the name of a kind, as in "clutter:test"."""
@@ -39,8 +37,7 @@ _SPLIT_NUMBERS = {
     BENCHMARK: range(100_000, 101_000),
 }
 """Those of the benchmark are far from numbers that anybody would train in by hand."""
-_BARN_TEST = range(300)
-"""As many as BARN has published."""
+_BARN_TEST = range(300)  # as many as BARN has published
 _NUMBERS = rf"(?::({'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?"
 _KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS}")
 _FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS}", re.ASCII)
@@ -59,8 +56,6 @@ class OwnGenerator:
 
     name: str
     make: Maker
-    source: str
-    """Hash of the source that its worlds depend on; empty where it can't be known."""
 
     @property
     def home(self) -> str:
@@ -73,12 +68,7 @@ class OwnGenerator:
         return self.home, str(getattr(self.make, "__qualname__", type(self.make).__qualname__))
 
     def world(self, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        """Call the generator once.
-
-        Raises:
-            GeneratorError: it raised an error, or returned something else than a World.
-            WorldError: this attempt failed; the next one may succeed.
-        """
+        """Call the generator once; GeneratorError where calling it again is of no use."""
         this = f"generator {self.name!r} of {self.home}"
         try:
             world = self.make(rng, difficulty, radius)
@@ -106,12 +96,6 @@ def register(name: str, make: Maker) -> None:
     `worlds="mine.module:corridors:0-99"`: on the command line, and in worker processes that are
     spawned and not forked, such as those of `gymnasium.vector.AsyncVectorEnv`.
 
-    Worlds of a batch are kept on disk, with a hash of the source of the module of `make` and of
-    the modules that it imports, and of the numbers and strings that are default arguments of
-    `make`. A closure or callable object, one with other default arguments, and one whose source
-    can't be read, is called anew every time. Where worlds depend on something else, such as a file
-    that is read, set ACSAR_GYM_CACHE=off.
-
     Args:
         name: lower-case letters, digits and underscores, at most 40, beginning with a letter.
         make: called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
@@ -135,7 +119,7 @@ def register(name: str, make: Maker) -> None:
             f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
         ) from error
-    new, other = OwnGenerator(name, make, hash_function(make)), _OWN.get(name)
+    new, other = OwnGenerator(name, make), _OWN.get(name)
     if name in BUILT_IN_KINDS or (other is not None and other.place != new.place):
         owner = "acsar_gym" if other is None else other.home
         raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
@@ -173,11 +157,7 @@ def check_registered(kind: str) -> None:
 
 
 def import_generator(module: str, kind: str) -> None:
-    """Import the module that registers a generator; nothing for "" and the main program.
-
-    Raises:
-        WorldError: the module can't be imported, or registers no such generator.
-    """
+    """Import the module that registers a generator; nothing for "" and the main program."""
     if module in ("", "__main__"):
         return
     where = f"worlds = '{module}:{kind}'"
@@ -225,16 +205,9 @@ def parse_name(text: str) -> WorldsName | None:
 
 
 def parse_known_name(text: str) -> WorldsName | None:
-    """Split a name of worlds whose generator is known; imports its module, if it names one.
+    """Split a name of worlds whose generator is known; imports the module that it names.
 
-    Args:
-        text: a name, or anything else, such as a path.
-
-    Returns:
-        The parts; None where the text isn't such a name.
-
-    Raises:
-        WorldError: the module can't be imported, or registers no such generator.
+    None where the text isn't such a name; WorldError where the module registers no such generator.
     """
     name = parse_name(text)
     if name is None:
@@ -244,12 +217,7 @@ def parse_known_name(text: str) -> WorldsName | None:
 
 
 def split_numbers(kind: str, split: str) -> range:
-    """World numbers of a split.
-
-    1000 to 1399 for training, 900 to 963 for validation during training, 0 to 199 for testing (0 to
-    299 of BARN), and 100000 to 100999 for the benchmark, whose worlds nobody has looked at while
-    methods were chosen.
-    """
+    """World numbers of a split."""
     return _BARN_TEST if (kind, split) == ("barn", TEST) else _SPLIT_NUMBERS[split]
 
 
@@ -263,40 +231,9 @@ def find_split(kind: str, some: range) -> str:
 
 
 def add_test_split(source: Any) -> Any:
-    """Replace a generator's name without numbers by its test split.
-
-    Return anything else unchanged.
-    """
+    """Replace a generator's name without numbers by its test split; anything else stays."""
     name = parse_known_name(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"
-
-
-def hash_function(function: Any) -> str:
-    """Hash the source of a function's module, and of the user's own modules that it imports.
-
-    Only the versions of other installed packages count; this package has a hash of its own.
-
-    Args:
-        function: a generator of worlds.
-
-    Returns:
-        The hash; empty for anything but a plain function of a module, such as a closure or a
-        function with default arguments that aren't numbers or strings, and where there is no
-        source file, as in a notebook.
-    """
-    if not isinstance(function, FunctionType) or function.__closure__:
-        return ""
-    defaults = [*(function.__defaults__ or ()), *sorted((function.__kwdefaults__ or {}).items())]
-    sources = hash_modules(function.__module__) if all(map(_repr_is_exact, defaults)) else ""
-    text = f"{function.__qualname__} {defaults} {sources}"
-    return hashlib.sha256(text.encode()).hexdigest() if sources else ""
-
-
-def _repr_is_exact(value: Any) -> bool:
-    """Whether the value's repr() is all of it."""
-    if isinstance(value, tuple):
-        return all(map(_repr_is_exact, value))
-    return value is None or type(value) in (bool, int, float, str)
 
 
 def hash_modules(*modules: str) -> str:
@@ -323,23 +260,23 @@ def _read_sources(first: str) -> dict[str, bytes]:
 
     Python's own modules and this package's don't count; of installed ones only their version.
     """
-    found: dict[str, bytes] = {}
+    contents: dict[str, bytes] = {}
     waiting = [first]
     while waiting:
         name = waiting.pop()
         file = _source_file(name)
         if file is None and name == first:
             raise OSError(name)
-        if file is None or name in found:
+        if file is None or name in contents:
             continue
         installed = {"site-packages", "dist-packages"} & {*file.parts}
         if installed and name.partition(".")[0] != first.partition(".")[0]:
-            found[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
             continue
-        found[name] = file.read_bytes()
+        contents[name] = file.read_bytes()
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
         imported: list[str] = []
-        for node in ast.walk(ast.parse(found[name])):
+        for node in ast.walk(ast.parse(contents[name])):
             if isinstance(node, ast.Import):
                 imported += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
@@ -347,7 +284,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
                 imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
         ours = {*sys.stdlib_module_names, "acsar_gym"}
         waiting += [module for module in imported if module.partition(".")[0] not in ours]
-    return found
+    return contents
 
 
 def _source_file(name: str) -> Path | None:

@@ -25,6 +25,7 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 
 from acsar_gym import reading
+from acsar_gym.config.urdf import turn
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.sdf_shapes import (
     LIDAR_HEIGHT,
@@ -35,21 +36,12 @@ from acsar_gym.worlds.sdf_shapes import (
 )
 from acsar_gym.worlds.world import Floats
 
-MAX_SDF_BYTES = 64_000_000
-"""Most bytes of an SDF file."""
-MAX_TAGS = 2_500_000
-"""Most tags of a file; a world of 20,000 cylinders as in BARN has 2 million."""
-MAX_ATTRIBUTES = 600_000
-"""Most attributes; a world of 20,000 cylinders as in BARN has half as many."""
-MAX_TAG_BYTES = 1_000_000
-"""Most bytes of a tag, or of a text between two."""
-MAX_BODIES = 100_000
-"""Most bodies of a world, those of included files counted each time."""
-MAX_INCLUDES = 10_000
-"""Most models that are included, likewise."""
+MAX_SDF_BYTES = 64_000_000  # most bytes of an SDF file
+MAX_TAGS = 2_500_000  # most tags of a file; a world of 20,000 cylinders as in BARN has 2 million
+MAX_BODIES = 100_000  # most bodies of a world, those of included files counted each time
+MAX_INCLUDES = 10_000  # most models that are included, likewise
 MAX_NESTED_MODELS = 10
-MAX_FRAME_CHAIN = 100
-"""Most frames of which each is given relative to the next."""
+MAX_FRAME_CHAIN = 100  # most frames of which each is given relative to the next
 HARMLESS_MODELS = ("sun", "ground_plane")
 """Models that nearly every world includes, and that are no obstacles."""
 RESTING_PLUGINS = (
@@ -58,12 +50,7 @@ RESTING_PLUGINS = (
     "shader|sonar|thermal|touch|video|visual|wrench"
 )
 """Words in the names of plugins that measure, show or tell something, but don't move a model."""
-WORLD_PLUGINS = (
-    f"{RESTING_PLUGINS}|api|broadcaster|commands|factory|init|physics|properties|scene|state"
-)
-"""The same for plugins of a world."""
-UNFOUND_MODELS = 5
-"""Most models that one message lists as missing."""
+UNFOUND_MODELS = 5  # most models that one message lists as missing
 
 
 class SdfObstacles(NamedTuple):
@@ -78,6 +65,17 @@ class SdfObstacles(NamedTuple):
     actors: tuple[str, ...]
     """Actors, in words; they are left out."""
 
+    def describe_movers(self) -> str:
+        """What moves in Gazebo, and how it is here; empty where nothing does."""
+        notes = []
+        if self.movers:
+            stand = "stand where they begin" if len(self.movers) > 1 else "stands where it begins"
+            notes.append(f"{', '.join(self.movers)} {stand}")
+        if self.actors:
+            verb = "are" if len(self.actors) > 1 else "is"
+            notes.append(f"{', '.join(self.actors)} {verb} left out")
+        return "; ".join(notes)
+
 
 def read_obstacles(
     data: bytes,
@@ -87,26 +85,14 @@ def read_obstacles(
 ) -> SdfObstacles:
     """Read the obstacles of an SDF file's content.
 
-    Args:
-        data: the content.
-        folder: of the file, where relative paths in it begin.
-        model_folders: folders in which included models and meshes are looked for, in this order.
-        height: of the LiDAR above the floor [m].
-
-    Raises:
-        WorldError: it isn't SDF, is malicious, includes models that aren't there, or has shapes
-            that can't be read; names the model.
-        MissingExtraError: it has meshes, and trimesh isn't installed.
+    `folder` is the file's, where relative paths begin; included models and meshes are looked for in
+    `model_folders`. WorldError names the model that can't be read.
     """
     return _WorldReader(model_folders, height).read(parse_xml(data), folder)
 
 
 def parse_xml(data: bytes) -> Element:
     """Parse XML; WorldError for what would take long or much memory, and what isn't XML."""
-    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == ord(">"))
-    longest = np.diff(ends, prepend=0, append=len(data)).max(initial=0)
-    if longest > MAX_TAG_BYTES or data.count(b"=") > MAX_ATTRIBUTES:
-        raise WorldError("holds too many attributes, or too long a tag or text, to be a world")
     if data.count(b"<") > MAX_TAGS:
         raise WorldError("holds too many XML elements: cut out a part of it")
     try:
@@ -150,15 +136,7 @@ class _Model:
         return f"model {quote_name(self.name)}" if self.name else "the world"
 
     def find(self, name: str, whose: str = "") -> Matrix:
-        """The frame of a name in this model's frame.
-
-        Args:
-            name: as of a link, a frame, or a model in this one; empty for this model's own.
-            whose: what has a pose in it, for messages.
-
-        Raises:
-            WorldError: there is no such name, or it leads in a circle.
-        """
+        """The frame of a name in this model's frame; messages say `whose` pose is in it."""
         if name in ("", "__model__") or (name == "world" and not self.name):
             return np.eye(4)
         if name not in self.resolved:
@@ -188,13 +166,7 @@ class _Model:
         )
 
     def place(self, pose: Element | None, default: str = "", whose: str = "") -> Matrix:
-        """A pose in this model's frame.
-
-        Args:
-            pose: the element.
-            default: name of the frame in which it is given, unless it says another one.
-            whose: what has it, for messages; empty for this model.
-        """
+        """A pose in this model's frame, given in the frame `default` unless it names another."""
         base = "" if pose is None else pose.get("relative_to") or pose.get("frame") or ""
         return self.find(base or default, whose) @ _read_pose(pose, whose or self.described)
 
@@ -215,29 +187,13 @@ def _read_pose(pose: Element | None, model: str) -> Matrix:
         if not length > 0.0:
             raise WorldError(f"{model}: a quaternion of a pose is zero")
         qx, qy, qz, qw = (number / length for number in quaternion)
-        matrix[0, :3] = (
-            1 - 2 * (qy * qy + qz * qz),
-            2 * (qx * qy - qz * qw),
-            2 * (qx * qz + qy * qw),
-        )
-        matrix[1, :3] = (
-            2 * (qx * qy + qz * qw),
-            1 - 2 * (qx * qx + qz * qz),
-            2 * (qy * qz - qx * qw),
-        )
-        matrix[2, :3] = (
-            2 * (qx * qz - qy * qw),
-            2 * (qy * qz + qx * qw),
-            1 - 2 * (qx * qx + qy * qy),
-        )
+        cross = np.array([[0.0, -qz, qy], [qz, 0.0, -qx], [-qy, qx, 0.0]])
+        matrix[:3, :3] += 2.0 * (qw * cross + cross @ cross)
     else:
         x, y, z, *angles = read_numbers(pose, "pose", 6, model)
         if pose.get("degrees", "").strip() in ("true", "1"):
             angles = list(map(math.radians, angles))
-        (cr, cp, cy), (sr, sp, sy) = map(math.cos, angles), map(math.sin, angles)
-        matrix[0, :3] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-        matrix[1, :3] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-        matrix[2, :3] = -sp, cp * sr, cp * cr
+        matrix[:3, :3] = turn(angles)
     matrix[:3, 3] = x, y, z
     return matrix
 
@@ -279,7 +235,6 @@ class _WorldReader:
                 "folder has: name the folder with --models FOLDER or in GZ_SIM_RESOURCE_PATH "
                 "(models of Fuel must be downloaded), or write it out"
             )
-        self._find_world_plugins(world)
         circles: list[list[float]] = []
         segments: list[list[float]] = []
         for some_circles, some_segments in self._outline(world, np.eye(4), ""):
@@ -392,13 +347,13 @@ class _WorldReader:
 
     def _list_places(self, uri: str, folder: Path | None) -> Iterator[Path]:
         """Files and folders of this name that there are, the first ones to be taken first."""
-        scheme, _, rest = uri.rpartition("://")
+        scheme, _, path_text = uri.rpartition("://")
         parts = _split_uri(uri)
         if not parts:
             return
         candidates = []
         if scheme in ("", "file"):
-            candidates += [Path(unquote(rest))] if rest.startswith("/") else []
+            candidates += [Path(unquote(path_text))] if path_text.startswith("/") else []
             candidates += [] if folder is None else [folder.joinpath(*parts)]
         for base in self._model_folders:
             for name in (parts[0], parts[0].lower(), parts[0].lower().replace(" ", "_")):
@@ -410,19 +365,11 @@ class _WorldReader:
                 if path.exists():
                     yield path
 
-    def _find_world_plugins(self, world: _Model) -> None:
-        """Note the models that a plugin of the world names, as it may move them."""
-        for plugin in world.element.iterfind("plugin"):
-            texts = {(inner.text or "").strip() for inner in plugin.iter()}
-            if _is_mover(plugin, WORLD_PLUGINS):
-                for name in sorted(texts & world.children.keys() - {""}):
-                    self._movers.append(_describe_mover(name, plugin))
-
     def _outline(
         self, model: _Model, frame: Matrix, scope: str
     ) -> Iterator[tuple[list[list[float]], list[list[float]]]]:
         """Circles and segments of each body of a model, whose frame in the world is given."""
-        movers = [plugin for plugin in model.plugins if _is_mover(plugin, RESTING_PLUGINS)]
+        movers = [plugin for plugin in model.plugins if _is_mover(plugin)]
         if movers:
             self._movers.append(_describe_mover(scope, movers[0]))
         for link in model.element.iterfind("link"):
@@ -450,8 +397,8 @@ class _WorldReader:
 
 def _split_uri(uri: str) -> list[str]:
     """The parts of a model's or file's name: ["table", "meshes", "table.dae"]."""
-    scheme, _, rest = uri.replace("\\", "/").rpartition("://")
-    parts = [part for part in PurePosixPath(unquote(rest)).parts if part != "/"]
+    scheme, _, path_text = uri.replace("\\", "/").rpartition("://")
+    parts = [part for part in PurePosixPath(unquote(path_text)).parts if part != "/"]
     if scheme in ("http", "https") and "models" in parts:  # .../models/Table/2/files/meshes/x.dae
         parts = parts[parts.index("models") + 1 :]
         inner = parts[parts.index("files") + 1 :] if "files" in parts else []
@@ -459,11 +406,11 @@ def _split_uri(uri: str) -> list[str]:
     return parts
 
 
-def _is_mover(plugin: Element, resting: str) -> bool:
+def _is_mover(plugin: Element) -> bool:
     """Whether a plugin may move its model, judging by its names."""
     names = f"{plugin.get('filename', '')} {plugin.get('name', '')}"
     words = re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+(?![a-z])", names)
-    return not any(re.fullmatch(resting, word.lower()) for word in words)
+    return not any(re.fullmatch(RESTING_PLUGINS, word.lower()) for word in words)
 
 
 def _describe_mover(name: str, plugin: Element) -> str:

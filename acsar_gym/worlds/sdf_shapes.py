@@ -18,31 +18,17 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds import meshes
 from acsar_gym.worlds.world import MAX_COORDINATE, Floats
 
-Matrix = Floats
-"""(4, 4): a frame in another one."""
-Shape = tuple[list[list[float]], list[list[float]]]
-"""Circles and segments."""
-LIDAR_HEIGHT = 0.37
-"""Height of the LiDAR of the preset acsar [m]."""
-HEADROOM = 0.5
-"""A body that begins above this height can't touch the robot or its LiDAR's rays [m]."""
-STEP_HEIGHT = 0.01
-"""The robot drives over a body that isn't higher than this [m]."""
-MAX_TILT = 0.01
-"""A body that is tilted less than this counts as upright [rad]."""
-CIRCLE_POINTS = 32
-"""Corners of a circle that becomes a polygon."""
-CORE_POINTS = 33
-"""Points along a tilted capsule."""
+Matrix = Floats  # (4, 4): a frame in another one
+Shape = tuple[list[list[float]], list[list[float]]]  # circles and segments
+LIDAR_HEIGHT = 0.37  # height of the LiDAR of the preset acsar [m]
+HEADROOM = 0.5  # a body that begins above this height can't touch the robot or its LiDAR's rays [m]
+STEP_HEIGHT = 0.01  # the robot drives over a body that isn't higher than this [m]
+MAX_TILT = 0.01  # a body that is tilted less than this counts as upright [rad]
+CIRCLE_POINTS = 32  # corners of a circle that becomes a polygon
 
 
 class ShapeReader:
-    """Reads the outlines of bodies.
-
-    Args:
-        height: of the LiDAR above the floor [m].
-        find_mesh: finds the mesh of a URI, given the folder where relative ones begin.
-    """
+    """Reads the outlines of bodies at a LiDAR's height; `find_mesh` finds meshes by URI."""
 
     def __init__(self, height: float, find_mesh: Callable[[str, Path | None], Path | None]) -> None:
         self._height = height
@@ -58,18 +44,9 @@ class ShapeReader:
         model: str,
         folder: Path | None,
     ) -> Shape:
-        """Outline a body; empty where the robot can't touch it.
+        """Outline a body in its frame; empty where the robot can't touch it.
 
-        Args:
-            geometry: its element.
-            frame: of the body in the world.
-            scale: of the model along x, y and z.
-            model: the model's name, for messages.
-            folder: of the file, where relative URIs begin.
-
-        Raises:
-            WorldError: the shape can't be read.
-            MissingExtraError: it is a mesh, and trimesh isn't installed.
+        `scale` is the model's along x, y and z. WorldError where the shape can't be read.
         """
         shape = None if geometry is None else next(iter(geometry), None)
         if geometry is None or shape is None or shape.tag == "empty":
@@ -79,7 +56,8 @@ class ShapeReader:
                 f"{model}: a {shape.tag} is uneven ground, and the robot's floor is level: replace "
                 "it by cylinders and boxes"
             )
-        if shape.tag in ("sphere", "capsule"):
+        is_tilted = math.hypot(*frame[:2, 2]) > MAX_TILT
+        if shape.tag == "sphere" or (shape.tag == "capsule" and not is_tilted):
             return self._outline_round(shape, frame, scale, model)
         if shape.tag == "polyline":  # and its holes
             lines = geometry.findall("polyline")
@@ -95,7 +73,7 @@ class ShapeReader:
     def _outline_solid(
         self, shape: Element, frame: Matrix, scale: Sequence[float], model: str
     ) -> Shape:
-        """Outline a box, cylinder, ellipsoid or cone; a level plane is floor."""
+        """Outline a box, cylinder, ellipsoid, cone or tilted capsule; a level plane is floor."""
         wide = max(scale[:2])
         x, y, z = map(float, frame[:3, 3])
         is_upright = abs(frame[2, 2]) >= math.cos(MAX_TILT)
@@ -108,26 +86,21 @@ class ShapeReader:
                 corners = signs * size[:2] / 2.0 @ frame[:2, :2].T + frame[:2, 3]
                 return [], _ring(corners)
             points = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * size
-        elif shape.tag in ("cylinder", "cone"):
+        elif shape.tag in ("cylinder", "cone", "capsule"):
             radius = _read_sizes(shape, "radius", 1, model)[0] * wide
-            length = _read_sizes(shape, "length", 1, model)[0] * scale[2]
+            half = _read_sizes(shape, "length", 1, model)[0] * scale[2] / 2.0
             if is_upright and shape.tag == "cylinder":
-                reached = self._is_reached(z - length / 2.0, z + length / 2.0)
+                reached = self._is_reached(z - half, z + half)
                 return ([[x, y, radius]] if reached else []), []
-            tip = radius if shape.tag == "cylinder" else 0.0
-            rings = [
-                np.column_stack([_circle(r), np.full(CIRCLE_POINTS, end)])
-                for r, end in ((radius, -length / 2.0), (tip, length / 2.0))
-            ]
-            points = np.concatenate(rings)
+            if shape.tag == "capsule":
+                end = np.array([0.0, 0.0, half])
+                points = np.concatenate([_ball() * radius - end, _ball() * radius + end])
+            else:
+                tip = radius if shape.tag == "cylinder" else 0.0
+                rings = ((radius, -half), (tip, half))
+                points = np.concatenate([_circle(r, height) for r, height in rings])
         elif shape.tag == "ellipsoid":
-            radii = np.array(_read_sizes(shape, "radii", 3, model)) * scale
-            angles = np.linspace(-math.pi / 2.0, math.pi / 2.0, CIRCLE_POINTS // 2)
-            rings = [
-                np.column_stack([_circle(math.cos(a)), np.full(CIRCLE_POINTS, math.sin(a))])
-                for a in angles
-            ]
-            points = np.concatenate(rings) * radii
+            points = _ball() * _read_sizes(shape, "radii", 3, model) * scale
         elif shape.tag == "plane":
             _check_plane(shape, frame, model)
             return [], []
@@ -151,28 +124,20 @@ class ShapeReader:
     def _outline_round(
         self, shape: Element, frame: Matrix, scale: Sequence[float], model: str
     ) -> Shape:
-        """Outline a sphere or capsule."""
+        """Outline a sphere or an upright capsule."""
         radius = _read_sizes(shape, "radius", 1, model)[0] * max(scale[:2])
         length = 0.0
         if shape.tag == "capsule":
             length = _read_sizes(shape, "length", 1, model)[0] * scale[2]
-        half = abs(float(frame[2, 2])) * length / 2.0 + radius
+        half = length / 2.0 + radius
         bottom, top = float(frame[2, 3]) - half, float(frame[2, 3]) + half
         if not self._is_reached(bottom, top):
             return [], []
         low, high = self._slab(bottom, top) if length > 0.0 else (STEP_HEIGHT, self._top)
-        if math.hypot(*frame[:2, 2]) <= MAX_TILT or length == 0.0:  # upright
-            reach = half - radius
-            gap = max(frame[2, 3] - reach - high, low - frame[2, 3] - reach, 0.0)
-            across = math.sqrt(max(radius**2 - gap**2, 0.0))
-            return [[float(frame[0, 3]), float(frame[1, 3]), across]], []
-        along = np.linspace(-length / 2.0, length / 2.0, CORE_POINTS)
-        core = along[:, None] * frame[:3, 2] + frame[:3, 3]
-        gaps = core[:, 2] - np.clip(core[:, 2], low, high)
-        met = np.abs(gaps) < radius
-        discs = np.column_stack([core[met, :2], np.sqrt(radius**2 - gaps[met] ** 2)])
-        points = (discs[:, None, :2] + discs[:, None, 2:] * _circle(1.0)).reshape(-1, 2)
-        return [], _ring(convex_hull(points))
+        reach = half - radius
+        gap = max(frame[2, 3] - reach - high, low - frame[2, 3] - reach, 0.0)
+        across = math.sqrt(max(radius**2 - gap**2, 0.0))
+        return [[float(frame[0, 3]), float(frame[1, 3]), across]], []
 
     def _outline_polyline(
         self, shape: Element, frame: Matrix, scale: Sequence[float], model: str
@@ -232,15 +197,9 @@ class ShapeReader:
 
 
 def cut_convex(points: Floats, low: float, high: float) -> Floats:
-    """The corners of a convex body between two heights, seen from above.
+    """The corners (m, 2) of a convex body (n, 3) between two heights, seen from above [m].
 
-    Args:
-        points: (n, 3) corners of the body [m].
-        low: lower height [m].
-        high: upper height, the same one for a section [m].
-
-    Returns:
-        (m, 2) [m]; their convex hull is the shadow.
+    Their convex hull is the shadow; the heights may be the same one for a section.
     """
     heights = points[:, 2]
     corners = [points[(heights >= low) & (heights <= high), :2]]
@@ -307,10 +266,17 @@ def _check_plane(shape: Element, frame: Matrix, model: str) -> None:
         raise WorldError(f"{model}: a plane must be level: replace it by a box")
 
 
-def _circle(radius: float) -> Floats:
-    """(CIRCLE_POINTS, 2)."""
+def _circle(radius: float, height: float = 0.0) -> Floats:
+    """(CIRCLE_POINTS, 3)."""
     angles = math.tau * np.arange(CIRCLE_POINTS) / CIRCLE_POINTS
-    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    heights = np.full(CIRCLE_POINTS, height)
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
+
+
+def _ball() -> Floats:
+    """(n, 3): points of a ball of radius 1."""
+    angles = np.linspace(-math.pi / 2.0, math.pi / 2.0, CIRCLE_POINTS // 2 + 1)
+    return np.concatenate([_circle(math.cos(angle), math.sin(angle)) for angle in angles])
 
 
 def _ring(corners: Floats) -> list[list[float]]:

@@ -17,12 +17,9 @@ if TYPE_CHECKING:
     from acsar_gym.physics import Physics
 
 Floats = NDArray[np.float64]
-Pose = tuple[float, float, float]
-"""x [m], y [m], theta [rad]."""
-MAX_OBSTACLES = 20_000
-"""A world with more circles and segments than this is refused."""
-MAX_COORDINATE = 1e4
-"""Coordinates beyond this are refused [m]."""
+Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
+MAX_OBSTACLES = 20_000  # a world with more circles and segments than this is refused
+MAX_COORDINATE = 1e4  # coordinates beyond this are refused [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,15 +138,9 @@ def make_rectangle(left: float, low: float, right: float, high: float) -> Floats
 
 
 def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Floats) -> Floats:
-    """Make a straight wall with gaps.
+    """Make a straight wall with gaps, (segments, 4) [m].
 
-    Args:
-        start: x, y [m].
-        end: x, y [m].
-        doors: (gaps, 2), where each gap begins and ends, as distances from `start` [m], sorted.
-
-    Returns:
-        (segments, 4) [m].
+    `doors` (gaps, 2): where each gap begins and ends, as distances from `start` [m], sorted.
     """
     length = math.dist(start, end)
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)

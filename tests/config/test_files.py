@@ -12,14 +12,12 @@ from config_tools import config_of
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.resources import ASSETS
 
 Load = Callable[[str], RobotConfig]
 
 BILLION_LAUGHS = "<!DOCTYPE robot [<!ENTITY e0 'ha'>{}]>".format(
     "".join(f"<!ENTITY e{i} '{f'&e{i - 1};' * 10}'>" for i in range(1, 10))
 )
-SECRET = "entity content that must not be read"  # noqa: S105
 
 
 def param(name: str, value: object) -> str:
@@ -109,18 +107,6 @@ def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, suffix: str) -> Non
         assert str(caught.value).startswith(f"{path}: {reason}")
 
 
-@pytest.mark.parametrize("path", sorted((ASSETS / "robots").glob("*.yaml")), ids=lambda p: p.stem)
-def test_every_preset_loads(path: Path) -> None:
-    assert RobotConfig.preset(path.stem) == RobotConfig.load(path)
-
-
-def test_the_acsar_preset_is_the_drivers_geometry_with_the_skid_multiplier() -> None:
-    config = RobotConfig.preset("acsar")
-    skid = 1 + (config.wheelbase / config.wheel_separation) ** 2
-    assert (config.wheel_radius, config.wheel_separation) == (0.05, 0.3)
-    assert config.wheel_separation_multiplier == pytest.approx(skid, abs=1e-4)
-
-
 def test_an_unknown_preset_suggests_the_nearest_or_lists_them() -> None:
     with pytest.raises(ConfigError, match="unknown robot preset 'acsr'; did you mean 'acsar'"):
         RobotConfig.preset("acsr")
@@ -147,23 +133,12 @@ def test_urdf_params_of_the_drivers_document(load_urdf: Load) -> None:
     assert config == RobotConfig().with_(**values)
 
 
-def test_urdf_values_may_have_space_around_them(load_urdf: Load) -> None:
-    config = load_urdf(urdf(param("baud_rate", "\n  115200 "), param("base_frame", " base\n")))
-    assert (config.baud_rate, config.base_frame) == (115200, "base")
-
-
 def test_urdf_without_a_baud_rate_means_the_drivers_9600(load_urdf: Load) -> None:
     config = load_urdf(urdf(param("serial_port", "/dev/ttyUSB0")))
     assert (config.baud_rate, config.control_rate) == (9600, 20.0)
     assert load_urdf(urdf(param("control_rate", 25))).control_rate == 25.0
     with pytest.raises(ConfigError, match="baud_rate = 9600: carries 28 lines"):
         load_urdf(urdf(param("control_rate", 100)))
-
-
-@pytest.mark.parametrize("name", ["left_wheel_name", "device", "pid_p", "motor", ""])
-def test_urdf_params_of_other_plugins_are_ignored(load_urdf: Load, name: str) -> None:
-    config = load_urdf(urdf(param(name, 3), param("baud_rate", 115200)))
-    assert config == RobotConfig()
 
 
 @pytest.mark.parametrize(
@@ -180,43 +155,11 @@ def test_a_near_miss_of_a_urdf_param_is_an_error(load_urdf: Load, near: str, mea
         load_urdf(urdf(param(near, 1), param("baud_rate", 115200)))
 
 
-def test_a_wheel_base_may_be_either_distance(load_urdf: Load) -> None:
-    with pytest.raises(
-        ConfigError, match=r"unknown param 'wheel_base'; write wheel_separation for"
-    ):
-        load_urdf(urdf(param("wheel_base", 0.3), param("baud_rate", 115200)))
-
-
-def test_a_diameter_is_twice_a_radius(load_urdf: Load) -> None:
-    params = param("wheel_diameter", 0.3), param("baud_rate", 115200)
-    assert load_urdf(urdf(*params)).wheel_radius == 0.15
-    assert load_urdf(urdf(*params, param("wheel_radius", 0.14))).wheel_radius == 0.14
-
-
 def test_an_entity_bomb_is_refused_unexploded(load_urdf: Load) -> None:
     bomb = urdf(param("baud_rate", 115200), param("odom_frame", "&e9;"), doctype=BILLION_LAUGHS)
     with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
         load_urdf(bomb)
     assert len(str(caught.value)) < 1000
-
-
-def test_an_external_entity_is_refused_unread(load_urdf: Load, tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text(SECRET)
-    doctype = f"<!DOCTYPE robot [<!ENTITY e SYSTEM '{(tmp_path / 'secret').as_uri()}'>]>"
-    with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
-        load_urdf(urdf(param("odom_frame", "&e;"), doctype=doctype))
-    assert SECRET not in str(caught.value)
-
-
-def test_an_arms_block_before_the_bases_is_passed_over(tmp_path: Path) -> None:
-    path = tmp_path / "robot.urdf"
-    arm = "<ros2_control><hardware><param name='gripper'>1</param></hardware></ros2_control>"
-    base = "".join(
-        f"<param name='{name}'>{value}</param>"
-        for name, value in {"wheel_radius": 0.07, "baud_rate": 57600}.items()
-    )
-    path.write_text(f"<robot>{arm}<ros2_control><hardware>{base}</hardware></ros2_control></robot>")
-    assert RobotConfig.load(path).wheel_radius == 0.07
 
 
 FIT = {
@@ -270,18 +213,3 @@ def test_a_file_has_the_geometry_and_what_was_changed(tmp_path: Path) -> None:
         "left_wheel_radius_multiplier",
         "right_wheel_radius_multiplier",
     }
-
-
-@pytest.mark.parametrize(
-    ("name", "found"),
-    [
-        ("robot.urdf", "a robot is written to .yaml or .yml"),
-        ("robot", "a robot is written to .yaml or .yml"),
-        ("missing/robot.yaml", "can't be written: No such file"),
-    ],
-)
-def test_a_file_that_cannot_be_written_is_one_error(name: str, found: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError) as caught:
-        RobotConfig().save(tmp_path / name)
-    assert found in str(caught.value)
-    assert "Path(" not in str(caught.value)

@@ -13,7 +13,6 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.config.footprint import (
     Outline,
-    border_distance,
     contains_point,
     convex_pieces,
     make_rectangle,
@@ -61,12 +60,6 @@ def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(-0.35, 0.35, (300, 2)).tolist():
         assert contains_point(outline, x, y) == any(contains_point(piece, x, y) for piece in pieces)
-
-
-def test_distances() -> None:
-    assert outline_radius(WEDGE) == math.hypot(0.2, 0.25)
-    assert border_distance(make_rectangle(0.4, 0.2), 0.0, 0.0) == pytest.approx(0.1)
-    assert border_distance(make_rectangle(0.4, 0.2), 0.5, 0.0) == pytest.approx(0.3)
 
 
 BAD: dict[str, Any] = {

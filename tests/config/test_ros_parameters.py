@@ -12,7 +12,6 @@ from urdf_tools import FOUR, PLATE, control, four_wheels, mesh, robot, tyre
 from acsar_gym import RobotConfig
 from acsar_gym.config.fleet import make_fleet
 from acsar_gym.errors import ConfigError
-from acsar_gym.resources import ASSETS
 
 Write = Callable[[str, str], str]
 
@@ -95,20 +94,6 @@ def test_a_controllers_file_is_a_robot(text: str, write: Write) -> None:
     assert config.wheel_joints == ("fr_joint", "fl_joint", "rl_joint", "rr_joint")
     skids = 1.0 + (config.wheelbase / config.wheel_separation) ** 2
     assert skids == pytest.approx(1.7, abs=1e-4)
-
-
-def test_the_controllers_rate_is_taken_where_a_robot_can_tick_at_it(write: Write) -> None:
-    assert RobotConfig.of(write("controllers.yaml", FLAT)).control_rate == 50.0
-    assert RobotConfig.of(write("controllers.yaml", NESTED)).control_rate == 100.0
-
-
-def test_our_own_controllers_file_is_our_robot() -> None:
-    config = RobotConfig.load(ASSETS / "ros" / "controllers.yaml")
-    preset = RobotConfig.preset("acsar")
-    same = ("wheel_radius", "wheel_separation", "wheel_separation_multiplier", "wheel_joints")
-    for name in (*same, "max_linear", "max_angular", "firmware", "control_rate"):
-        assert getattr(config, name) == getattr(preset, name), name
-    assert config.wheelbase == pytest.approx(preset.wheelbase, abs=1e-4)
 
 
 def test_limits_and_time_out_are_those_of_humble(write: Write) -> None:
@@ -210,15 +195,6 @@ def test_a_controller_of_one_wheel_on_each_side_may_be_of_four(write: Write) -> 
     assert (config.wheel_radius, config.wheelbase) == (0.03, 0.36)
 
 
-def test_meshes_have_the_controllers_radius(write: Write) -> None:
-    cart = robot(PLATE, four_wheels("base_link", 0.18, 0.21, 0.0, mesh()), control(*FOUR))
-    bare = FLAT.replace(WHEELS, "\n").replace("base_drive:\n", "diff:\n")
-    urdf, controllers = write("cart.urdf", cart), write("controllers.yaml", bare)
-    with pytest.raises(ConfigError, match="doesn't say wheel_radius"):
-        RobotConfig.of(urdf)
-    assert RobotConfig.of(f"{urdf},{controllers}").wheel_radius == 0.11
-
-
 NAV2 = """
 local_costmap:
   local_costmap:
@@ -238,14 +214,6 @@ def test_nav2s_footprint_goes_with_a_robot(write: Write) -> None:
         assert set(config.footprint or ()) == {(0.35, 0.2), (0.35, -0.2), (-0.3, -0.2), (-0.3, 0.2)}
     with pytest.raises(ConfigError, match="nav2 knows the footprint alone"):
         RobotConfig.of(nav2)
-
-
-def test_nav2s_footprint_is_seen_from_the_middle_of_the_wheels(write: Write) -> None:
-    ahead = CART.replace("'0.18 ", "'0.28 ").replace("'-0.18 ", "'-0.08 ")
-    config = RobotConfig.of(f"{write('cart.urdf', ahead)},{write('nav2.yaml', NAV2)}")
-    assert config.footprint is not None
-    assert min(x for x, _ in config.footprint) == pytest.approx(-0.4)
-    assert max(x for x, _ in config.footprint) == pytest.approx(0.25)
 
 
 def test_a_radius_of_nav2_is_a_round_footprint(write: Write) -> None:
@@ -323,8 +291,3 @@ def test_one_robot_is_wanted_where_several_are_named(write: Write) -> None:
         RobotConfig.of(f"{mine},gone.yaml")
     with pytest.raises(ConfigError, match="unknown robot preset"):
         RobotConfig.of("jackle")
-
-
-def test_our_own_files_have_no_controllers(write: Write) -> None:
-    with pytest.raises(ConfigError, match="so it has no controllers"):
-        RobotConfig.of(write("mine.yaml", "wheel_radius: 0.06\n") + ":base_drive")

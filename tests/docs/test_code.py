@@ -1,8 +1,19 @@
-"""README.md and docs/: every block of code runs. `page_tools` tells how pages mark their blocks."""
+"""README.md and docs/: every block of code runs.
+
+How pages write code:
+
+- ```python blocks share one namespace per page and run in an empty folder. A block whose first line
+  is a comment with a path, `# mine/clearance.py`, is saved there and imported; blocks in other
+  languages with such a first line (`# robot.yaml`) are saved.
+- ```bash blocks: lines that start with `acsar-gym` run in this process, `python FILE` too, with the
+  smaller numbers of SMALLER and SMALLEST. /dev/ttyUSB0 and /dev/ttyACM0 are an emulated board, and
+  `acsar-gym emulate --name /tmp/robot &` starts another. Other lines are read.
+- `<!-- not run: REASON -->` in the line before a block: Python is only compiled, and commands are
+  only parsed (command, options and their values must be right).
+"""
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import importlib
 import re
@@ -11,15 +22,14 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import gymnasium
-import page_tools
 import pytest
 import tyro
-from page_tools import PAGES, ROOT, Block
+from markdown_it import MarkdownIt
 
 from acsar_gym.errors import LateTicksError
 from acsar_gym.tools import cli
@@ -27,12 +37,15 @@ from acsar_gym.tools.cli.commands import COMMANDS
 from acsar_gym.tools.training.plan import TrainingOptions
 from acsar_gym.worlds import registry
 
-LANGUAGES = {"bash", "c", "cpp", "dockerfile", "ini", "json", "python", "text", "xml", "yaml"}
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+NOT_RUN = re.compile(r"<!-- not run: .+? -->\s*$")
+SAVED = re.compile(r"(?:#|<!--)\s*([\w./-]+\.(?:py|ya?ml|json|xml|urdf|world|sdf))(?:\s*-->)?\n")
 DEVICE = re.compile(r"/dev/tty(?:ACM|USB)\d")
 PATIENT = {"doctor", "drive", "evaluate", "run"}
 """Commands that get a robot file with long time-outs, for busy machines."""
 LIMIT = 1800.0
-"""After which a block counts as hanging [s]; far more than any takes."""
+"""After which a page counts as hanging [s]; far more than any takes."""
 SMALLER: dict[str, dict[str, str]] = {
     "docs/training.md": {
         "256": "4",
@@ -51,6 +64,44 @@ SMALLEST = {
 """Options that commands get, or have, with other values."""
 
 
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of code; `line` is that of its code in the page, from 1 on."""
+
+    page: Path
+    line: int
+    language: str
+    code: str
+    is_run: bool
+
+    @property
+    def source(self) -> str:
+        """Its code with smaller numbers; errors tell its lines in the page."""
+        code = self.code
+        for old, new in SMALLER.get(str(self.page.relative_to(ROOT)), {}).items():
+            code = code.replace(old, new)
+        return "\n" * (self.line - 1) + code
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The lines of a bash block as words; comments and backslashes are resolved."""
+        if self.language != "bash":
+            return []
+        lines = self.code.replace("\\\n", " ").splitlines()
+        return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+def list_blocks(page: Path) -> list[Block]:
+    """All fenced blocks of a page."""
+    blocks, is_run = [], True
+    for token in MarkdownIt("commonmark").parse(page.read_text(encoding="utf-8")):
+        if token.type == "fence" and token.map is not None:
+            language = token.info.split(" ")[0]
+            blocks.append(Block(page, token.map[0] + 2, language, token.content, is_run))
+        is_run = not (token.type == "html_block" and NOT_RUN.search(token.content))
+    return blocks
+
+
 class Boards:
     """Emulated boards, by the names that a page has for them."""
 
@@ -64,20 +115,20 @@ class Boards:
         emulator = self._request.getfixturevalue("start_emulator")
         self._devices[options[at + 1]] = emulator(*options[:at], *options[at + 2 :]).device
 
-    def connected(self, words: list[str]) -> list[str]:
+    def connect(self, words: list[str]) -> list[str]:
         """A command's words with the boards' devices, and a robot with patience."""
-        found = [self._device(word) for word in words]
-        if found == words or "--robot" in words or words[0] not in PATIENT:
-            return found
-        return [*found, "--robot", str(self._request.getfixturevalue("robot_file")())]
+        connected = [self._find_device(word) for word in words]
+        if connected == words or "--robot" in words or words[0] not in PATIENT:
+            return connected
+        return [*connected, "--robot", str(self._request.getfixturevalue("robot_file")())]
 
-    def _device(self, word: str) -> str:
+    def _find_device(self, word: str) -> str:
         if DEVICE.fullmatch(word):
             return str(self._request.getfixturevalue("shared_device"))
         return self._devices.get(word, word)
 
 
-def smaller(words: list[str]) -> list[str]:
+def shrink(words: list[str]) -> list[str]:
     """A command's arguments, as tests run it."""
     words = words.copy()
     for option, value in SMALLEST.get(words[0], {}).items():
@@ -86,22 +137,6 @@ def smaller(words: list[str]) -> list[str]:
         elif option != "--workers":
             words += [option, value]
     return words
-
-
-@contextlib.contextmanager
-def limited(block: Block) -> Iterator[None]:
-    """Fails a block that hangs."""
-
-    def expire(number: int, frame: FrameType | None) -> None:
-        pytest.fail(f"{block}: not within {LIMIT:g} s")
-
-    before = signal.signal(signal.SIGALRM, expire)
-    signal.setitimer(signal.ITIMER_REAL, LIMIT)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture
@@ -122,27 +157,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     registry._OWN.update(own)
 
 
-def source(block: Block) -> str:
-    """A block's code with smaller numbers; errors tell its lines in the page."""
-    code = block.code
-    for old, new in SMALLER.get(str(block.page.relative_to(ROOT)), {}).items():
-        code = code.replace(old, new)
-    return "\n" * (block.line - 1) + code
-
-
-def save(block: Block, folder: Path, name: str) -> None:
+def save(block: Block, path: Path) -> None:
     """Write a file; a module of Python is imported, as a check."""
-    path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(source(block).lstrip("\n"), encoding="utf-8")
+    path.write_text(block.source.lstrip("\n"), encoding="utf-8")
     if path.suffix == ".py":
-        for package in list(path.parents)[: len(Path(name).parents) - 1]:
+        name = path.relative_to(Path.cwd())
+        for package in list(name.parents)[:-1]:
             (package / "__init__.py").touch()
         importlib.invalidate_caches()
-        importlib.import_module(".".join(Path(name).with_suffix("").parts))
+        importlib.import_module(".".join(name.with_suffix("").parts))
 
 
-def called(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def call(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a command of a bash block in this process."""
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as ended:
@@ -153,100 +180,53 @@ def called(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert ended.value.code in (None, 0, LateTicksError.exit_code), shlex.join(words)
 
 
-def quiet(command: Callable[..., Any]) -> Callable[..., int]:
-    """The command's options, and nothing else of it."""
-
-    @functools.wraps(command)
-    def nothing(*_: Any, **__: Any) -> int:
-        return 0
-
-    return nothing
-
-
-def parsed(words: list[str]) -> None:
+def parse(words: list[str]) -> None:
     """Check a command's name and options; it isn't run."""
+
+    def quiet(command: Callable[..., Any]) -> Callable[..., int]:
+        return functools.wraps(command)(lambda *_, **__: 0)
+
     with pytest.MonkeyPatch.context() as patch:
         train = lambda: bool(tyro.cli(TrainingOptions, args=words[2:])) - 1  # noqa: E731
         for name, command in COMMANDS.items():
             function = train if name == "train" else quiet(command.function)
             patch.setitem(COMMANDS, name, command._replace(function=function))
-        called(words, patch)
+        call(words, patch)
 
 
-def is_ours(words: list[str]) -> bool:
-    return words[0] == "acsar-gym"
-
-
-def is_script(words: list[str]) -> bool:
-    return words[0] == "python" and words[1:2] != ["-m"]
-
-
-def check(block: Block) -> None:
-    """The syntax of a block that isn't run."""
-    if block.language == "python":
-        compile(source(block), str(block), "exec")
-    for words in block.commands if block.language == "bash" else ():
-        if is_ours(words):
-            parsed([word for word in words if word != "&"])
-
-
-def execute(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> None:
+def run(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> None:
     """Run a block."""
-    if block.saved is not None:
-        save(block, folder, block.saved)
+    if saved := SAVED.match(block.code):
+        save(block, folder / saved[1])
     elif block.language == "python":
-        exec(compile(source(block), str(block.page), "exec"), names)  # noqa: S102 - our own
-    for words in block.commands if block.language == "bash" else ():
+        exec(compile(block.source, str(block.page), "exec"), names)  # noqa: S102 - our own
+    for words in block.commands:
         with pytest.MonkeyPatch.context() as patch:
-            if is_ours(words) and words[-1] == "&":
+            if words[0] == "acsar-gym" and words[-1] == "&":
                 assert words[1] == "emulate"
                 boards.start(words[2:-1])
-            elif is_ours(words):
-                called(["acsar-gym", *boards.connected(smaller(words[1:]))], patch)
-            elif is_script(words):
-                called(words, patch)
+            elif words[0] == "acsar-gym":
+                call(["acsar-gym", *boards.connect(shrink(words[1:]))], patch)
+            elif words[0] == "python" and words[1:2] != ["-m"]:
+                call(words, patch)
 
 
-def runs(page: Path) -> list[Block]:
-    """Blocks of a page that do something."""
-    return [
-        block
-        for block in page_tools.blocks(page)
-        if block.saved or block.language in ("python", "bash")
-    ]
-
-
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, id=str(page.relative_to(ROOT))) for page in PAGES if runs(page)],
-)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 @pytest.mark.filterwarnings("default::acsar_gym.errors.PolicyWarning")  # pages drive other robots
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
     boards = Boards(request)
-    for block in runs(page):
-        with limited(block):
-            if block.reason is None:
-                execute(block, folder, names, boards)
-            else:
-                check(block)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_blocks_are_fenced_and_name_their_language(page: Path) -> None:
-    assert page_tools.indented(page) == []
-    assert [str(b) for b in page_tools.blocks(page) if b.language not in LANGUAGES] == []
-
-
-def test_every_number_that_is_made_smaller_is_there() -> None:
-    for name, numbers in SMALLER.items():
-        code = "".join(block.code for block in runs(ROOT / name))
-        assert [old for old in numbers if old not in code] == []
-
-
-@pytest.mark.parametrize(
-    "line", ["evaluate --episods 3", "worlds chek barn", "train --envv barn", "fly"]
-)
-def test_wrong_commands_are_found(line: str) -> None:
-    with pytest.raises(AssertionError):
-        parsed(["acsar-gym", *line.split()])
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"{page}: not within {LIMIT:g} s"))
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    try:
+        for block in list_blocks(page):
+            if block.is_run:
+                run(block, folder, names, boards)
+                continue
+            if block.language == "python":
+                compile(block.source, str(block.page), "exec")
+            for words in block.commands:
+                if words[0] == "acsar-gym":
+                    parse([word for word in words if word != "&"])
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 import os
 import pty
 import re
@@ -160,44 +159,6 @@ def test_a_sensor_of_ones_own(mine: Path) -> None:
         np.testing.assert_allclose(rows[0], seen, atol=1e-6)
     for env in (one, batch):
         env.close()
-
-
-def test_worlds_of_ones_own(mine: Path) -> None:
-    env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v1", link="planar", worlds="mine.corridors:corridors:0-99"
-    )
-    _, info = env.reset(seed=0, options={"world": 42})
-    assert info["world"] == 42.0
-    assert 2.9 < info["goal_distance"] < 6.1
-    env.close()
-
-
-def test_a_robot_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "robot.yaml"
-    text = PAGES["robot"].read_text(encoding="utf-8")
-    file.write_text(re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S)[0], encoding="utf-8")
-    assert RobotConfig.load(file).wheel_separation_multiplier == pytest.approx(
-        1.0 + (0.22 / 0.3) ** 2, abs=0.005
-    )
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", robot=str(file))
-    env.reset(seed=0)
-    env.close()
-
-
-def test_the_simple_task_ends_well_where_the_robot_stands_at_the_goal(mine: Path) -> None:
-    """A few lines of a policy do it, so that it can be learnt."""
-    env = gymnasium.make("mine.park:mine/Park-v0", link="planar")
-    seen, _ = env.reset(seed=0, options={"goal": (0.8, 0.3)})
-    info: dict[str, Any] = {}
-    total, over = 0.0, False
-    while not over:
-        ahead, left = seen[:2]
-        push = (min(ahead, 0.4), 2.0 * math.atan2(left, ahead)) if ahead > 0.05 else (0.0, 0.0)
-        seen, reward, terminated, truncated, info = env.step(np.clip(push, -1, 1))
-        total, over = total + float(reward), terminated or truncated
-    env.close()
-    assert info["is_success"]
-    assert total > 1.0
 
 
 @pytest.mark.usefixtures("deadline")

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-import page_tools
 
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
@@ -70,10 +67,9 @@ def test_minari_has_the_episodes(tmp_path: Path) -> None:
 
 
 def test_rllib_takes_the_id_as_it_is(tmp_path: Path) -> None:
-    page = page_tools.blocks(page_tools.ROOT / "docs" / "training.md")
-    (shown,) = (
-        block.code for block in page if "rllib" in block.code and block.language == "python"
-    )
+    page = (EXAMPLES.parents[1] / "docs" / "training.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    (shown,) = (code for code in blocks if "rllib" in code)
     assert "256" in shown
     code = shown.replace("256", "4") + (
         "config.training(train_batch_size_per_learner=32, minibatch_size=16, num_epochs=1)\n"

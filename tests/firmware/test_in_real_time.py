@@ -14,10 +14,11 @@ from typing import Any
 import firmware_tools
 import pytest
 import stopping
-from serial_tools import Emulated, cli, start, wait_until
+from serial_tools import Emulated, cli, start
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
+from acsar_gym.testing import wait_until
 
 pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 

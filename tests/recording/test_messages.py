@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from acsar_gym import RobotConfig
-from acsar_gym.config.measured import Measured
+from acsar_gym.config import Measured
 from acsar_gym.recording import read
 from acsar_gym.recording.encoder import LEAST_DEVIATION, SLIP_SHARE
 from acsar_gym.recording.messages import TICK_COLUMNS, TOPICS

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from serial_tools import first_line, program, wait_until
+from serial_tools import first_line, program
 
 from acsar_gym.errors import LinkError
 from acsar_gym.resources import AGENTS
+from acsar_gym.testing import wait_until
 from acsar_gym.tools import demo
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import report

@@ -12,8 +12,6 @@ import pytest
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.generators import generate_world
-from acsar_gym.worlds.geometry import segment_clearance
-from acsar_gym.worlds.search import shortest_path
 from acsar_gym.worlds.world import Region, World
 
 PUBLISHED = Path(__file__).parents[2].parent / "shared" / "barn"
@@ -55,29 +53,6 @@ def field_of(world: World) -> Any:
 
 def fill(world: World) -> float:
     return (len(world.circles) - CORRIDOR - WALLS) / INNER
-
-
-def slowly_smoothed(cells: Any) -> Any:
-    """The published rule, a cell at a time: 5 or more of 8 fill, 1 or fewer clear, else keep."""
-    result = cells.copy()
-    for row in range(30):
-        for column in range(30):
-            near = 0
-            for i in (row - 1, row, row + 1):
-                for j in (column - 1, column, column + 1):
-                    if (i, j) != (row, column) and 0 <= i < 30 and 0 <= j < 30:
-                        near += int(cells[i, j])
-            if near >= 5:
-                result[row, column] = True
-            elif near <= 1:
-                result[row, column] = False
-    return result
-
-
-def fits(field: Any, row: int, column: int) -> bool:
-    """Whether the 5 x 5-cell robot may stand there; it may reach over the field's ends."""
-    low, left = max(row - 2, 0), max(column - 2, 0)
-    return not field[low : row + 3, left : column + 3].any()
 
 
 def test_as_full_as_the_published_ones(worlds: list[World]) -> None:
@@ -129,107 +104,6 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
         assert len(list(generators.find_crossable(field[None]))) == 1
 
 
-@pytest.mark.parametrize("passes", [2, 3, 4])
-def test_fields_are_random_cells_smoothed_between_two_walls(passes: int) -> None:
-    made = generators.draw_fields(np.random.default_rng(4), 0.25, passes)
-    assert made.shape == (generators.FIELDS_AT_ONCE, 30, 30)
-    raw = np.random.default_rng(4).random(made.shape) < 0.25
-    assert raw.mean() == pytest.approx(0.25, abs=0.01)
-    for cells, field in zip(raw[:8], made[:8], strict=True):
-        cells[[0, -1]] = True
-        for _ in range(passes):
-            cells = slowly_smoothed(cells)  # noqa: PLW2901
-        cells[[0, -1]] = True
-        assert np.array_equal(cells, field)
-
-
-def test_ways_over_cells_are_the_robots(worlds: list[World]) -> None:
-    for world in worlds[:100]:
-        path, field = way(world), field_of(world)
-        assert path[0].tolist() == [-2.0, 3.0]
-        assert path[-1].tolist() == [-2.0, 13.0]
-        cells = cells_of(path[1:-1])
-        assert (cells[0, 1], cells[-1, 1]) == (0, 29)
-        steps = np.abs(np.diff(cells, axis=0))
-        assert (steps.max(axis=1) == 1).all()
-        assert all(fits(field, row, column) for row, column in cells.tolist())
-        centre_line = path[1:-1]
-        nearest = segment_clearance(centre_line[:-1], centre_line[1:], world).min()
-        assert nearest >= generators.BARN_ROBOT_RADIUS - 1e-9
-
-
-def test_a_wider_footprint_gets_worlds_that_it_can_cross() -> None:
-    for number in range(10):
-        world = generate_world("barn", number, 0.3, 0.55)
-        assert len(shortest_path(world, 0.55)) >= 2
-    narrow = [generate_world("barn", number, 0.3) for number in range(10)]
-    blocked = 0
-    for world in narrow:
-        try:
-            shortest_path(world, 0.55)
-        except WorldError:
-            blocked += 1
-    assert blocked > 0
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "same"), [(0.0, 0.24, True), (0.24, 0.26, False), (0.76, 1.0, True)]
-)
-def test_difficulty_is_one_of_four_shares(low: float, high: float, same: bool) -> None:
-    one, other = (generate_world("barn", 1, level) for level in (low, high))
-    assert np.array_equal(one.circles, other.circles) == same
-
-
-def filled(count: int) -> Any:
-    """A field of which as many cells are full, besides its two walls."""
-    field = np.zeros((30, 30), np.bool_)
-    field[[0, -1]] = True
-    rows, columns = np.divmod(np.arange(count), 30)
-    field[1 + rows, columns] = True
-    return field
-
-
-def walled(rows: Any) -> Any:
-    """A field with a wall across, but for a door."""
-    field = filled(0)
-    field[:, 15:17] = True
-    field[rows, 15:17] = False
-    return field
-
-
-@pytest.mark.parametrize(
-    ("field", "count"),
-    [
-        (walled(slice(10, 15)), 1),
-        (walled(slice(10, 14)), 0),
-        # Emptier or fuller than the published ones are left out.
-        *((filled(cells), int(25 <= cells <= 209)) for cells in (24, 25, 209, 210)),
-    ],
-    ids=["5 cells", "4 cells", "too empty", "empty", "full", "too full"],
-)
-def test_a_field_is_crossable_where_five_cells_are_free(field: Any, count: int) -> None:
-    found = list(generators.find_crossable(field[None]))
-    assert [np.array_equal(cells, field) for cells, _ in found] == [True] * count
-
-
-@pytest.mark.parametrize("radius", [0.38, 0.5, 0.6])
-def test_every_number_gives_a_world_for_a_large_footprint(radius: float) -> None:
-    for number in range(8):
-        world = generators.generate_world("barn", number, radius=radius)
-        shortest_path(world, radius, cuts=0)
-        assert generators.BARN_LENGTHS[0] <= world.length <= generators.BARN_LENGTHS[1]
-
-
 def test_a_footprint_that_no_field_lets_through_is_refused() -> None:
     with pytest.raises(WorldError, match="too large for BARN's fields: at most 1 m"):
         generators.generate_world("barn", 0, radius=1.1)
-
-
-def test_the_room_is_connected_with_both_ends() -> None:
-    """A chamber of its own and the other half behind a wall don't count."""
-    field = filled(0)
-    field[15, :] = True
-    field[20, 10:] = field[20:, 10] = True
-    ((_, room),) = generators.find_crossable(field[None])
-    assert not room[15:].any()
-    assert room[3:13].all()

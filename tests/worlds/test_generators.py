@@ -19,12 +19,9 @@ from acsar_gym.errors import WorldError
 from acsar_gym.worlds import generators
 from acsar_gym.worlds.generators import (
     ARENA_HALF,
-    CORRIDOR_LENGTH,
     DEFAULT_RADIUS,
     PATH_MARGIN,
-    ROOM_DEPTH,
     generate_world,
-    make_rooms,
 )
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import PATH_SPACING, path_length, shortest_path
@@ -36,7 +33,6 @@ SEARCHED = ("open", "clutter", "rooms")
 CUT = 2e-3
 """How much nearer than its radius a path may come to an obstacle [m]."""
 LEVELS = (0.0, 0.35, 0.7, 1.0)
-FURNISHED = (0.0, 0.3, 0.7, 1.0)
 
 
 def way(world: World) -> Floats:
@@ -77,19 +73,6 @@ def test_numbers_are_the_same_worlds_in_every_process() -> None:
         check=True,
     )
     assert there.stdout.split() == digests()
-
-
-@samples(4, 15)
-@pytest.mark.parametrize("kind", KINDS)
-def test_numbers_are_different_worlds(kind: str, count: int) -> None:
-    for level in (None, 0.5):
-        made = [generate_world(kind, number, level) for number in range(count)]
-        nameless = {
-            (world.circles.tobytes(), world.segments.tobytes(), way(world).tobytes())
-            for world in made
-        }
-        assert len(nameless) == count
-        assert [world.name for world in made] == [f"{kind} {number}" for number in range(count)]
 
 
 def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,16 +125,6 @@ def test_every_world_is_solvable(kind: str, count: int) -> None:
         assert world.start.radius == world.goal.radius == 0.0
         assert world.goal.theta is None
         assert world.start.theta is not None
-
-
-@samples(3, 10)
-@pytest.mark.parametrize("kind", SEARCHED)
-@pytest.mark.parametrize("radius", [0.1, 0.45])
-def test_the_way_is_made_for_the_footprint(kind: str, radius: float, count: int) -> None:
-    for number in range(0, 10, 10 // count):
-        world = generate_world(kind, number, number / 9.0, radius)
-        assert closest(way(world), world) >= radius + PATH_MARGIN - 2.0 * CUT
-        assert np.array_equal(way(world), shortest_path(world, radius + PATH_MARGIN, cuts=0))
 
 
 @pytest.mark.parametrize("level", LEVELS)
@@ -229,98 +202,3 @@ def test_too_large_a_footprint_is_one_clear_error(
 ) -> None:
     with pytest.raises(WorldError, match=r"footprint of radius .* m through; use "):
         generate_world(kind, 0, level, radius)
-
-
-@pytest.mark.parametrize("kind", ["clutter", "rooms"])
-def test_without_a_difficulty_a_large_footprint_gets_an_easier_world(kind: str) -> None:
-    for number in range(5):
-        world = generate_world(kind, number, None, 0.55)
-        assert closest(way(world), world) >= 0.6 - 2.0 * CUT
-
-
-RADIUS = 0.25
-
-
-def floor(seed: int, level: float, radius: float = RADIUS) -> World:
-    return make_rooms(np.random.default_rng(seed), level, radius)
-
-
-def half_width(world: World) -> float:
-    """Of the corridor."""
-    return float(world.segments[:4, 1].max()) - ROOM_DEPTH
-
-
-def gaps(world: World, y: float) -> list[tuple[float, float]]:
-    """Where the corridor's wall at this y has doors."""
-    lines = world.segments[4:]
-    on_it = lines[np.isclose(lines[:, [1, 3]], y, atol=1e-9).all(axis=1)]
-    pieces = sorted((min(x1, x2), max(x1, x2)) for x1, _, x2, _ in on_it.tolist())
-    edges = [0.0, *(edge for piece in pieces for edge in piece), CORRIDOR_LENGTH]
-    every = list(zip(edges[::2], edges[1::2], strict=True))
-    return [(low, high) for low, high in every if high - low > 1e-9]
-
-
-def dividers(world: World, side: float) -> list[float]:
-    """Where the walls between the rooms of one side stand: upright ones that meet the corridor."""
-    lines = world.segments[4:]
-    meets = np.isclose(lines[:, [1, 3]], side * half_width(world)).any(axis=1)
-    upright = np.isclose(lines[:, 0], lines[:, 2])
-    return sorted(lines[meets & upright, 0].tolist())
-
-
-def boxes(world: World) -> int:
-    """Four sides in a row, the last of which ends where the first begins."""
-    lines = world.segments[4:]
-    fours = (lines[first : first + 4] for first in range(len(lines) - 3))
-    return sum(np.array_equal(four[:, 2:], np.roll(four[:, :2], -1, axis=0)) for four in fours)
-
-
-@pytest.mark.parametrize("level", FURNISHED)
-def test_doors_are_as_wide_as_the_difficulty_says(level: float) -> None:
-    width = 1.3 - level * (1.3 - 2.0 * RADIUS - 0.2)
-    for seed in range(20):
-        world = floor(seed, level)
-        for side in (-1.0, 1.0):
-            doors = gaps(world, side * half_width(world))
-            assert [high - low for low, high in doors] == pytest.approx([width] * len(doors))
-            walls = [0.0, *dividers(world, side), CORRIDOR_LENGTH]
-            assert len(doors) == len(walls) - 1  # one for each room
-            for (low, high), left, right in zip(doors, walls[:-1], walls[1:], strict=True):
-                assert left + 0.2 - 1e-9 <= low < high <= right - 0.2 + 1e-9
-
-
-def test_the_house_is_closed_and_as_large_and_as_full_as_said() -> None:
-    counts: set[int] = set()
-    pieces: dict[float, list[float]] = {level: [] for level in FURNISHED}
-    for seed, level in itertools.product(range(20), FURNISHED):
-        bare, world = floor(seed, 0.0), floor(seed, level)
-        half = half_width(world)
-        assert 0.6 <= half <= 0.9
-        top = half + ROOM_DEPTH
-        assert world.bounds == pytest.approx((0.0, -top, CORRIDOR_LENGTH, top))
-        corners = world.segments[:4, :2]
-        assert world.segments[:4, 2:].tolist() == np.roll(corners, -1, axis=0).tolist()
-        rooms = [len(dividers(bare, side)) + 1 for side in (-1, 1)]
-        counts |= set(rooms)
-        pieces[level].append((len(world.circles) + boxes(world)) / sum(rooms))
-    assert counts == {3, 4}
-    assert (set(pieces[0.0]), set(pieces[1.0])) == ({0.0}, {4.0})
-    assert np.mean(pieces[0.3]) == pytest.approx(1.2, abs=0.25)
-    assert np.mean(pieces[0.7]) == pytest.approx(2.8, abs=0.25)
-
-
-def test_start_and_goal_lie_in_different_rooms_away_from_the_walls() -> None:
-    seen: set[tuple[float, int]] = set()
-    for seed in range(60):
-        world = floor(seed, 0.0)
-        ends = np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])
-        assert (point_clearance(ends, world) >= RADIUS + 0.1 - 1e-9).all()
-        assert (np.abs(ends[:, 1]) > half_width(world)).all()
-        sides = np.sign(ends[:, 1]).tolist()
-        rooms = {
-            (side, int(np.searchsorted(dividers(world, side), x)))
-            for x, side in zip(ends[:, 0], sides, strict=True)
-        }
-        assert len(rooms) == 2
-        seen |= rooms
-    assert len(seen) == 8

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -75,22 +74,6 @@ def test_a_mesh_is_cut_at_the_lidars_height(name: str, tmp_path: Path) -> None:
     segments = load(tmp_path, f"<uri>{name}</uri>")
     assert corners(segments) == boxed(TABLE[1:]), "its legs"
     assert len(segments) == 16
-
-
-def test_scale_pose_and_unit_count(tmp_path: Path) -> None:
-    write_mesh(tmp_path / "table.dae", TABLE, unit=0.01)
-    (tmp_path / "m" / "meshes").mkdir(parents=True)
-    (tmp_path / "table.dae").rename(tmp_path / "m" / "meshes" / "table.dae")
-    uri = "<uri>model://m/meshes/table.dae</uri><scale>2 1 1</scale>"
-    segments = load(tmp_path, uri, f"1 2 0 0 0 {math.pi / 2.0!r}")
-    legs = [(size[:2], (2.0 * x, y)) for size, (x, y, _) in TABLE[1:]]
-    expected = sorted(
-        (round(1.0 - y - sy * depth / 2.0, 3), round(2.0 + x + sx * width, 3))
-        for (width, depth), (x, y) in legs
-        for sx in (-1, 1)
-        for sy in (-1, 1)
-    )
-    assert corners(segments) == expected
 
 
 def test_a_part_counts_alone_and_may_be_centred(tmp_path: Path) -> None:
@@ -169,27 +152,6 @@ def test_outlines_have_no_more_corners_than_needed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "pieces",
-    [
-        [[0, 0, 1, 0], [1, 0, 2, 0], [2, 0, 2, 1]],  # an open chain
-        [[1, 0, 0, 0], [1, 0, 2, 0], [1, 0, 1, 1], [1, 2, 1, 1]],  # three meet
-        [[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 0], [1, 0, 1, 0]],  # a ring
-    ],
-)
-def test_simplified_outlines_cover_the_same_places(pieces: list[list[float]]) -> None:
-    given = np.array(pieces, np.float64)
-    simple = meshes.simplify_outline(given)
-
-    def places(segments: Any) -> set[tuple[float, ...]]:
-        shares = np.linspace(0.0, 1.0, 101)[:, None]
-        points = [s[:2] + shares * (s[2:] - s[:2]) for s in segments]
-        return {tuple(point) for point in np.concatenate(points).round(1).tolist()}
-
-    assert places(simple) == places(given)
-    assert len(simple) <= len(given)
-
-
-@pytest.mark.parametrize(
     ("name", "data", "said"),
     [
         ("m.dae", b"", "isn't a sound DAE file"),
@@ -211,16 +173,6 @@ def test_broken_and_hostile_meshes_are_refused(
         load(tmp_path, f"<uri>{name}</uri>")
     assert f"model 'm': mesh '{name}'" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_large_meshes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_mesh(tmp_path / "table.stl", TABLE)
-    monkeypatch.setattr(meshes, "MAX_FACES", 59)
-    with pytest.raises(WorldError, match="has 60 triangles, at most 59 are read"):
-        load(tmp_path, "<uri>table.stl</uri>")
-    monkeypatch.setattr(meshes, "MAX_MESH_BYTES", 1000)
-    with pytest.raises(WorldError, match="is larger than 1,000 bytes"):
-        load(tmp_path, "<uri>table.stl</uri>")
 
 
 def test_without_trimesh_it_says_what_to_install(

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.generators import make_smooth_path, make_waypoint_path
 from acsar_gym.worlds.search import (
-    PATH_SPACING,
     drop_repeated,
     path_length,
     sample_path,
@@ -39,26 +37,6 @@ def test_samples_by_hand() -> None:
     ]
     up = math.pi / 2.0
     assert found[:, 2].tolist() == [0.0, 0.0, 0.0, 0.0, up, up, up]  # at the corner, the way on
-
-
-@pytest.mark.parametrize(
-    ("length", "spacing", "count"),
-    [
-        (1.0, 0.05, 21),
-        (1.0, 0.3, 5),  # 0.25 m apart, never more than asked
-        (0.3, 0.1, 4),  # 0.3 / 0.1 is a little more than 3
-        (1.0, 50.0, 2),
-        (100.0, 0.05, 2001),
-    ],
-)
-def test_samples_are_evenly_spaced_and_at_most_as_far_apart_as_asked(
-    length: float, spacing: float, count: int
-) -> None:
-    found = sample_path(array([2.0, 1.0], [2.0, 1.0 - length]), spacing)
-    assert found.shape == (count, 3)
-    assert np.diff(found[:, 1]) == pytest.approx(-length / (count - 1))
-    assert found[[0, -1], :2].tolist() == [[2.0, 1.0], [2.0, 1.0 - length]]
-    assert (found[:, 2] == -math.pi / 2.0).all()
 
 
 @pytest.mark.parametrize(
@@ -97,14 +75,3 @@ def test_along_a_path_the_robot_starts_on_it(path: Any, theta: float) -> None:
 def test_what_is_no_path_is_one_clear_error(path: Any, message: str) -> None:
     with pytest.raises(WorldError, match=message):
         world_along(path)
-
-
-@pytest.mark.parametrize("make", [make_smooth_path, make_waypoint_path])
-def test_made_paths_are_along_themselves(make: Any) -> None:
-    for seed in range(10):
-        world = make(np.random.default_rng(seed), 0.5, 0.25)
-        again = world_along(world.path)
-        assert (again.start, again.goal) == (world.start, world.goal)
-        samples = sample_path(world.path)
-        assert np.hypot(*np.diff(samples[:, :2], axis=0).T).max() <= PATH_SPACING + 1e-9
-        assert samples[0].tolist() == pytest.approx([0.0, 0.0, world.start.theta])

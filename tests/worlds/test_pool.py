@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds import files, generators, pool, registry
+from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import Region, World, make_rectangle
 
@@ -64,26 +64,6 @@ def test_names_numbers_and_splits(source: Any, numbers: range, title: str) -> No
     assert f"({found.split} split)" in title or not found.split
 
 
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [
-        ("clutter", "clutter:test"),
-        ("clutter:1000-1099", "clutter:1000-1099"),
-        ("mine/worlds", "mine/worlds"),
-        (SOUND, SOUND),
-    ],
-)
-def test_the_split_to_test_in(source: Any, expected: Any) -> None:
-    assert registry.add_test_split(source) == expected
-
-
-def test_the_usual_count_may_be_changed() -> None:
-    counts = {"open": 7, "open:3": 3, "open:3-9": 7}
-    assert {source: len(Pool.of(source, count=7)) for source in counts} == counts
-    with pytest.raises(WorldError, match=r"worlds = 'open': holds no world"):
-        Pool.of("open", count=0)
-
-
 def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any, ...]]) -> None:
     found = Pool.of("clutter:100-149", 0.2, 0.3)
     assert len(found) == 50
@@ -98,18 +78,6 @@ def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any,
     assert calls.total() == 1
     assert Pool.of("clutter:100-149", 1.0, 0.3)[107].obstacles > first.obstacles
     assert [world.name for world in Pool.of("open:2")] == ["open 0", "open 1"]
-
-
-def test_a_pool_forgets_what_was_not_asked_for_lately(
-    calls: Counter[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(pool, "KEPT_WORLDS", 2)
-    found = Pool.of("open:10")
-    before = found[0]
-    for index in (1, 2, 0):
-        found[index]
-    assert calls["open", 0, None, 0.25] == 2
-    assert found[0].goal == before.goal
 
 
 @pytest.mark.parametrize(
@@ -192,23 +160,6 @@ def test_a_given_world_without_a_path_gets_one(source: Any) -> None:
     assert found[0] is world
     given = World(PILLAR, **ENDS, path=WAY)
     assert Pool.of(given)[0] is given
-
-
-@pytest.mark.parametrize("path", [None, WAY], ids=["without a path", "with a path"])
-@pytest.mark.parametrize(
-    ("start", "goal", "message"),
-    [
-        (Region(0.1, 0.0), ENDS["goal"], r"the start \(0\.1, 0\) lies 0\.00 m"),
-        (ENDS["start"], Region(0.7, 0.0), r"the goal \(0\.7, 0\) lies 0\.20 m"),
-        (ENDS["start"], Region(2.0, 0.0, 1.3), r"the goal .* needs 1\.55 m"),
-    ],
-)
-def test_given_worlds_whose_ends_are_not_free_are_refused(
-    start: Region, goal: Region, message: str, path: Any
-) -> None:
-    world = World(PILLAR, start=start, goal=goal, path=path, name="mine")
-    with pytest.raises(WorldError, match=f"^mine: {message}"):
-        Pool.of(world)
 
 
 def test_files_and_folders(folder: Path) -> None:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-import importlib
 import json
-import math
 import os
-import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +16,10 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.worlds import Region, World, cache, generators, registry
+from acsar_gym.worlds import Region, World, generators, registry
 from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.registry import GeneratorError, hash_function, register
+from acsar_gym.worlds.registry import GeneratorError, register
 from acsar_gym.worlds.world import make_rectangle
 
 RADIUS = 0.25
@@ -53,10 +49,6 @@ def same(one: World, other: World) -> bool:
     assert other.path is not None
     mine, theirs = (one.segments, one.path), (other.segments, other.path)
     return one.name == other.name and all(map(np.array_equal, mine, theirs))
-
-
-def test_the_names_of_this_package() -> None:
-    assert tuple(generators.MAKERS) == registry.BUILT_IN_KINDS
 
 
 @pytest.mark.parametrize(
@@ -115,19 +107,6 @@ def test_the_command_line_names_the_module(tmp_path: Path) -> None:
     done = elsewhere(*command, "corridors:corridors:0-2", "--json", str(out))
     assert done.returncode == 0, done.stderr
     assert json.loads(out.read_text())["source"] == "corridors 0 to 2 (test split)"
-
-
-def test_another_process_imports_the_module_itself(tmp_path: Path) -> None:
-    pool = Pool.of("corridors:3", None, RADIUS)
-    file = tmp_path / "pool"
-    file.write_bytes(pickle.dumps(pool))
-    code = f"import pickle; print(len(pickle.load(open({str(file)!r}, 'rb'))[2].segments))"
-    done = elsewhere("-c", code)
-    assert done.stdout.split() == [str(len(pool[2].segments))], done.stderr
-
-
-def test_a_generator_may_be_replaced_by_itself() -> None:
-    register("corridors", example.corridors)
 
 
 @pytest.mark.parametrize(
@@ -190,21 +169,6 @@ def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(
     assert calls == [0.5] * 3
 
 
-def test_a_world_error_means_try_again() -> None:
-    calls = []
-
-    def make(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        calls.append(difficulty)
-        if len(calls) < 4:
-            raise WorldError("not this one")
-        return World(goal=Region(rng.uniform(1.0, 2.0), 0.0))
-
-    register("mine", make)
-    assert generators.generate_world("mine", 0, None, RADIUS).goal.x >= 1.0
-    assert len(calls) == 4
-    assert sorted(calls, reverse=True) == calls, "each one easier than the one before"
-
-
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -217,90 +181,3 @@ def test_modules_that_register_nothing_are_one_clear_error(source: str, message:
     with pytest.raises(WorldError, match=message) as caught:
         Pool.of(source)
     assert "\n" not in str(caught.value)
-
-
-def test_worlds_are_kept_where_the_source_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
-    cache.read_file_worlds.cache_clear()
-    with cache.keep_worlds():
-        first = list(Pool.of("corridors:3", None, RADIUS))
-    assert len(list((tmp_path / "worlds").iterdir())) == 1
-    monkeypatch.setattr(generators, "generate_world", None)
-    assert all(map(same, first, Pool.of("corridors:3", None, RADIUS)))
-
-
-def test_what_has_no_known_source_is_made_anew() -> None:
-    register("mine", functools.partial(example.corridors))
-    assert registry.find_own("mine") is not None
-    assert cache.hash_source("mine") == ""
-    assert cache.cache_file("mine", 0, None, RADIUS) is None
-    assert cache.hash_source("corridors") != cache.hash_source("clutter") != ""
-    assert math.isfinite(Pool.of("mine:1", None, RADIUS)[0].length)
-
-
-FILES = {
-    "makers/__init__.py": "",
-    "makers/mine.py": "import numpy\nfrom makers import shapes\nfrom .sizes import WIDTH\n"
-    "def make(rng, difficulty, radius):\n    import late_helper\n    return None\n",
-    "makers/shapes.py": "import math\n",
-    "makers/sizes.py": "WIDTH = 1.0\n",
-    "late_helper.py": "",
-    "unused.py": "",
-}
-
-
-@pytest.fixture
-def printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
-    """The fingerprint of the package's generator, imported anew."""
-    for name, text in FILES.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-
-    def forget() -> None:
-        for name in [*sys.modules]:
-            if name.partition(".")[0] in ("makers", "late_helper", "unused"):
-                del sys.modules[name]
-        importlib.invalidate_caches()
-
-    def found() -> str:
-        forget()
-        return hash_function(importlib.import_module("makers.mine").make)
-
-    yield found
-    forget()
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_every_file_that_is_imported_counts(
-    name: str, printed: Callable[[], str], tmp_path: Path
-) -> None:
-    before = printed()
-    assert len(before) == 64
-    assert printed() == before
-    (tmp_path / name).write_text(FILES[name] + "# changed\n")
-    assert (printed() == before) == (name == "unused.py")
-
-
-def test_what_is_not_a_plain_function_of_a_file_has_none() -> None:
-    def outer(number: int) -> Callable[[], int]:
-        return lambda: number
-
-    typed: dict[str, Any] = {"__name__": "typed_in"}
-    exec("def make(rng, difficulty, radius): pass", typed)  # noqa: S102 - as a notebook does it
-    for made in (outer(1), print, Path, typed["make"]):
-        assert hash_function(made) == ""
-    assert hash_function(test_every_file_that_is_imported_counts) != ""
-
-
-def test_default_arguments_count() -> None:
-    def factory(length: Any, width: Any = 1.0) -> Any:
-        return lambda rng, difficulty, radius, size=length, *, w=width: None
-
-    prints = [hash_function(factory(*sizes)) for sizes in [(1,), (1.5,), ("a",), (None,), (1, 2)]]
-    assert len({*prints, ""}) == 6
-    assert hash_function(factory((1, 2.0))) == hash_function(factory((1, 2.0)))
-    for size in ([1], Path(), (Path(),), np.zeros(2)):
-        assert hash_function(factory(size)) == hash_function(factory(1, size)) == ""

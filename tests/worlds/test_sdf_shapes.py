@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.worlds import sdf
-from acsar_gym.worlds.sdf_shapes import HEADROOM, LIDAR_HEIGHT, STEP_HEIGHT, convex_hull
+from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 
 Inside = Callable[[Any], Any]
 """Whether points (n, 3) in a body's own frame are inside of it."""
@@ -116,20 +116,6 @@ def test_what_is_lower_than_the_lidar_counts_by_its_shadow() -> None:
     np.testing.assert_allclose(np.abs(corners).max(axis=0), [1.1, 0.1], atol=1e-6)
 
 
-def test_only_what_is_within_reach_casts_a_shadow() -> None:
-    """A board that leans against something: its foot, below the LiDAR of a taller robot."""
-    board = "<box><size>0.02 1 1</size></box>"
-    _, segments = outline(board, 0.0, 0.0, -0.3, 0.0, math.pi / 4.0, 0.0, height=0.45)
-    corners = np.array(segments)[:, :2]
-    top = -0.3 + math.sqrt(0.5) / 2.0 + 0.01 * math.sqrt(0.5)  # below the LiDAR
-    assert top < 0.45
-    # In the plane of the lean: from where the lower side comes out of the floor to the upper end.
-    assert corners[:, 1].tolist().count(0.5) == corners[:, 1].tolist().count(-0.5) >= 2
-    thick = 0.02 / math.sqrt(2.0)
-    assert corners[:, 0].min() == pytest.approx(0.3 + STEP_HEIGHT - thick, abs=1e-9)
-    assert corners[:, 0].max() == pytest.approx(math.sqrt(0.5) / 2.0 + 0.01 * math.sqrt(0.5))
-
-
 @pytest.mark.parametrize(
     ("height", "z", "radius"),
     [
@@ -146,12 +132,6 @@ def test_an_upright_capsule_is_a_circle(height: float, z: float, radius: float) 
     assert segments == []
 
 
-@pytest.mark.parametrize("name", SOLIDS)
-@pytest.mark.parametrize("z", [HEADROOM + 2.0, -2.0])
-def test_what_is_above_or_below_is_left_out(name: str, z: float) -> None:
-    assert outline(SOLIDS[name][0], 0.0, 0.0, z, 0.5, 0.6, 0.7) == ([], [])
-
-
 def test_a_polyline_is_a_prism() -> None:
     points = "".join(f"<point>{x} {y}</point>" for x, y in ((0, 0), (2, 0), (2, 1)))
     shape = f"<polyline>{points}<height>0.5</height></polyline>"
@@ -160,14 +140,3 @@ def test_a_polyline_is_a_prism() -> None:
     np.testing.assert_allclose(segments, expected, atol=1e-12)
     assert outline(shape, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0) == ([], [])
     assert len(outline(shape * 2, *[0.0] * 6)[1]) == 6, "a hole is a polyline of its own"
-
-
-def test_a_hull_has_only_corners() -> None:
-    rng = np.random.default_rng(0)
-    square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
-    points = np.concatenate([rng.uniform(0.0, 1.0, (50, 2)), square, [[0.5, 0.0]], square])
-    assert sorted(convex_hull(points).tolist()) == sorted(square)
-    assert convex_hull(np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 0.0]])).tolist() == [
-        [0.0, 0.0],
-        [2.0, 0.0],
-    ]

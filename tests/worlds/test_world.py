@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.geometry import point_clearance
 from acsar_gym.worlds.world import (
-    Pose,
     Region,
     World,
     make_box,
@@ -27,10 +23,6 @@ from acsar_gym.worlds.world import (
 
 WIDTHS = {"circles": 3, "segments": 4, "path": 2}
 NO_DOOR = np.zeros((0, 2))
-coordinates = st.floats(-50.0, 50.0)
-sizes = st.floats(0.01, 20.0)
-angles = st.floats(-math.pi, math.pi)
-poses = st.tuples(coordinates, coordinates, angles)
 
 
 def array(*rows: Any) -> Any:
@@ -75,25 +67,6 @@ def test_a_world_has_at_most_20_000_obstacles_in_all() -> None:
         more: Any = np.zeros((20_001, width))
         with pytest.raises(WorldError, match=f"^{name}: 20,001 are too many"):
             World(**{name: more})
-
-
-def test_a_radius_is_never_negative() -> None:
-    with pytest.raises(WorldError, match="circles"):
-        World(circles=array([0.0, 0.0, 1.0], [0.0, 0.0, -1e-300]))
-
-
-@pytest.mark.parametrize("empty", [[], (), [[]], np.zeros((0, 3)), np.zeros((0, 4))])
-def test_nothing_is_no_obstacle(empty: Any) -> None:
-    world = World(empty, empty)
-    assert (world.circles.shape, world.segments.shape, world.obstacles) == ((0, 3), (0, 4), 0)
-
-
-def test_lists_and_whole_numbers_become_arrays_of_floats() -> None:
-    world = World([[1, 2, 3]], [(1, 2, 3, 4)], path=[[0, 0], [3, 4]])  # type: ignore[arg-type]
-    assert world.circles.dtype == world.segments.dtype == np.float64
-    assert world.circles.tolist() == [[1.0, 2.0, 3.0]]
-    assert world.segments.tolist() == [[1.0, 2.0, 3.0, 4.0]]
-    assert world.length == 5.0
 
 
 @pytest.mark.parametrize("name", WIDTHS)
@@ -161,18 +134,6 @@ def test_boxes_by_hand() -> None:
     assert np.hypot(*(thin[:, :2] - tip).T).min() == pytest.approx(0.0, abs=1e-12)
 
 
-@given(x=coordinates, y=coordinates, length=sizes, width=sizes, theta=angles)
-def test_the_sides_of_a_box_are_closed_and_as_long_as_asked(
-    x: float, y: float, length: float, width: float, theta: float
-) -> None:
-    sides = make_box(x, y, length, width, theta)
-    assert sides[:, 2:].tolist() == np.roll(sides[:, :2], -1, axis=0).tolist()
-    lengths = np.hypot(*(sides[:, 2:] - sides[:, :2]).T)
-    assert lengths == pytest.approx([length, width, length, width], abs=1e-9)
-    world = World(segments=sides)
-    assert point_clearance([(x, y)], world)[0] == pytest.approx(min(length, width) / 2.0, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("doors", "pieces"),
     [
@@ -192,13 +153,6 @@ def test_walls_have_doors_where_asked(doors: Any, pieces: Any) -> None:
     found = make_wall((1.0, 5.0), (11.0, 5.0), doors)
     assert found.shape == (len(pieces), 4)
     assert found.tolist() == [[1.0 + low, 5.0, 1.0 + high, 5.0] for low, high in pieces]
-
-
-@given(start=poses, pose=poses)
-def test_to_the_world_and_back_is_the_same_pose(start: Pose, pose: Pose) -> None:
-    x, y, theta = to_odometry(start, to_world(start, pose))
-    assert (x, y) == pytest.approx(pose[:2], abs=1e-9)
-    assert math.remainder(theta - pose[2], math.tau) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_odometry_begins_at_the_start() -> None:

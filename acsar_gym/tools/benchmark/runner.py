@@ -44,7 +44,6 @@ from acsar_gym.tools.evaluation.episodes import EpisodeResult
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, files
-from acsar_gym.worlds.cache import keep_worlds
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
 from acsar_gym.worlds.world import point_in_world
@@ -141,14 +140,13 @@ def run_job(job: BenchmarkJob) -> Part:
     scoring = Scoring(job.scenes.score, config.max_linear, task.goal_tolerance)
     scoring.check(task)
     told = []
-    with keep_worlds():
-        for place in range(job.first, job.first + job.count):
-            seed, options = job.scenes.reset(place)
-            if simulated:
-                (result,) = episodes.run_episodes(env, policy, 1, seed, **options)
-            else:
-                result = _drive_over_port(job, policy, config, seed, options)
-            told.append(record_episode(result, job.scenes.numbers[place], scoring))
+    for place in range(job.first, job.first + job.count):
+        seed, options = job.scenes.reset(place)
+        if simulated:
+            (result,) = episodes.run_episodes(env, policy, 1, seed, **options)
+        else:
+            result = _drive_over_port(job, policy, config, seed, options)
+        told.append(record_episode(result, job.scenes.numbers[place], scoring))
     return Part(cell, job.first, told, round(time.process_time() - begin, 3))
 
 

@@ -48,7 +48,6 @@ from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.worlds import World, registry
-from acsar_gym.worlds.cache import keep_worlds
 from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
@@ -377,14 +376,13 @@ def record_hashes() -> None:
 def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
     """Hash every 100 scenes as far as `count` needs; the last block may be a short one."""
     numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
-    with keep_worlds():
-        if scenes.source:
-            pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)
-            hashes = [hash_world(pool[number]) for number in numbers]
-        else:
-            spawn = Spawn(PointGoal(), None, None, scenes.config)
-            goals = (spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers)
-            hashes = [_hash_numbers([goal]) for goal in goals]
+    if scenes.source:
+        pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)
+        hashes = [hash_world(pool[number]) for number in numbers]
+    else:
+        spawn = Spawn(PointGoal(), None, None, scenes.config)
+        goals = (spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers)
+        hashes = [_hash_numbers([goal]) for goal in goals]
     return [
         hashlib.sha256(b"".join(hashes[first : first + SCENES_PER_HASH])).hexdigest()
         for first in range(0, len(hashes), SCENES_PER_HASH)

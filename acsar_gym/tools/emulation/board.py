@@ -217,8 +217,9 @@ main()
 
 
 class EmulatedDevices(NamedTuple):
-    """Paths of the emulated devices."""
+    """Paths of the emulated devices, and the number of the process that serves them."""
 
+    process: int
     robot: str
     lidar: str | None = None
 
@@ -234,7 +235,7 @@ def run_emulator(*arguments: str) -> Iterator[EmulatedDevices]:
         *arguments: command line arguments of `emulate`; with "--lidar" there are two devices.
 
     Yields:
-        Paths of the emulated devices.
+        Paths of the emulated devices, and the process.
 
     Raises:
         LinkError: the emulator didn't start.
@@ -253,7 +254,7 @@ def run_emulator(*arguments: str) -> Iterator[EmulatedDevices]:
                         "the emulator didn't start",
                         f"run 'acsar-gym emulate {' '.join(arguments)}' to see why",
                     )
-            yield EmulatedDevices(*devices)
+            yield EmulatedDevices(process.pid, *devices)
         finally:
             process.terminate()
             try:

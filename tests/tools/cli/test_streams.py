@@ -16,10 +16,10 @@ from pathlib import Path
 import psutil
 import pytest
 from recording_tools import drive
-from serial_tools import wait_until
 
 from acsar_gym import RobotConfig, streams
 from acsar_gym.__main__ import main
+from acsar_gym.testing import wait_until
 from acsar_gym.tools.cli import COMMANDS
 
 pytestmark = [pytest.mark.usefixtures("deadline"), pytest.mark.xdist_group(__name__)]

@@ -1,0 +1,272 @@
+"""Boards for tests of your own code: one that a script answers for, and an emulated one.
+
+Neither needs hardware. A `ScriptedLink` is for what a robot's driver, sensor or task does with the
+bytes of a board, in simulated time; `emulated_board` is for what opens a serial device, in real
+time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from acsar_gym.config import RobotConfig, RobotSource
+from acsar_gym.errors import LinkError
+from acsar_gym.protocol import ZERO, Decoder
+from acsar_gym.truth import GroundTruth
+from acsar_gym.worlds import Scene
+
+__all__ = ["Command", "EmulatedBoard", "ScriptedLink", "emulated_board", "wait_until"]
+
+TIMEOUT = 30.0
+"""Longest wait for anything that another process does [s]."""
+Command = tuple[float | None, float | None, float | None, float | None]
+"""Speeds of the wheels a to d in a line [rad/s]; None for a wheel that the line doesn't name."""
+
+
+class ScriptedLink:
+    """A link in simulated time whose feedback is written beforehand.
+
+    Args:
+        *answers: bytes that arrive in the first period, the second, and so on.
+        then: what arrives in each later period: bytes, or a function of the newest command's wheel
+            speeds that returns them.
+
+    Attributes:
+        written: what was written, one entry for each call.
+        opened: how often the link was opened.
+        closed: how often it was closed.
+        pause: what the next period takes longer than it should [s].
+
+    Example:
+        A board whose wheels follow every command at once:
+
+            from acsar_gym import Robot, protocol
+            from acsar_gym.testing import ScriptedLink
+
+            link = ScriptedLink(then=protocol.encode)
+            with Robot(link) as robot:
+                robot.drive(0.1, 0.0)
+            assert link.commands[-1] == (0.0, 0.0, 0.0, 0.0)
+    """
+
+    lateness: float | None = None
+    truth: GroundTruth | None = None
+
+    def __init__(
+        self, *answers: bytes, then: bytes | Callable[[Sequence[float]], bytes] = b""
+    ) -> None:
+        self.answers = list(answers)
+        self.then = then
+        self.written: list[bytes] = []
+        self.opened = self.closed = 0
+        self.pause = 0.0
+        self._now = 0.0
+
+    @property
+    def commands(self) -> list[Command]:
+        """The wheel speeds of each command line that was written [rad/s]."""
+        return [reading.speeds for reading in Decoder().feed(b"".join(self.written))]
+
+    def open(self) -> None:
+        """Count the call."""
+        self.opened += 1
+
+    def reset(self, scene: Scene) -> None:
+        """Do nothing: a board doesn't know of scenes."""
+
+    def write(self, data: bytes) -> None:
+        """Keep what is written."""
+        self.written.append(data)
+
+    def advance(self, period: float) -> bytes:
+        """Let a period pass, and return the next answer."""
+        self._now += period + self.pause
+        self.pause = 0.0
+        if self.answers:
+            return self.answers.pop(0)
+        if isinstance(self.then, bytes):
+            return self.then
+        newest = Decoder().feed(self.written[-1])[-1:] if self.written else []
+        return self.then([speed or 0.0 for speed in (newest[0].speeds if newest else ZERO)])
+
+    def now(self) -> float:
+        """Return the simulated time since the link was made [s]."""
+        return self._now
+
+    def close(self) -> None:
+        """Count the call."""
+        self.closed += 1
+
+
+class EmulatedBoard:
+    """A board that another process emulates on a pseudo-terminal; see `emulated_board`.
+
+    Attributes:
+        device: path that links open; empty while the cable is pulled.
+        lidar_device: path of the emulated LiDAR; None without one.
+
+    Args:
+        send_signal: sends a signal to that process.
+        device: path of the board.
+        log: file of what happens at the board, one JSON line an event.
+        lidar_device: path of the emulated LiDAR.
+    """
+
+    def __init__(
+        self,
+        send_signal: Callable[[signal.Signals], None],
+        device: str,
+        log: Path,
+        lidar_device: str | None = None,
+    ) -> None:
+        self.device = device
+        self.lidar_device = lidar_device
+        self._send_signal = send_signal
+        self._log = log
+        self._events: list[dict[str, Any]] = []
+        self._read_bytes = 0
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return the log until now; "t" is the machine's monotonic clock [s].
+
+        An event has "rx", what clients have written; "pose", where the robot really is, once a loop
+        of the firmware; "lost", time that wasn't simulated, as the computer was too busy [s]; or
+        "device", the path after the cable was pulled or plugged.
+        """
+        with self._log.open("rb") as log:
+            log.seek(self._read_bytes)
+            lines = log.read().splitlines(keepends=True)
+        complete = [line for line in lines if line.endswith(b"\n")]
+        self._events += map(json.loads, complete)
+        self._read_bytes += sum(map(len, complete))
+        return list(self._events)
+
+    def received(self) -> bytes:
+        """Return all bytes that clients have written."""
+        return "".join(e["rx"] for e in self.events() if "rx" in e).encode("latin-1")
+
+    def commands(self) -> list[Command]:
+        """Return the wheel speeds of each command line until now [rad/s]."""
+        return [reading.speeds for reading in Decoder().feed(self.received())]
+
+    def poses(self) -> list[tuple[float, float, float]]:
+        """Return where the robot really was, once a loop of the firmware [m, m, rad]."""
+        return [tuple(event["pose"]) for event in self.events() if "pose" in event]
+
+    def is_driven(self) -> bool:
+        """Whether the newest command turns wheels."""
+        commands = self.commands()
+        return bool(commands) and commands[-1] != ZERO
+
+    def is_stopped(self) -> bool:
+        """Whether wheels were commanded to turn, and the newest command is zero."""
+        commands = self.commands()
+        return any(command != ZERO for command in commands) and commands[-1] == ZERO
+
+    def stands(self, loops: int = 100) -> bool:
+        """Whether the robot hasn't moved for a number of loops of the firmware.
+
+        Args:
+            loops: of 5 ms by default.
+        """
+        poses = self.poses()
+        spread = [max(values) - min(values) for values in zip(*poses[-loops:], strict=True)]
+        return len(poses) > loops and max(spread) < 1e-4
+
+    def pause(self) -> None:
+        """Freeze the board: it neither reads nor answers."""
+        self._send_signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let a frozen board go on."""
+        self._send_signal(signal.SIGCONT)
+
+    def pull(self) -> None:
+        """Pull the cable; the board goes on without it. Idempotent."""
+        if self.device:
+            self._move_cable(signal.SIGUSR1)
+
+    def plug(self) -> None:
+        """Plug the cable in again; `device` is its new path. Idempotent."""
+        if not self.device:
+            self._move_cable(signal.SIGUSR2)
+
+    def _move_cable(self, number: signal.Signals) -> None:
+        def list_devices() -> list[str]:
+            return [event["device"] for event in self.events() if "device" in event]
+
+        before = len(list_devices())
+        self._send_signal(number)
+        wait_until(lambda: len(list_devices()) > before, "a cable that moves")
+        self.device = list_devices()[-1]
+
+
+@contextlib.contextmanager
+def emulated_board(
+    robot: RobotSource = None,
+    *,
+    body: str = "planar",
+    world: str | Path | None = None,
+    lidar: bool = False,
+) -> Iterator[EmulatedBoard]:
+    """Emulate a board in another process, as a context manager; what `acsar-gym emulate` does.
+
+    Args:
+        robot: the emulated robot, as `RobotConfig.of` takes it.
+        body: its physics: "planar", "bullet" or "mujoco".
+        world: at whose start the robot stands: a file, or a generated world like "clutter:7-7".
+        lidar: also emulate an RPLIDAR, at `lidar_device`.
+
+    Yields:
+        The board, which serves until the end of the block.
+
+    Raises:
+        ConfigError: the robot can't be read.
+        LinkError: the emulator didn't start.
+
+    Example:
+        from acsar_gym import Robot, open_link
+        from acsar_gym.testing import emulated_board
+
+        with emulated_board() as board, Robot(open_link(board.device)) as robot:
+            robot.drive(0.1, 0.0)
+            assert board.commands()
+    """
+    from acsar_gym.tools.emulation.board import run_emulator  # noqa: PLC0415 - NumPy and numba
+
+    with tempfile.TemporaryDirectory() as folder:
+        file, log = Path(folder, "robot.yaml"), Path(folder, "log.jsonl")
+        RobotConfig.of(robot).save(file)
+        options = ["--robot", str(file), "--body", body, "--log", str(log)]
+        options += ["--world", str(world)] if world is not None else []
+        options += ["--lidar"] if lidar else []
+        with run_emulator(*options) as devices:
+            yield EmulatedBoard(
+                lambda number: os.kill(devices.process, number), devices.robot, log, devices.lidar
+            )
+
+
+def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
+    """Return when a condition holds.
+
+    Args:
+        condition: asked again and again.
+        what: is waited for, in the error's words.
+        timeout: longest wait [s].
+
+    Raises:
+        LinkError: it doesn't hold within this time.
+    """
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            raise LinkError(f"{what}: not within {timeout:g} s")
+        time.sleep(0.02)
