@@ -292,7 +292,7 @@ def test_it_is_ahead_of_a_program_with_real_time_priority(shared_device: str) ->
     """Else a policy that never returns would keep it from the core."""
     code = """
 from acsar_gym import errors
-from acsar_gym.tools.doctor import host
+from acsar_gym.tools.commission import host
 robot.activate()
 try:
     host.prepare_realtime(priority=10)

@@ -18,7 +18,7 @@ from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
-from acsar_gym.tools.doctor.wire import StoppableLink
+from acsar_gym.tools.commission.examine import StoppableLink
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import PRINTED_STEP
-from acsar_gym.tools.doctor.board import measure_rate
+from acsar_gym.tools.sysid.board import measure_rate
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 

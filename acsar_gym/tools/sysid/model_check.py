@@ -23,8 +23,7 @@ from acsar_gym.config.robot import MISFIT
 from acsar_gym.errors import require_extra
 from acsar_gym.jit import loop
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
-from acsar_gym.tools.doctor.board import HIGHEST_RATIO, LOWEST_RATIO
-from acsar_gym.tools.doctor.commission import likely_units
+from acsar_gym.tools.sysid.board import HIGHEST_RATIO, LOWEST_RATIO, likely_units
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.feedback_lines import measure_line_rate
 from acsar_gym.tools.sysid.fit import MotorFit

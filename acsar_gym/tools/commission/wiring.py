@@ -14,20 +14,21 @@ from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
 from acsar_gym.errors import ConfigError, escape_unprintable, show_value
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.layer import Safety
-from acsar_gym.tools.doctor.board import (
+from acsar_gym.tools.commission.checks import Check, warn_if
+from acsar_gym.tools.sysid.board import (
+    RATIO_TOLERANCE,
     RESPONSE_TRIALS,
     BoardProbe,
     StepResponse,
     WheelAnswer,
     find_stale,
-    report_resets,
+    likely_units,
     sends_set_points,
     spin_wheel,
     stop_wheels,
     takes_last_value,
     takes_upper_case,
 )
-from acsar_gym.tools.doctor.checks import Check, warn_if
 
 SPIN_SPEED = 3.0
 """Wheel speed of the checks [rad/s]; 0.15 m/s at the rim of the usual wheel."""
@@ -41,8 +42,6 @@ EXACT_RATIO = 0.005
 """A measured speed is exactly the commanded one within this share."""
 TIMEOUT_TOLERANCE = 0.03
 """A time-out is as configured within this [s]."""
-RATIO_TOLERANCE = 0.1
-"""Ratios of speeds that differ by less than this share are the same."""
 HIGHEST_SPEED = 99.9
 """Speed above which a line with two digits may have cut a speed off [rad/s]."""
 MAX_QUESTIONS = 5
@@ -178,7 +177,7 @@ class Commission:
         yield self._check_line_end(probe, config, heard[-1].letter, speed)
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
-        yield report_delays(response.measure_delays(probe.rate))
+        yield report_delays(response.measure_delays())
         timed, agreed = self._check_timeout(response, config)
         yield timed
         if abs(probe.rate / config.feedback_rate - 1.0) > RATE_TOLERANCE:
@@ -288,6 +287,17 @@ class Commission:
 
     def _note_firmware(self, name: str, value: float | None) -> None:
         self.changes.setdefault("firmware", {})[name] = value
+
+
+def report_resets(gaps: Sequence[float]) -> Check:
+    """Say that the board was reset."""
+    silent = ", ".join(f"{gap:.1f} s" for gap in gaps)
+    return Check(
+        "resets",
+        "fail",
+        f"the board was reset: silent for {silent}",
+        "check its power supply, which motors may draw down, and its watchdog",
+    )
 
 
 def _report_notes(notes: Sequence[str]) -> Check:
@@ -568,31 +578,3 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         return "check the plugs of motor and encoder, and the motor's driver"
     fast = ratio * answer.asked > HIGHEST_SPEED
     return likely_units(ratio, config, fast=fast)
-
-
-def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
-    """Say in which other unit a board may measure, or take its commands, or that a motor is weak.
-
-    Args:
-        ratio: of measured to commanded speed.
-        config: of the robot.
-        fast: whether the measured speed has more digits than a line holds.
-    """
-    units = [
-        f"likely {unit} (x {factor:.3g})"
-        for unit, factor in (
-            ("feedback in rpm", 30.0 / math.pi),
-            ("feedback in rev/s", 0.5 / math.pi),
-            ("feedback in deg/s", 180.0 / math.pi),
-            ("feedback in m/s", config.wheel_radius),
-            ("commands taken as rpm", math.pi / 30.0),
-        )
-        if math.isclose(ratio, factor, rel_tol=RATIO_TOLERANCE)
-    ]
-    if fast:
-        before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
-        units.insert(0, before_gears)
-    weak = ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
-    if units:
-        return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways{weak}"
-    return f"likely counts per turn or gear ratio {IN_PROGRAM}{weak}"

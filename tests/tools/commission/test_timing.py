@@ -19,9 +19,9 @@ from acsar_gym.errors import LinkError, MissingExtraError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.lateness import DurationSpread, TickTiming
 from acsar_gym.protocol import ZERO
-from acsar_gym.tools.doctor import timing as doctor_timing
-from acsar_gym.tools.doctor.checks import Check
-from acsar_gym.tools.doctor.timing import HISTOGRAM_EDGES, TimingReport, examine_timing
+from acsar_gym.tools.commission import timing as doctor_timing
+from acsar_gym.tools.commission.checks import Check
+from acsar_gym.tools.commission.timing import HISTOGRAM_EDGES, TimingReport, examine_timing
 
 pytestmark = pytest.mark.usefixtures("deadline")
 

@@ -14,8 +14,7 @@ from board_tools import NoTrailingComma, Sibling, board, commissioned
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
 from acsar_gym.protocol import WHEELS, encode
-from acsar_gym.tools.doctor.board import leave_out_early
-from acsar_gym.tools.doctor.commission import (
+from acsar_gym.tools.commission.wiring import (
     SWAPPED_FIX,
     Commission,
     parse_all_seen,
@@ -23,6 +22,7 @@ from acsar_gym.tools.doctor.commission import (
 )
 from acsar_gym.tools.emulation import quirks
 from acsar_gym.tools.emulation.quirks import QuirkyLink
+from acsar_gym.tools.sysid.board import leave_out_early
 from acsar_gym.worlds import Pose
 
 SLOW_BOARD = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError
-from acsar_gym.tools.doctor.checks import Check, warn_if
+from acsar_gym.tools.commission.checks import Check, warn_if
 
 LIMITS_FILE = "/etc/security/limits.d/99-realtime.conf"
 BUSY_LOAD = 0.7

@@ -13,8 +13,8 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.doctor import host as realtime
-from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.commission import host as realtime
+from acsar_gym.tools.commission.checks import Check
 
 linux = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="this system has no SCHED_FIFO"
@@ -23,7 +23,7 @@ CABLE = "usb-FTDI_FT232R-if00-port0"
 PREPARE = """
 import os, sys
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.doctor.host import prepare_realtime
+from acsar_gym.tools.commission.host import prepare_realtime
 try:
     prepare_realtime(20, [min(os.sched_getaffinity(0))])
 except ConfigError as error:
