@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import quirks
+
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.tools.commission import examine
 from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import Commission
-from acsar_gym.tools.emulation import quirks
 
 
 def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:

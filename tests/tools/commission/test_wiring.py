@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import quirks
 from board_tools import NoTrailingComma, Sibling, board, commissioned
+from quirks import QuirkyLink
 
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
@@ -20,8 +22,6 @@ from acsar_gym.tools.commission.wiring import (
     parse_all_seen,
     report_delays,
 )
-from acsar_gym.tools.emulation import quirks
-from acsar_gym.tools.emulation.quirks import QuirkyLink
 from acsar_gym.tools.sysid.board import leave_out_early
 from acsar_gym.worlds import Pose
 

@@ -9,29 +9,29 @@ import pytest
 from sysid_tools import (
     ACSAR,
     SCALES,
+    circle_wheels,
     draw_wheels,
     drive_plans,
     line_wheels,
     spin_wheels,
-    square_wheels,
     usual_plans,
 )
 
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics.randomization import Randomization
-from acsar_gym.tools.sysid.calibration_fit import (
-    FittedValue,
-    GeometryFit,
-    fit_geometry,
-    make_calibrated_config,
-)
-from acsar_gym.tools.sysid.calibration_runs import (
+from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
     RunReading,
     configured_geometry,
     integrate_wheels,
+)
+from acsar_gym.tools.sysid.calibration_fit import (
+    FittedValue,
+    GeometryFit,
+    fit_geometry,
+    make_calibrated_config,
 )
 from acsar_gym.tools.sysid.delays import Floats
 
@@ -40,8 +40,8 @@ REAL = Geometry(0.0508, 0.03, 1.9)
 WHEELS = {
     "straight": line_wheels(NOMINAL, 2.0),
     "turn": spin_wheels(NOMINAL, 10.0 * math.pi),
-    "cw": square_wheels(NOMINAL, 1.0, -1.0),
-    "ccw": square_wheels(NOMINAL, 1.0, 1.0),
+    "left": circle_wheels(NOMINAL, 0.5, 10.0 * math.pi),
+    "right": circle_wheels(NOMINAL, 0.5, -10.0 * math.pi),
 }
 RADIUS, MULTIPLIER = 0.003, 0.01
 """Largest errors of hidden robots, as shares of the truth."""
@@ -55,15 +55,13 @@ def run(
     x, y, theta = integrate_wheels(turned, real, 0.3)
     if name == "straight":
         readings = [SCALES.metres("distance", math.hypot(x, y) + off)]
-    elif name == "turn":
-        readings = [SCALES.degrees(math.degrees(theta + off))]
     else:
-        readings = [SCALES.metres("x", x + off), SCALES.metres("y", y)]
-    manoeuvre = name if name in ("straight", "turn") else "square"
+        readings = [SCALES.degrees(math.degrees(theta + off))]
+    manoeuvre = "straight" if name == "straight" else "turn"
     return CalibrationRun(name, manoeuvre, turned, tuple(readings))
 
 
-def test_straight_turn_and_squares_together_tell_all() -> None:
+def test_straight_lines_turns_and_circles_together_tell_all() -> None:
     found = fit_geometry([run(name) for name in WHEELS], ACSAR)
     assert found.geometry == pytest.approx(REAL, rel=1e-4)
     assert set(found.told) == {"wheel_radius", "radius_ratio", "wheel_separation_multiplier"}
@@ -88,8 +86,8 @@ def test_a_manoeuvre_alone_tells_its_part_and_the_rest_stays(
     assert ("turn" in names) == (found.geometry.multiplier != NOMINAL.multiplier)
 
 
-def test_squares_or_a_line_with_its_offset_tell_the_ratio() -> None:
-    found = fit_geometry([run("cw"), run("ccw")], ACSAR)
+def test_circles_or_a_line_with_its_offset_tell_the_ratio() -> None:
+    found = fit_geometry([run("turn"), run("left"), run("right")], ACSAR)
     assert {"radius_ratio", "wheel_separation_multiplier"} <= set(found.told)
     assert found.geometry.ratio == pytest.approx(REAL.ratio, abs=0.002)
     base = run("straight")
@@ -133,8 +131,8 @@ def test_it_starts_far_from_the_config() -> None:
     far = ACSAR.with_(wheel_separation_multiplier=1.0)
     geometry = configured_geometry(far)
     wheels = {
-        "cw": square_wheels(geometry, 1.0, -1.0),
-        "ccw": square_wheels(geometry, 1.0, 1.0),
+        "left": circle_wheels(geometry, 0.5, 10.0 * math.pi),
+        "right": circle_wheels(geometry, 0.5, -10.0 * math.pi),
         "straight": line_wheels(geometry, 2.0),
     }
     found = fit_geometry([run(name, wheels=own) for name, own in wheels.items()], far)
@@ -145,7 +143,7 @@ def test_it_starts_far_from_the_config() -> None:
     ("readings", "said"),
     [
         ([], "no run has a reading"),
-        ([RunReading("x", 0.0, 10.0, "tape")], "tell neither radius nor multiplier"),
+        ([RunReading("distance", 2.0, 10.0, "tape")], "tell neither radius nor multiplier"),
         ([SCALES.metres("distance", 9.0)], "wheel_radius to its bound"),
     ],
 )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from quirks import apply_to_config, make_link, parse_quirks
 from sysid_tools import ACSAR, draw_motors, drive_wire, score_findings
 
 from acsar_gym import RobotConfig, open_link
@@ -21,7 +22,6 @@ from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.replay import check_same_robot
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
-from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.sysid.excitation import drive_excitation, plan_excitation
 from acsar_gym.tools.sysid.identifiability import NEVER_TURNED
 from acsar_gym.tools.sysid.identify import (

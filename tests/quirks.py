@@ -1,5 +1,7 @@
 """Boards that behave differently: ways in which real ones have been wired and programmed.
 
+For tests; `python tests/quirks.py emulate --quirk swapped-motors` serves a pseudo-terminal.
+
 A quirk is a name such as `at-comma`, or a name and a value such as `dead-wheel=c`. Those of wiring
 and timing change the emulated robot's config, those of motors lie between firmware and body, and
 the others change the bytes at the board's connector. What a config says already needs no quirk: an
@@ -9,6 +11,7 @@ instant encoder is `encoder.window` of one loop, saturation is `motor.max_speed`
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -354,3 +357,30 @@ class QuirkyLink(ForwardingLink):
             for motor, speed in zip(MOTORS, speeds, strict=True)
         ]
         return (",".join(parts) + ("," if self._comma else "") + "\r\n").encode()
+
+
+def emulate() -> None:
+    """Run `acsar-gym emulate` with the quirks that follow --quirk in the arguments."""
+    from acsar_gym.tools.cli import main
+    from acsar_gym.tools.emulation import board
+
+    begin = sys.argv.index("--quirk") if "--quirk" in sys.argv else len(sys.argv)
+    end = begin + 1
+    while end < len(sys.argv) and not sys.argv[end].startswith("--"):
+        end += 1
+    quirks = parse_quirks(sys.argv[begin + 1 : end])
+    del sys.argv[begin:end]
+
+    class QuirkyEmulator(board.Emulator):
+        def __init__(self, config: RobotConfig, **options: Any) -> None:
+            def make(body: str, config: RobotConfig) -> Link:
+                return make_link(body, config, quirks)
+
+            super().__init__(apply_to_config(quirks, config), make_link=make, **options)
+
+    board.Emulator = QuirkyEmulator  # type: ignore[misc]
+    main()
+
+
+if __name__ == "__main__":
+    emulate()
