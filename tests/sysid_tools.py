@@ -12,6 +12,7 @@ import numpy as np
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
+from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.calibration import (
@@ -28,7 +29,7 @@ from acsar_gym.tools.sysid.calibration_drive import (
     plan_turns,
 )
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.excitation import TappedLink
+from acsar_gym.tools.sysid.excitation import StretchedLink
 from acsar_gym.tools.sysid.identify import Identification
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 
@@ -70,8 +71,8 @@ def draw_motors(seed: int) -> RobotConfig:
 
 MISFITS: dict[str, tuple[str, float, float]] = {
     "backward-gain": ("backward weaker than forward", 0.75, 0.92),
-    "overshoot": ("control loop", 0.1, 0.4),
-    "reversal-hold": ("at reversals", 0.1, 0.3),
+    "overshoot": ("is missed by", 0.1, 0.4),
+    "reversal-hold": ("is missed by", 0.1, 0.3),
     "feedback-factor": ("times too large", 1.5, 2.0),
     "rpm": ("rpm", 0.0, 0.0),
     "top-speed": ("saturates at", 5.0, 7.0),
@@ -163,15 +164,16 @@ def drive_wire(
 
     `speeds`: of a time, those of all wheels or of each; None for no command [rad/s].
     """
-    tapped = TappedLink(open_link("planar", true))
-    with Robot(tapped, known.with_(wheel_check=False)) as robot:
+    tape = WireTape()
+    link = RecordedLink(StretchedLink(open_link("planar", true)), tape, known)
+    with Robot(link, known.with_(wheel_check=False)) as robot:
         for tick in range(round(seconds / known.period)):
             asked = speeds(tick * known.period)
             if asked is None:
                 robot.listen()
             else:
                 robot.tick(np.broadcast_to(asked, 4).tolist())
-    return tapped.log
+    return tape.log
 
 
 def draw_wheels(seed: int) -> RobotConfig:
