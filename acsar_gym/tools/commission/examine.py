@@ -64,10 +64,6 @@ def search_baud_rate(device: str, config: RobotConfig) -> Check:
     """Try the other baud rates, fastest first, and say which one gives valid lines.
 
     Nothing is commanded but zero.
-
-    Args:
-        device: the serial device, closed.
-        config: of the robot, whose own rate gave none.
     """
     for baud in sorted(set(BAUD_RATES) - {config.baud_rate}, reverse=True):
         timeout = min(BAUD_TIMEOUT, config.connect_timeout)
@@ -110,9 +106,6 @@ def examine_device(
         commission: turns the wheels, too, and takes what was found; None: the robot stands.
         recorder: records the wire; closed at the end.
 
-    Yields:
-        The results in order.
-
     Raises:
         EmergencyStopError: after the last result.
     """
@@ -154,11 +147,6 @@ def examine_board(
     link: Link, config: RobotConfig, commission: Commission | None
 ) -> Iterator[Check]:
     """Check the board behind an open link.
-
-    Args:
-        link: to the board, or to a simulated one.
-        config: configuration of the robot.
-        commission: as for `examine_device`.
 
     Raises:
         LinkError: the board is lost or silent, or its wheels keep turning.

@@ -90,9 +90,6 @@ def check_computer(
             adapter's latency timer.
         config: configuration of the robot.
         root: folder with sys and proc.
-
-    Yields:
-        The results.
     """
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1

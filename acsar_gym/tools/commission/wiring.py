@@ -129,10 +129,6 @@ class Commission:
     def run(self, probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
         """Turn the wheels; yield what was found.
 
-        Args:
-            probe: hears the board.
-            config: of the robot.
-
         Raises:
             LinkError: the board is lost, or wheels keep turning.
             ConfigError: what was seen can't be.

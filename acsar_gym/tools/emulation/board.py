@@ -230,9 +230,6 @@ def run_emulator(*arguments: str) -> Iterator[EmulatedDevices]:
     Args:
         *arguments: command line arguments of `emulate`; with "--lidar" there are two devices.
 
-    Yields:
-        Paths of the emulated devices.
-
     Raises:
         LinkError: the emulator didn't start.
     """

@@ -75,10 +75,6 @@ class BoardProbe:
     `upper_case`, of the commands; `echoes`, whether the board sends commands back, and `rate`, the
     lines that it sends per second [Hz], once `measure_feedback` has found them; `line_time`, how
     long a line takes on the wire [s].
-
-    Args:
-        link: to the board, open.
-        config: of the robot.
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
@@ -155,9 +151,6 @@ class BoardProbe:
             enough: called with all lines after each one.
             patience: longest time [s].
             repeat: time between commands [s].
-
-        Returns:
-            The lines.
         """
         begin = due = self._link.now()
         lines: list[FeedbackLine] = []
@@ -577,7 +570,6 @@ class StepResponse:
         Returns:
             Times from a command's last byte to the first byte of the line that shows its effect,
             with more or less of the wait for the next line [s], ascending; none where a command had
-            no effect.
         """
         probe, delays = self._probe, []
 
@@ -652,11 +644,7 @@ class StepResponse:
     def _find_fall(
         self, newest: list[FeedbackLine], command: Speeds | None, end: float, level: float
     ) -> tuple[float | None, FeedbackLine | None]:
-        """Listen until the mean speed is below `end` [rad/s].
-
-        Returns:
-            When it fell below a level, between two lines [s], None if it didn't; and the last line.
-        """
+        """Listen until the mean speed is below `end` [rad/s]."""
         lines = newest + self._probe.hear(
             command, lambda heard: self._mean(heard[-1]) < end, STEADY_TIMEOUT
         )

@@ -101,7 +101,7 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
 def plan_turns(
     turned: float, speeds: Sequence[float], radii: Sequence[float], repeats: int
 ) -> list[RunPlan]:
-    """Turns on the spot and in circles: every speed with every radius, left, right, left...
+    """Turns on the spot and in circles: every radius with every speed, left, right, left...
 
     Args:
         turned: full turns of each run.
@@ -114,8 +114,8 @@ def plan_turns(
         if not 0.0 <= radius <= 100.0:
             raise ConfigError(f"--radii {radius:g}: must be 0 to 100 m")
     found = []
-    pairs = list(itertools.product(speeds, radii)) * repeats
-    for number, (speed, radius) in enumerate(pairs, start=1):
+    pairs = list(itertools.product(radii, speeds)) * repeats
+    for number, (radius, speed) in enumerate(pairs, start=1):
         side = 1.0 if number % 2 else -1.0
         angle = side * turned * math.tau
         where = f", radius {radius:g} m" if radius else ""

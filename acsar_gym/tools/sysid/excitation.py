@@ -120,9 +120,6 @@ def drive_excitation(
         duration: [s].
         recorder: records it as well.
 
-    Returns:
-        The log of the wire.
-
     Raises:
         ConfigError: the duration is out of range.
         LinkError: the robot can't be reached, fails, or was stopped.

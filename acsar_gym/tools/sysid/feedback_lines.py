@@ -45,9 +45,6 @@ def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
     """Measure the lines, where a stalled host may have read some late and in bursts.
 
     The rate is measured as `doctor` measures it, see `measure_rate`.
-
-    Args:
-        tracks: at least one with two lines.
     """
     slopes, spans = [], []
     for track in tracks:

@@ -157,11 +157,6 @@ def check_model(
 ) -> ModelCheck | None:
     """Check whether a fitted model describes the board.
 
-    Args:
-        fit: of the motors.
-        config: of the robot, as it was.
-        parts: its errors.
-
     Returns:
         The check; None where there are too few lines.
     """

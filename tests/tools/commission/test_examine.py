@@ -20,11 +20,10 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import BoardGarbledError, ConfigError, EmergencyStopError
+from acsar_gym.errors import BoardGarbledError, EmergencyStopError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.tools.cli import main
-from acsar_gym.tools.commission import checks as doctor_checks
 from acsar_gym.tools.commission import examine
 from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import Commission
@@ -139,33 +138,6 @@ def test_a_board_is_stopped_whichever_zeros_it_takes(
     wait_until(emulator.stands, "a robot that stands")
 
 
-def test_a_check_that_fails_to_open_listens_no_more(
-    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[examine.StoppableLink] = []  # so that no finalizer closes anything
-
-    class Kept(examine.StoppableLink):
-        def __init__(self, device: str, config: RobotConfig) -> None:
-            super().__init__(device, config)
-            made.append(self)
-
-    monkeypatch.setattr(examine, "StoppableLink", Kept)
-    (check,) = examine.examine_device(MISSING, config)
-    assert (check.name, check.status) == ("open", "fail")
-    assert made[0].listener.paths == []
-
-
-def test_slow_feedback_is_a_warning(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
-) -> None:
-    robot = robot_file(firmware={"feedback_rate": 20.0})
-    emulator = start_emulator("--robot", str(robot))
-    rate = examined(emulator.device, config)["feedback rate"]
-    assert rate.status == "warn"
-    assert "100 expected" in rate.found
-    assert "feedback_rate" in rate.fix
-
-
 def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotConfig) -> None:
     wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
     checks = examined(shared_device, wrong)
@@ -174,13 +146,6 @@ def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotCo
     assert checks["first valid line"].fix == "see the next row"
     assert checks["baud rate"].found == "valid lines at 115200 baud"
     assert "--baud-rate 115200" in checks["baud rate"].fix
-
-
-def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
-    silent = start_emulator("--silent")
-    (check,) = examined(silent.device, config.with_(connect_timeout=0.3)).values()
-    assert (check.name, check.status) == ("first valid line", "fail")
-    assert "power" in check.fix
 
 
 def test_a_device_lost_during_the_examination(
@@ -253,11 +218,6 @@ def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
     assert (robot.baud_rate, robot.control_rate) == (baud, rate)
 
 
-def test_a_line_that_is_too_slow_for_the_feedback_is_refused() -> None:
-    with pytest.raises(ConfigError, match="baud_rate = 9600"):
-        examine.at_baud_rate(ACSAR.with_(firmware={"feedback_rate": 50.0}), 9600)
-
-
 def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[int] = []
 
@@ -283,11 +243,3 @@ def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_a_rate_close_to_a_usual_one_is_that_one(measured: float, rate: float) -> None:
     assert board.round_rate(measured) == rate
-
-
-def test_a_computer_without_ports_is_a_warning_unless_a_device_is_given(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(doctor_checks, "find_ports", list)
-    assert doctor_checks.check_ports().status == "warn"
-    assert doctor_checks.check_ports("/dev/pts/7").status == "ok"

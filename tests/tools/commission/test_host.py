@@ -146,25 +146,6 @@ def test_hubs_on_the_way(
     assert bool(hub.fix) == (status == "warn")
 
 
-def test_a_wire_that_is_almost_full(
-    config: RobotConfig, found: Callable[..., dict[str, Check]]
-) -> None:
-    baud = found("/dev/ttyUSB0", config.with_(baud_rate=38400))["baud rate"]
-    assert baud.status == "warn"
-    assert "112 lines/s" in baud.found
-    assert "baud_rate" in baud.fix
-
-
-def test_a_computer_that_tells_nothing(
-    tmp_path: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    checks = list(realtime.check_computer("/dev/pts/3", config, tmp_path))
-    assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
-        "skip"
-    }
-
-
 @linux
 @pytest.mark.parametrize(
     ("arguments", "user", "said"),

@@ -44,8 +44,8 @@ def test_lines_go_back_and_turns_alternate() -> None:
     plans = plan_turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
     angles = [leg.angle for plan in plans for leg in plan.legs]
     assert angles == pytest.approx([10.0 * math.pi, -10.0 * math.pi] * 4)
-    assert plans[1].legs[0].distance == pytest.approx(3.0 * math.pi)
-    assert plans[1].linear == pytest.approx(0.15)
+    assert plans[2].legs[0].distance == pytest.approx(3.0 * math.pi)
+    assert plans[2].linear == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize(

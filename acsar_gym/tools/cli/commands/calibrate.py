@@ -67,8 +67,8 @@ class TurnOptions:
     """Measured angles, one for each run [degrees], full turns counted; right turns positive or
     negative."""
     speeds: Numbers = ()
-    """Turn rates [rad/s]; default: 40 % and 80 % of max_angular, or 60 % where readings are
-    given."""
+    """Turn rates [rad/s]; default: 40 % and 80 % of what max_angular and max_linear allow, or 60 %
+    where readings are given."""
     radii: Numbers = (0.0,)
     """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
     sides also tell left against right radius."""
@@ -123,7 +123,8 @@ class Manoeuvres:
             plans += calibration_drive.plan_straights(straight.distance, speed, repeats)
         if name != "straight":
             shares = (USUAL_SPEED_SHARE,) if turn.measured_deg else TURN_RATE_SHARES
-            speeds = turn.speeds or tuple(share * config.max_angular for share in shares)
+            top = min(config.max_angular, config.max_linear / max(*turn.radii, 1e-9))
+            speeds = turn.speeds or tuple(share * top for share in shares)
             for speed in speeds:
                 _check_speed("--speeds", speed, config.max_angular, "max_angular")
                 fastest = max(speed * max(turn.radii, default=0.0), 1e-9)
