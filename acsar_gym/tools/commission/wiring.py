@@ -74,11 +74,6 @@ SeenWheel = tuple[int, int] | None
 def parse_seen(answer: str, letter: int) -> SeenWheel:
     """Read what somebody saw while one letter was commanded forward.
 
-    Args:
-        answer: letter of the wheel that turned, with n for backward (or p for forward) behind it;
-            "none" if none turned; empty for the letter's own wheel.
-        letter: index of the commanded letter.
-
     Raises:
         ConfigError: it says none of these.
     """
@@ -331,12 +326,7 @@ def _refuse_board(probe: BoardProbe, answers: Sequence[WheelAnswer], speed: floa
 
 
 def report_delays(delays: Sequence[float]) -> Check:
-    """Say how long commands take to show.
-
-    Args:
-        delays: [s], ascending, of the `RESPONSE_TRIALS` commands less those that were left out;
-            none where wheels don't turn.
-    """
+    """Say how long commands take to show."""
     if not delays:
         return Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
     usual, latest = median(delays), delays[math.ceil(0.95 * len(delays)) - 1]
@@ -371,14 +361,7 @@ def _ask_seen(ask: AskWatcher, letter: int, config: RobotConfig) -> str:
 def infer_wiring(
     answers: Sequence[WheelAnswer], eyes: Sequence[SeenWheel] | None, config: RobotConfig
 ) -> WheelsConfig:
-    """Infer the wiring; wheels of which nothing is known keep their letters, or those left.
-
-    Args:
-        answers: of the encoders, for the letters a, b, c, d.
-        eyes: what was seen to turn, for each; None if nobody looked: motors are then taken to be
-            where the robot's file says.
-        config: of the robot, as its file says.
-    """
+    """Infer the wiring; wheels of which nothing is known keep their letters, or those left."""
     file = config.wheels.each
     own_motors = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in file]
     own_encoders = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in file]
@@ -420,14 +403,7 @@ def check_wiring(
     config: RobotConfig,
     found: WheelsConfig,
 ) -> Iterator[Check]:
-    """Say what was found about each wheel, and about all of them.
-
-    Args:
-        answers: of the encoders, for the letters a, b, c, d.
-        eyes: what was seen to turn; None if nobody looked.
-        config: as it was configured.
-        found: the wiring that was inferred.
-    """
+    """Say what was found about each wheel, and about all of them."""
     for wheel in range(4):
         yield _check_wheel(wheel, answers, eyes, config, found.each[wheel])
     file = config.wheels

@@ -57,13 +57,7 @@ class ExcitationPlan(NamedTuple):
 
 
 def plan_excitation(config: RobotConfig, duration: float, period: float) -> ExcitationPlan:
-    """Make the commands of a manoeuvre, different ones for each wheel.
-
-    Args:
-        config: of the robot; its top speeds limit the commands.
-        duration: of the whole manoeuvre [s], at least 12.
-        period: of a tick [s].
-    """
+    """Make the commands of a manoeuvre, different ones for each wheel."""
     rng = np.random.default_rng(0)
     top = min(FASTEST_STEP, config.max_wheel_speed, config.max_linear / config.wheel_radius)
     moving = duration - LONGEST_PAUSE - BEFORE_PAUSE_TIME
