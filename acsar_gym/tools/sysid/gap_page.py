@@ -113,7 +113,8 @@ def _plot_speeds(replay: EpisodeReplay) -> Any:
     for place, wheel in enumerate(WHEEL_PLACES):
         row, column = divmod(place, 2)
         commands = recorded.commands[:, wheel]
-        curves = [_line("command", recorded.command_stamps - start, commands, "#999999", width=1)]
+        stamps = recorded.command_stamps - start
+        curves = [_line("command", stamps, commands, "#999999", width=1, shape="hv")]
         for name, track, color in _tracks(replay):
             curves.append(
                 _line(name, track.feedback_stamps - start, track.feedback[:, wheel], color)
