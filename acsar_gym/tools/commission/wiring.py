@@ -140,8 +140,8 @@ class Commission:
         if (refusal := _refuse_board(probe, answers, speed)) is not None:
             yield refusal
             return
-        found = infer_wiring(answers, self.eyes, config)
-        yield from check_wiring(answers, self.eyes, config, found)
+        wiring = infer_wiring(answers, self.eyes, config)
+        yield from check_wiring(answers, self.eyes, config, wiring)
         heard = [answer for answer in answers if answer.encoder is not None]
         if not heard:
             yield Check(DELAY_CHECK, "fail", "no wheel turns", NOTHING_TURNS)
@@ -150,8 +150,8 @@ class Commission:
             for name in ("line end", DELAY_CHECK, TIMEOUT_CHECK):
                 yield Check(name, "skip", "needs wheels that turn as commanded", "mend them first")
             return
-        if found != config.wheels:
-            self.changes["wheels"] = found.model_dump()
+        if wiring != config.wheels:
+            self.changes["wheels"] = wiring.model_dump()
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
         if probe.echoes and not config.echo:
             self.changes["echo"] = True
@@ -255,25 +255,25 @@ class Commission:
     def _check_timeout(self, response: StepResponse, config: RobotConfig) -> tuple[Check, bool]:
         """Say how soon the board stops by itself, and whether two measurements agree on it."""
         seen: list[float] = []
-        while (found := response.measure_timeout()) is not None:
-            alike = [other for other in seen if abs(found[0] - other) < SAME_TIMEOUT]
+        while (timed := response.measure_timeout()) is not None:
+            alike = [other for other in seen if abs(timed[0] - other) < SAME_TIMEOUT]
             if alike:
-                found = 0.5 * (found[0] + alike[0]), found[1]
+                timed = 0.5 * (timed[0] + alike[0]), timed[1]
                 break
-            seen.append(found[0])
+            seen.append(timed[0])
             if len(seen) == TIMEOUT_TRIALS:
                 listed = ", ".join(f"{after:.2f}" for after in seen)
                 said = f"another time at each trial: {listed} s"
                 fix = "does the board repeat old lines, or is this computer busy? Try again"
                 return Check(TIMEOUT_CHECK, "fail", said, fix), False
         configured = config.firmware.command_timeout or math.inf
-        after = math.inf if found is None else round(found[0], 2)
+        after = math.inf if timed is None else round(timed[0], 2)
         if after != configured and not abs(after - configured) <= TIMEOUT_TOLERANCE:
-            self._note_firmware("command_timeout", None if found is None else after)
-        if found is None:
+            self._note_firmware("command_timeout", None if timed is None else after)
+        if timed is None:
             fix = "add a command time-out to the firmware"
             return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix), True
-        stands = f"; the wheels stand after {found[1]:.2f} s" if found[1] else ""
+        stands = f"; the wheels stand after {timed[1]:.2f} s" if timed[1] else ""
         return Check(TIMEOUT_CHECK, "ok", f"{after:.2f} s after the last command{stands}"), True
 
     def _note_firmware(self, name: str, value: float | None) -> None:
@@ -344,11 +344,11 @@ def report_delays(delays: Sequence[float]) -> Check:
 def _ask_seen(ask: AskWatcher, letter: int, config: RobotConfig) -> str:
     """Ask which wheel turned while a letter was commanded forward, until the answer makes sense."""
     wheel = next(k for k, one in enumerate(config.wheels.each) if one.motor == MOTORS[letter])
-    own = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
+    usual = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
     question = f"{MOTORS[letter]} was commanded forward: which wheel turned ({WHEEL_NAMES}; "
     question += "n behind it: backward; "
     for _ in range(MAX_QUESTIONS):
-        said = ask(f"{question}none; Enter: {own})? ").strip() or own
+        said = ask(f"{question}none; Enter: {usual})? ").strip() or usual
         with contextlib.suppress(ConfigError):
             parse_seen(said, letter)
             return said
@@ -363,14 +363,14 @@ def infer_wiring(
 ) -> WheelsConfig:
     """Infer the wiring; wheels of which nothing is known keep their letters, or those left."""
     file = config.wheels.each
-    own_motors = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in file]
-    own_encoders = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in file]
-    letters = [letter for letter, _ in own_motors]
+    file_motors = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in file]
+    file_encoders = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in file]
+    letters = [letter for letter, _ in file_motors]
     motors: dict[int, tuple[int, int]] = {}
     encoders: dict[int, tuple[int, int]] = {}
     for answer in answers:
         wheel = letters.index(answer.letter)
-        saw = (wheel, own_motors[wheel][1]) if eyes is None else eyes[answer.letter]
+        saw = (wheel, file_motors[wheel][1]) if eyes is None else eyes[answer.letter]
         if saw is None:
             continue
         wheel, way = saw
@@ -378,12 +378,12 @@ def infer_wiring(
         if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
             sign = answer.sign * way if answer.is_right else file[wheel].sign
             encoders[wheel] = answer.encoder, sign
-    for known, own in ((motors, own_motors), (encoders, own_encoders)):
-        left = set(range(4)) - {letter for letter, _ in known.values()}
-        others = [wheel for wheel in range(4) if wheel not in known]
-        for wheel in sorted(others, key=lambda wheel: own[wheel][0] not in left):
-            known[wheel] = own[wheel] if own[wheel][0] in left else (min(left), 1)
-            left.discard(known[wheel][0])
+    for parts, in_file in ((motors, file_motors), (encoders, file_encoders)):
+        left = set(range(4)) - {letter for letter, _ in parts.values()}
+        others = [wheel for wheel in range(4) if wheel not in parts]
+        for wheel in sorted(others, key=lambda wheel: in_file[wheel][0] not in left):
+            parts[wheel] = in_file[wheel] if in_file[wheel][0] in left else (min(left), 1)
+            left.discard(parts[wheel][0])
     return WheelsConfig.model_validate(
         {
             letter: {

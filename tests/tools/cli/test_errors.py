@@ -158,7 +158,7 @@ ERRORS = [
     ("calibrate planar straight --space 1 1", 2, "--space 1 1"),
     ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings"),
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
-    ("calibrate planar turn --radii 2", 2, "--speeds times --radii"),
+    ("calibrate planar turn --radii 2 --speeds 1", 2, "--speeds times --radii"),
     ("calibrate planar straight --speed 0", 2, "--speed 0"),
     ("calibrate planar straight --tape 0", 2, "--tape"),
     ("calibrate planar straight --aside 0.1", 2, "--aside "),
