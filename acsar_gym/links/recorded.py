@@ -146,11 +146,12 @@ class WireTape(Recorder):
     @property
     def log(self) -> WireLog:
         """What passed since the newest reset."""
-        columns = []
-        for pieces in (self._sent, self._got):
-            columns.append(np.array([stamp for stamp, _ in pieces], np.float64))
-            columns.append(tuple(data for _, data in pieces))
-        return WireLog(*columns)
+        return WireLog(
+            np.array([stamp for stamp, _ in self._sent], np.float64),
+            tuple(data for _, data in self._sent),
+            np.array([stamp for stamp, _ in self._got], np.float64),
+            tuple(data for _, data in self._got),
+        )
 
 
 def unwrap_link(link: Link) -> Link:

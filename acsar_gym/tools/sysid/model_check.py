@@ -240,7 +240,9 @@ def _describe_scale(ratio: float, config: RobotConfig) -> str:
 
 def _describe_directions(fit: MotorFit) -> str:
     """Name wheels that are weaker one way, if that explains most of the error."""
-    weaker, stronger, before, after = [], [], 0.0, 0.0
+    weaker: list[str] = []
+    stronger: list[str] = []
+    before = after = 0.0
     for index, column in enumerate(fit.problem.wheels):
         lines = _collect_lines(fit, index)
         gains = []

@@ -381,7 +381,7 @@ def gap_rows(gap: TwinGap) -> list[tuple[str, str, str, str, str, str]]:
 
 def log_rows(gap: TwinGap) -> list[tuple[str, ...]]:
     """Return the cells of `LOG_COLUMNS` for each episode."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for replay in gap.replays:
         speeds, ends = (
             " -> ".join(format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
