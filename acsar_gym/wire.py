@@ -35,12 +35,17 @@ class Wire:
     the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
     the newest command has left the port, at the baud rate [s]; 0 in simulation. Where the link's
     board echoes, `decoder` is one that leaves the echoes out.
+
+    Args:
+        link: To the board.
+        config: Of the robot.
+        period: Of an exchange [s]; None for the control period.
     """
 
-    def __init__(self, link: Link, config: RobotConfig) -> None:
+    def __init__(self, link: Link, config: RobotConfig, period: float | None = None) -> None:
         self.decoder = Decoder()
         self._link = link
-        self._period = config.period
+        self._period = period or config.period
         self._rules = rules.make_rules(config)
         self._end = line_end(trailing_comma=config.trailing_comma)
         self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
@@ -73,8 +78,15 @@ class Wire:
             self._encoded, self._command = speeds, encode_line(*wired, self._end)
             if self._set_points is not None:
                 self._set_points.note(wired)
-        command = self._command if self._echoes is None else self._echoes.mark(self._command)
-        self._link.write(command)
+        self.send_line(self._command)
+
+    def send_line(self, line: bytes) -> None:
+        """Send a line as it is; where the board echoes, so that its echo is unlike feedback."""
+        self._link.write(line if self._echoes is None else self._echoes.mark(line))
+
+    def leave_out_echoes(self, *sent: bytes) -> None:
+        """Leave out echoes from now on, and those of lines that were sent before."""
+        self.decoder = self._echoes = EchoDecoder(*sent)
 
     def exchange(self, speeds: Speeds | None) -> tuple[list[Speeds], float]:
         """Send a command line, let one control period pass, and decode what arrived in it.

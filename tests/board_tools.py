@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import quirks
+
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.tools.doctor import wire
-from acsar_gym.tools.doctor.checks import Check
-from acsar_gym.tools.doctor.commission import Commission
-from acsar_gym.tools.emulation import quirks
+from acsar_gym.tools.commission import examine
+from acsar_gym.tools.commission.checks import Check
+from acsar_gym.tools.commission.wiring import Commission
 
 
 def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:
@@ -20,7 +21,7 @@ def commissioned(
     link: quirks.QuirkyLink, commission: Commission, config: RobotConfig | None = None
 ) -> dict[str, Check]:
     """The doctor's findings, by name; the robot is taken to be the usual one."""
-    found = wire.examine_board(link, config or RobotConfig(), commission)
+    found = examine.examine_board(link, config or RobotConfig(), commission)
     return {check.name: check for check in found}
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import IO
 
 import pytest
+import quirks
 
 from acsar_gym import testing
 from acsar_gym.guard.shutdown import install_handlers
@@ -231,7 +232,10 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     `board` is the command of another program with the same output, log and signals.
     """
     options = ("--log", str(log), *arguments)
-    process = Started(*shlex.split(board), *options) if board else Forked("emulate", *options)
+    if board:
+        process: Started | Forked = Started(*shlex.split(board), *options)
+    else:
+        process = Forked("emulate", *options, main=quirks.emulate)
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()

@@ -17,7 +17,6 @@ from acsar_gym import RobotConfig, reading
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.render import top_view
 from acsar_gym.tools.evaluation.report import write_json
-from acsar_gym.tools.sysid import calibration_runs
 from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import files, generators
 
@@ -69,7 +68,6 @@ def test_a_pipe_that_nobody_reads_is_an_error(tmp_path: Path) -> None:
 
 WRITERS: dict[str, Callable[[Path], object]] = {
     "robot.yaml": lambda path: RobotConfig.preset("jackal").save(path),
-    "runs.json": lambda path: calibration_runs.write_runs(path, [], RobotConfig()),
     "world.yaml": lambda path: files.save_world(generators.generate_world("clutter", 1), path),
     "report.json": lambda path: write_json(path, {"numbers": list(range(100))}),
     "picture.png": lambda path: top_view.save_picture(np.zeros((64, 64, 3), np.uint8), path),

@@ -1,15 +1,18 @@
-"""A link whose bytes are recorded."""
+"""A link whose bytes are recorded, to a file or in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from acsar_gym.config import RobotConfig
 from acsar_gym.guard import shutdown
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
-from acsar_gym.recording.encoder import Exchange, Written
+from acsar_gym.recording.encoder import Event, Exchange, Written
 from acsar_gym.recording.recorder import Recorder, close_recorders
+from acsar_gym.recording.types import WireLog
 from acsar_gym.worlds import Scene
 
 
@@ -113,6 +116,42 @@ class RecordedLink(ForwardingLink):
         sent, self._sent = tuple(self._sent), []
         if sent and self._recorder.has_begun:
             self._recorder.add(Written(sent))
+
+
+class WireTape(Recorder):
+    """Keeps the wire of the newest episode in memory; for a `RecordedLink`."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self._sent: list[tuple[float, bytes]] = []
+        self._got: list[tuple[float, bytes]] = []
+
+    def open(self, config: RobotConfig) -> None:
+        """Nothing to open."""
+
+    def begin(self, stamp: float, *, simulated: bool) -> None:
+        """Begin a new log."""
+        self.number = 0
+        self.has_begun = True
+        self._sent.clear()
+        self._got.clear()
+
+    def add(self, event: Event) -> None:
+        """Keep what was sent and heard."""
+        if isinstance(event, Exchange | Written):
+            self._sent += event.sent
+        if isinstance(event, Exchange):
+            self._got += event.received
+
+    @property
+    def log(self) -> WireLog:
+        """What passed since the newest reset."""
+        return WireLog(
+            np.array([stamp for stamp, _ in self._sent], np.float64),
+            tuple(data for _, data in self._sent),
+            np.array([stamp for stamp, _ in self._got], np.float64),
+            tuple(data for _, data in self._got),
+        )
 
 
 def unwrap_link(link: Link) -> Link:

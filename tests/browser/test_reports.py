@@ -15,15 +15,10 @@ from typing import Any
 import pytest
 from benchmark_tools import cell, part, plan
 from browser_tools import CHROMIUM, Tab, browser
-from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
-from acsar_gym import RobotConfig
 from acsar_gym.tools.benchmark import result
 from acsar_gym.tools.benchmark.page import benchmark_page
 from acsar_gym.tools.evaluation.page import ReportPage
-from acsar_gym.tools.sysid import pages as sysid_pages
-from acsar_gym.tools.sysid.sim_real import compare_sides
-from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="chromium isn't installed: apt install chromium"
@@ -31,26 +26,14 @@ pytestmark = pytest.mark.skipif(
 SCHEMES = {"dark": (20, 22, 26), "light": (251, 251, 250)}
 """The background of each in page.css."""
 DRAWN = "document.documentElement?.dataset.drawn"
-ACSAR = RobotConfig.preset("acsar")
-PAGES = ("gap", "compare", "benchmark")
+PAGES = ("benchmark",)
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with one report of each kind."""
     folder = tmp_path_factory.mktemp("pages")
-    robot = ACSAR.with_(**HIDDEN)
-    logs = []
-    for seed in range(3):
-        episode = driven(robot, random_steps(seed, 12.0, robot), phase=0.003)
-        logs.append((f"log{seed}.mcap", recording(ACSAR, episode, name=f"{seed}")))
-    near = ACSAR.with_(**HIDDEN | {"motor": {"time_constant": 0.136}})
-    gap = measure_gap(logs, ("my_robot.yaml", near), ("acsar", ACSAR))
-    sim = [("sim.mcap", rollouts(ACSAR, range(8)))]
-    real = [("real.mcap", rollouts(robot.with_(max_linear=0.45), range(1, 9)))]
     made: dict[str, ReportPage] = {
-        "gap": sysid_pages.gap_page(gap),
-        "compare": sysid_pages.compare_page(compare_sides(sim, real)),
         "benchmark": benchmark_page(benchmark()),
     }
     for name, page in made.items():
@@ -111,21 +94,6 @@ def test_no_table_is_cut(name: str, width: int, pages: Path, tmp_path: Path) -> 
             assert tab.run(f"{cut}.length") == 0
         assert tab.run(f"{cut}.every(c => getComputedStyle(c).overflowX == 'auto')")
         assert tab.run("document.documentElement.scrollWidth <= innerWidth")
-
-
-def test_scheme_and_episode_can_be_chosen(pages: Path, tmp_path: Path) -> None:
-    again = f"delete {DRAWN}; picker.value = '2'; picker.dispatchEvent(new Event('change'))"
-    with opened(pages / "gap.html", "light", tmp_path) as tab:
-        tab.wait(DRAWN, "a page that is drawn")
-        first = tab.shot("first", tmp_path).read_bytes()
-        tab.run(again)
-        tab.wait(DRAWN, "another episode")
-        assert tab.shot("other", tmp_path).read_bytes() != first
-        tab.run(f"delete {DRAWN}; document.getElementById('theme').click()")
-        tab.wait(DRAWN, "the other scheme")
-        assert tab.run("document.documentElement.dataset.theme") == "dark"
-        background(tab.shot("dark", tmp_path), "dark")
-        assert tab.console == []
 
 
 def test_a_page_that_loads_or_fails_would_be_found(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ from acsar_gym.guard import estop
 from acsar_gym.links import open_link
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.doctor import checks as doctor
+from acsar_gym.tools.commission import checks as doctor
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")

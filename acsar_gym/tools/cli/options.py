@@ -302,7 +302,7 @@ class HostOptions:
         """
         from acsar_gym.guard.estop import StopListener  # noqa: PLC0415
         from acsar_gym.links.factory import is_device  # noqa: PLC0415
-        from acsar_gym.tools.doctor import host  # noqa: PLC0415
+        from acsar_gym.tools.commission import host  # noqa: PLC0415
 
         if drives is not None and not self.without_estop and is_device(drives):
             try:

@@ -14,7 +14,7 @@ import math
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.links import Link
+from acsar_gym.links import Link, open_link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
 from acsar_gym.tools.emulation.lidar import LidarEmulator
-from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.emulation.rplidar import RplidarTwin
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
@@ -63,10 +62,10 @@ class Emulator:
         world: the world, at whose start the robot stands; None for the origin of an open floor.
         sees: also emulate an RPLIDAR, at `lidar_device`.
         name: symbolic link that always points to the current device; None for no link.
-        quirks: how the board differs, such as "at-comma"; see emulation/quirks.py.
+        make_link: makes the simulated robot of a body's name and the config.
 
     Raises:
-        ConfigError: for an unknown body or quirk, or if `log` or `name` can't be created.
+        ConfigError: for an unknown body, or if `log` or `name` can't be created.
     """
 
     def __init__(
@@ -79,19 +78,17 @@ class Emulator:
         world: World | None = None,
         sees: bool = False,
         name: Path | None = None,
-        quirks: Sequence[str] = (),
+        make_link: Callable[[str, RobotConfig], Link] = open_link,
     ) -> None:
         if body not in BODIES:
             raise ConfigError(f"body = {body!r}: must be {' or '.join(BODIES)}")
-        odd = parse_quirks(quirks)
-        config = apply_to_config(odd, config)
         self._period = 1.0 / config.firmware.loop_rate
         self._silent = silent
         self.plugged = True
         self.lost = 0.0
         """Time that wasn't simulated, because the process was delayed for too long [s]."""
         with contextlib.ExitStack() as ours:
-            self._link: Link = make_link(body, config, odd)
+            self._link = make_link(body, config)
             ours.callback(self._link.close)
             # Compile what moves a robot, which would silence the board for a second at first.
             self._link.reset(Scene())

@@ -80,11 +80,7 @@ class LidarTwin:
         """Measurements since it began to turn."""
 
     def receive(self, data: bytes) -> bytes:
-        """Process bytes from the host.
-
-        Returns:
-            The answers.
-        """
+        """Process bytes from the host."""
         return b""
 
     def encode(self, degrees: Floats, ranges: Floats, starts: NDArray[np.bool_]) -> bytes:
@@ -142,13 +138,6 @@ class LidarTwin:
 
 class LidarEmulator:
     """An emulated LiDAR on a pseudo-terminal; call `serve_once` periodically.
-
-    Args:
-        twin: the emulated sensor.
-        baud: baud rate of the sensor.
-
-    Attributes:
-        device: path that a driver opens.
 
     Raises:
         ConfigError: for unknown baud rates.

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.sysid.calibration_runs import CalibrationRun, RunReading
+from acsar_gym.tools.sysid.calibration import CalibrationJob, CalibrationRun, RunReading
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import to_odometry
@@ -25,7 +26,6 @@ calibrated."""
 SPACE_MARGIN = 0.1
 """Distance to be kept from the edge of the space [m]."""
 BACKWARDS_NAME = ", backwards"
-CLOCKWISE_NAME = "square cw"
 SLOWER_SHARE = 0.07
 """How much slower the second and third of three runs are, as a share of the speed."""
 MAX_RUNS = 200
@@ -66,7 +66,7 @@ class RunPlan:
 
     name: str
     manoeuvre: str
-    """straight, turn or square."""
+    """straight or turn."""
     legs: tuple[RunLeg, ...]
     linear: float
     """Speed on the legs that go ahead [m/s]."""
@@ -101,7 +101,7 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
 def plan_turns(
     turned: float, speeds: Sequence[float], radii: Sequence[float], repeats: int
 ) -> list[RunPlan]:
-    """Turns on the spot and in circles: every speed with every radius, left, right, left...
+    """Turns on the spot and in circles: every radius with every speed, left, right, left...
 
     Args:
         turned: full turns of each run.
@@ -114,35 +114,14 @@ def plan_turns(
         if not 0.0 <= radius <= 100.0:
             raise ConfigError(f"--radii {radius:g}: must be 0 to 100 m")
     found = []
-    pairs = list(itertools.product(speeds, radii)) * repeats
-    for number, (speed, radius) in enumerate(pairs, start=1):
+    pairs = list(itertools.product(radii, speeds)) * repeats
+    for number, (radius, speed) in enumerate(pairs, start=1):
         side = 1.0 if number % 2 else -1.0
         angle = side * turned * math.tau
         where = f", radius {radius:g} m" if radius else ""
         name = f"turn {number}, {'left' if side > 0.0 else 'right'}, {speed:g} rad/s{where}"
         leg = RunLeg(radius * abs(angle), angle)
         found.append(RunPlan(name, "turn", (leg,), speed * radius, speed))
-    return found
-
-
-def plan_squares(
-    size: float, linear: float, angular: float, clockwise: int, counter: int
-) -> list[RunPlan]:
-    """Squares of UMBmark: first all clockwise, then all counter-clockwise; each ends with a turn.
-
-    Args:
-        size: length of a side [m].
-        linear: speed on the sides [m/s].
-        angular: speed at the corners [rad/s].
-        clockwise: how many clockwise runs, to the right of the start.
-        counter: how many counter-clockwise runs, to the left.
-    """
-    _check_size("--size", size, 100.0, clockwise + counter)
-    found = []
-    for name, side, count in ((CLOCKWISE_NAME, -1.0, clockwise), ("square ccw", 1.0, counter)):
-        legs = (RunLeg(size, 0.0), RunLeg(0.0, side * math.pi / 2.0)) * 4
-        names = [f"{name} {number}" for number in range(1, count + 1)]
-        found += [RunPlan(own, "square", legs, linear, angular) for own in names]
     return found
 
 
@@ -190,7 +169,7 @@ def check_space(
         raise ConfigError(
             f"--space {space[0]:g} {space[1]:g}: too small: this needs {up[0]} m ahead of the "
             f"robot's centre and {up[1]} m to each side, itself included: clear more floor, "
-            "or drive less (--distance, --radii, --size)"
+            "or drive less (--distance, --radii)"
         )
     return space
 
@@ -211,69 +190,58 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
     return Geofence(min_x=ends[0], max_x=ends[1], min_y=-y, max_y=y)
 
 
-class RunObserver(Protocol):
-    """Measures a run without a tape: ground truth, or a LiDAR."""
+class TruthReader:
+    """Follows the true pose of a simulated robot during a run.
 
-    def begin(self, robot: Robot) -> None:
-        """Note where the robot stands at the start of a run."""
+    Args:
+        robot: on a simulated link, at the start of the run.
+    """
 
-    def tick(self, robot: Robot) -> None:
-        """Follow the robot for one tick."""
-
-    def readings(self, plan: RunPlan) -> list[RunReading]:
-        """What was measured; called after the run, when the robot isn't driven."""
-
-
-class TruthObserver:
-    """Reads the end pose of each run from a simulation."""
-
-    def begin(self, robot: Robot) -> None:
-        """Note where the robot stands. LinkError on hardware."""
-        self._start = self._pose = self._read_truth(robot)
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._start = self._pose = self._read()
         self._turned = 0.0
 
-    def tick(self, robot: Robot) -> None:
-        """Follow the robot."""
-        pose = self._read_truth(robot)
+    def tick(self) -> None:
+        """Follow the robot for one tick."""
+        pose = self._read()
         self._turned += math.remainder(pose[2] - self._pose[2], math.tau)
         self._pose = pose
 
     def readings(self, plan: RunPlan) -> list[RunReading]:
-        """The end pose in the frame of the start."""
+        """The end of the run in the frame of its start."""
+        heading = RunReading("heading", self._turned, TRUTH_RADIANS, "truth")
+        if plan.manoeuvre == "turn":
+            return [heading]
         x, y, _ = to_odometry(self._start, self._pose)
-        return [
-            RunReading("x", x, TRUTH_METRES, "truth"),
-            RunReading("y", y, TRUTH_METRES, "truth"),
-            RunReading("heading", self._turned, TRUTH_RADIANS, "truth"),
-        ]
+        distance = RunReading("distance", math.hypot(x, y), TRUTH_METRES, "truth")
+        return [distance, RunReading("aside", y, TRUTH_METRES, "truth"), heading]
 
-    @staticmethod
-    def _read_truth(robot: Robot) -> Pose:
-        truth = robot.link.truth
+    def _read(self) -> Pose:
+        truth = self._robot.link.truth
         if truth is None:
-            raise LinkError("this link has no ground truth", "measure with a tape, or --lidar")
+            raise LinkError("this link has no ground truth", "measure with a tape")
         return truth.pose
 
 
 def drive_run(
-    robot: Robot, plan: RunPlan, scene: Scene, observer: RunObserver | None = None
+    robot: Robot, plan: RunPlan, make_reader: Callable[[Robot], TruthReader] | None = None
 ) -> CalibrationRun:
     """Drive one run; the robot is stopped and closed on any way out of it.
 
     Args:
         robot: inactive.
         plan: what to drive.
-        scene: where the simulated robot starts, and in which world.
-        observer: measures the run; None for a tape measure.
+        make_reader: makes what measures the run in simulation; None for a tape measure.
 
     Raises:
         LinkError: the link failed, the robot was stopped, or doesn't get on.
     """
-    driver = _RunDriver(robot, plan, observer)
+    driver = _RunDriver(robot, plan)
     try:
-        robot.reset(scene)
-        if observer is not None:
-            observer.begin(robot)
+        robot.reset(Scene())
+        if make_reader is not None:
+            driver.reader = make_reader(robot)
         for leg in plan.legs:
             driver.drive_leg(leg)
         for _ in range(math.ceil(REST_TIME / robot.config.period)):
@@ -282,15 +250,72 @@ def drive_run(
         robot.deactivate(error)
         raise
     robot.deactivate()
-    readings = [] if observer is None else observer.readings(plan)
+    readings = driver.reader.readings(plan) if driver.reader else ()
     return CalibrationRun(plan.name, plan.manoeuvre, np.array(driver.wheels), tuple(readings))
+
+
+def drive_plans(
+    job: CalibrationJob,
+    robot: Robot,
+    plans: Sequence[RunPlan],
+    space: tuple[float, float] | None,
+    before: Callable[[RunPlan], None],
+    recorder: Recorder | None = None,
+) -> None:
+    """Drive runs within the stated space; each is added to the job as soon as it has ended.
+
+    The link is closed after each run, while people measure.
+
+    Args:
+        job: collects the runs, and asks for readings.
+        robot: inactive; closed afterwards. Simulated ones begin each run at the origin.
+        plans: what to drive.
+        space: free floor ahead and to each side [m]; see `make_fence`.
+        before: called before each run, such as a countdown.
+        recorder: the robot's, if it has one.
+
+    Raises:
+        ConfigError: the space is too small or not stated, or nobody would measure.
+        LinkError: the robot can't be driven, or was stopped; the job has the runs before that.
+    """
+    config, simulated = job.config, robot.link.truth is not None
+    given = job.check_given(Counter(plan.manoeuvre for plan in plans))
+    if not (simulated or given or job.asks or recorder):
+        raise ConfigError(
+            "nobody would measure: give --measured or --measured-deg, or --record FILE to measure "
+            "now and give the readings later"
+        )
+    if not simulated and space is None:
+        ahead, aside = find_needed_space(plans, config)
+        raise ConfigError(
+            f"--space is missing: say how much floor is free ahead and to each side; this "
+            f"needs --space {ahead + 0.005:.2f} {aside + 0.005:.2f}"
+        )
+    space = check_space(config, plans, space)
+    try:
+        for plan in plans:
+            own = plan.ahead() if simulated else plan  # begins at its start anyway
+            before(own)
+            if recorder is not None:
+                recorder.describe({"run": own.name, "manoeuvre": own.manoeuvre})
+            robot.safety.fence(make_fence(config, own, space))
+            job.runs.append(drive_run(robot, own, None if given or not simulated else TruthReader))
+            if not (simulated or given):
+                job.ask_readings(len(job.runs) - 1)
+    except LinkError:
+        job.given = job.given.of_first(job.runs)
+        raise
+    finally:
+        robot.close()
 
 
 class _RunDriver:
     """Drives the legs of one run and keeps the angles of its wheels."""
 
-    def __init__(self, robot: Robot, plan: RunPlan, observer: RunObserver | None) -> None:
-        self.robot, self.plan, self.observer = robot, plan, observer
+    def __init__(self, robot: Robot, plan: RunPlan) -> None:
+        self.robot = robot
+        self.plan = plan
+        self.reader: TruthReader | None = None
         self.wheels: list[tuple[float, float]] = [(0.0, 0.0)]
         self.aim = 0.0
         """Heading of the plan at the end of the legs so far [rad]."""
@@ -341,8 +366,8 @@ class _RunDriver:
         self.way += math.hypot(x - before[0], y - before[1])
         a, b, c, d = robot.odometry.wheel_positions
         self.wheels.append(((b + c) / 2.0, (a + d) / 2.0))
-        if self.observer is not None:
-            self.observer.tick(robot)
+        if self.reader is not None:
+            self.reader.tick()
         name = self.plan.name
         if robot.safety.stopped:
             if robot.safety.reason != Reason.GEOFENCE:
@@ -352,9 +377,4 @@ class _RunDriver:
                 f"{name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the stated "
                 "space",
                 "give more --space, or calibrate turns first",
-            )
-        if robot.link.truth is not None and robot.link.truth.contact:
-            raise LinkError(
-                f"{name}: the robot touched an obstacle of its world",
-                "take a wider --world, or drive less",
             )

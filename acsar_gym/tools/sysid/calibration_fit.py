@@ -1,17 +1,16 @@
 """Least squares for radii and multiplier over the readings of all runs together, and its results.
 
 Every reading is compared with odometry integrated from that run's wheel angles, so lag, ramps and
-limits of the drive don't matter, and straight lines, turns and squares share one fit. A parameter
+limits of the drive don't matter, and straight lines and turns share one fit. A parameter
 that the readings can't tell keeps the config's value, and its uncertainty widens the intervals of
 the others.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,7 @@ from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.randomization import LEAST_TURN
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.calibration_runs import (
+from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
     configured_geometry,
@@ -51,14 +50,12 @@ GEOMETRY_LOW = np.array([0.5, -0.3, 0.2])
 """Lower bounds: radius and multiplier as shares of the config's, ratio as it is."""
 GEOMETRY_HIGH = np.array([2.0, 0.3, 5.0])
 """Upper bounds, likewise."""
-GEOMETRY_STARTS = ((1.0,), tuple(np.linspace(-0.06, 0.06, 5)), tuple(np.geomspace(0.45, 2.6, 25)))
-"""Grid from which the fit starts, likewise."""
 RADIUS_FIELDS = ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
 MULTIPLIER_FIELD = "wheel_separation_multiplier"
 TURN_FACTOR_FIELD = "body.turn_factor"
 MISSING_HINTS = {
     "wheel_radius": "the wheels' mean radius (calibrate straight tells it)",
-    "radius_ratio": "left against right radius (calibrate square, or turn --radii 0.5 both ways)",
+    "radius_ratio": "left against right radius (calibrate turn --radii 0.5, or straight --aside)",
     MULTIPLIER_FIELD: "the multiplier (calibrate turn tells it)",
 }
 """What tells a parameter that the fit couldn't."""
@@ -109,9 +106,7 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     if not used:
         raise ConfigError("no run has a reading yet: measure its end, then give --measured")
     problem = _GeometryProblem(used, config)
-    grid = [problem.centre, *map(np.array, itertools.product(*GEOMETRY_STARTS))]
-    start = min(grid, key=lambda p: float(np.sqrt(1.0 + problem.with_prior(p) ** 2).sum()))
-    p = problem.solve(start, [0, 1, 2], robust=True)
+    p = problem.solve(problem.centre, [0, 1, 2], robust=True)
 
     off = np.abs(problem.residuals(p))
     limit = OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(off)))
@@ -255,38 +250,41 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, FittedValu
     where the ratio was told; else the multipliers stay as they are. `body.turn_factor` is the
     multiplier, so that the twin turns as the robot does; a tyre's is above 1.
     """
-    radius, sides, turning = {}, {}, {}
+    fields: dict[str, FittedValue] = {}
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
-    if (ratio := fit.told.get("radius_ratio")) is not None:
-        mean, half = 1.0, (ratio.high - ratio.low) / 4.0
+    ratio = fit.told.get("radius_ratio")
+    if ratio is not None:
+        mean = 1.0
+    if (radius := fit.told.get("wheel_radius")) is not None:
+        fields["wheel_radius"] = FittedValue(*(number / mean for number in radius))
+    elif ratio is not None and fit.geometry.radius != config.wheel_radius:
+        fields["wheel_radius"] = FittedValue(*[fit.geometry.radius] * 3)
+    if ratio is not None:
+        half = (ratio.high - ratio.low) / 4.0
         for name, sign in zip(RADIUS_FIELDS, (-1.0, 1.0), strict=True):
-            sides[name] = FittedValue.around(1.0 + sign * ratio.value / 2.0, half)
-        if fit.geometry.radius != config.wheel_radius:
-            radius["wheel_radius"] = FittedValue(*[fit.geometry.radius] * 3)
-    if (one := fit.told.get("wheel_radius")) is not None:
-        radius["wheel_radius"] = FittedValue(*(number * (1.0 / mean) for number in one))
-    if (one := fit.told.get(MULTIPLIER_FIELD)) is not None:
-        turning[MULTIPLIER_FIELD] = one
-        if one.value > 1.0:
-            low = max(one.low, min(one.value, LEAST_TURN))
-            turning[TURN_FACTOR_FIELD] = FittedValue(one.value, low, one.high)
-    return {**radius, **sides, **turning}
+            fields[name] = FittedValue.around(1.0 + sign * ratio.value / 2.0, half)
+    if (multiplier := fit.told.get(MULTIPLIER_FIELD)) is not None:
+        fields[MULTIPLIER_FIELD] = multiplier
+        if multiplier.value > 1.0:
+            low = max(multiplier.low, min(multiplier.value, LEAST_TURN))
+            fields[TURN_FACTOR_FIELD] = multiplier._replace(low=low)
+    return fields
 
 
 def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig:
     """The robot's config with what was found, and `measured` entries with method and logs."""
-    found = fitted_fields(fit, config)
-    kinds = " ".join(sorted({run.manoeuvre for run in fit.used}))
-    logs = (hash_runs(fit.used, config),)
+    fields = fitted_fields(fit, config)
+    method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.used}))
+    logs = (hash_runs(fit.used),)
     measured = {
-        name: Measured(low=one.low, high=one.high, method=f"calibrate {kinds}", logs=logs)
-        if one.high > one.low
+        name: Measured(low=fitted.low, high=fitted.high, method=method, logs=logs)
+        if fitted.high > fitted.low
         else None
-        for name, one in found.items()
+        for name, fitted in fields.items()
     }
-    if MULTIPLIER_FIELD in found:  # one that a tyre can't have ends the tyre's interval
+    if MULTIPLIER_FIELD in fields:  # one that a tyre can't have ends the tyre's interval
         measured.setdefault(TURN_FACTOR_FIELD, None)
-    changes: dict[str, Any] = {name: one.value for name, one in found.items()}
+    changes: dict[str, Any] = {name: fitted.value for name, fitted in fields.items()}
     if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
         changes["body"] = {"turn_factor": turning}
     return config.with_(**changes, measured=update_measured(config.measured, measured))
@@ -294,35 +292,35 @@ def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig
 
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """The fitted fields with their intervals, beside the config's values."""
-    found = Table(title="Calibrated, with 95 % intervals", title_justify="left")
+    drawn = Table(title="Calibrated, with 95 % intervals", title_justify="left")
     for column in ("field", "config", "found", "low", "high", ""):
-        found.add_column(column, justify="left" if column in ("field", "") else "right")
-    for name, one in fitted_fields(fit, config).items():
+        drawn.add_column(column, justify="left" if column in ("field", "") else "right")
+    for name, fitted in fitted_fields(fit, config).items():
         factor, unit = (1000.0, "mm") if name == "wheel_radius" else (1.0, "")
         turning = name == TURN_FACTOR_FIELD
         before = config.body.turn_factor if turning else getattr(config, name)
-        interval = [one.low, one.high] if one.high > one.low else [None, None]
-        numbers = [before, one.value, *interval]
-        found.add_row(name, *("-" if n is None else f"{factor * n:.4f}" for n in numbers), unit)
+        interval = [fitted.low, fitted.high] if fitted.high > fitted.low else [None, None]
+        numbers = [before, fitted.value, *interval]
+        drawn.add_row(name, *("-" if n is None else f"{factor * n:.4f}" for n in numbers), unit)
     lines = [f"{len(fit.used)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
     for name, text in MISSING_HINTS.items():
         if name not in fit.told:
             lines.append(f"Not told by these runs: {text}.")
     lines += [f"Left out, contradicts the others: {escape_text(run.name)}." for run in fit.outliers]
-    found.caption = "\n".join(lines)
-    return found
+    drawn.caption = "\n".join(lines)
+    return drawn
 
 
 def runs_table(runs: Sequence[CalibrationRun], fit: GeometryFit, config: RobotConfig) -> Table:
     """Every run's readings beside odometry, before and after."""
-    found = Table(title="Runs", title_justify="left")
+    drawn = Table(title="Runs", title_justify="left")
     for column in ("run", "measured", "odometry before", "after", "off by"):
-        found.add_column(column, justify="left" if column == "run" else "right")
+        drawn.add_column(column, justify="left" if column == "run" else "right")
     separation = config.wheel_separation
     for run in runs:
         before = predict_readings(run, configured_geometry(config), separation)
         after = predict_readings(run, fit.geometry, separation)
-        sigma = reading_sigmas(run, fit.geometry, separation)
+        sigmas = reading_sigmas(run, fit.geometry, separation)
         name = run.name + (" (left out)" if run in fit.outliers else "")
         for i, reading in enumerate(run.readings):
             off = reading.value - after[i]
@@ -330,27 +328,26 @@ def runs_table(runs: Sequence[CalibrationRun], fit: GeometryFit, config: RobotCo
                 f"{math.degrees(value):.1f} deg" if reading.kind == "heading" else f"{value:.3f} m"
                 for value in (reading.value, before[i], after[i], off)
             ]
-            if wide := abs(off) > 4.0 * sigma[i]:
-                found.caption = "! off by more than 4 times what its scale allows"
+            if wide := abs(off) > 4.0 * sigmas[i]:
+                drawn.caption = "! off by more than 4 times what its scale allows"
             shown = f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + (" !" if wide else "")
-            found.add_row(escape_text(name) if i == 0 else "", *shown)
-    return found
+            drawn.add_row(escape_text(name) if i == 0 else "", *shown)
+    return drawn
 
 
 def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
     """The result for JSON; without a fit, where no run has a reading, nothing is found."""
-    told = []
+    listed = []
     for run in runs:
         before = predict_readings(run, configured_geometry(config), config.wheel_separation)
         after = predict_readings(run, fit.geometry, config.wheel_separation) if fit else before
-        readings = []
-        for one, b, a in zip(run.readings, before, after, strict=True):
-            own = asdict(one) | {"before": b, "after": a}
-            del own["sigma"]
-            readings.append(own)
-        told.append(
+        readings = [
+            {"kind": one.kind, "value": one.value, "source": one.source, "before": b, "after": a}
+            for one, b, a in zip(run.readings, before, after, strict=True)
+        ]
+        listed.append(
             {
                 "name": run.name,
                 "manoeuvre": run.manoeuvre,
@@ -358,11 +355,11 @@ def format_calibration(
                 "wheels": run.wheels[-1].tolist(),
             }
         )
-    found = fitted_fields(fit, config) if fit else {}
+    fields = fitted_fields(fit, config) if fit else {}
     return {
-        "found": {name: one._asdict() for name, one in found.items()},
+        "found": {name: fitted._asdict() for name, fitted in fields.items()},
         "not_told": [name for name in MISSING_HINTS if fit is None or name not in fit.told],
         "left_out": [run.name for run in fit.outliers] if fit else [],
         "rms": fit.rms if fit else None,
-        "runs": told,
+        "runs": listed,
     }

@@ -9,12 +9,12 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link
-from acsar_gym.links.base import Arrivals, ForwardingLink, arrivals_of
+from acsar_gym.links.base import ForwardingLink
+from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.worlds import Scene
 
 FASTEST_STEP = 10.0
 """Largest speed of the steps [rad/s]."""
@@ -57,13 +57,7 @@ class ExcitationPlan(NamedTuple):
 
 
 def plan_excitation(config: RobotConfig, duration: float, period: float) -> ExcitationPlan:
-    """Make the commands of a manoeuvre, different ones for each wheel.
-
-    Args:
-        config: of the robot; its top speeds limit the commands.
-        duration: of the whole manoeuvre [s], at least 12.
-        period: of a tick [s].
-    """
+    """Make the commands of a manoeuvre, different ones for each wheel."""
     rng = np.random.default_rng(0)
     top = min(FASTEST_STEP, config.max_wheel_speed, config.max_linear / config.wheel_radius)
     moving = duration - LONGEST_PAUSE - BEFORE_PAUSE_TIME
@@ -94,49 +88,16 @@ def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator)
     return speeds
 
 
-class TappedLink(ForwardingLink):
-    """Passes a link's bytes on with stretched periods, and keeps a log of them.
-
-    Args:
-        link: to the robot.
-
-    Attributes: `link`, the inner one; `device`, its name if it has one.
-    """
+class StretchedLink(ForwardingLink):
+    """Stretches the periods of a link, so that commands come at every phase of a board's loops."""
 
     def __init__(self, link: Link) -> None:
         super().__init__(link)
         self.device = getattr(link, "device", "")
-        self._sent: Arrivals = []
-        self._got: Arrivals = []
-
-    def reset(self, scene: Scene) -> None:
-        """Reset the link, and begin a new log."""
-        super().reset(scene)
-        self._sent.clear()
-        self._got.clear()
-        arrivals_of(self.link)  # from now on, it notes when bytes arrive
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to the robot."""
-        super().write(data)
-        self._sent.append((self.now(), data))
 
     def advance(self, period: float) -> bytes:
         """Let a stretched period pass; returns what arrived."""
-        data = super().advance(period * TICK_STRETCH)
-        self._got += list(self.arrivals) or ([(self.now(), data)] if data else [])
-        return data
-
-    @property
-    def log(self) -> WireLog:
-        """What passed since the reset."""
-        sent, got = self._sent, self._got
-        return WireLog(
-            np.array([stamp for stamp, _ in sent]),
-            tuple(data for _, data in sent),
-            np.array([stamp for stamp, _ in got]),
-            tuple(data for _, data in got),
-        )
+        return super().advance(period * TICK_STRETCH)
 
 
 def drive_excitation(
@@ -153,9 +114,6 @@ def drive_excitation(
         duration: [s].
         recorder: records it as well.
 
-    Returns:
-        The log of the wire.
-
     Raises:
         ConfigError: the duration is out of range.
         LinkError: the robot can't be reached, fails, or was stopped.
@@ -163,23 +121,24 @@ def drive_excitation(
     if not SHORTEST_EXCITATION <= duration <= LONGEST_EXCITATION:
         limits = f"{SHORTEST_EXCITATION:g} to {LONGEST_EXCITATION:g} s"
         raise ConfigError(f"duration = {duration}: must be {limits}")
-    tapped = TappedLink(link)
+    tape = WireTape()
+    taped = RecordedLink(StretchedLink(link), tape, config)
     plan = plan_excitation(config, duration, config.period * TICK_STRETCH)
     # The wheels don't answer as configured: that is what is to be found.
-    with Robot(tapped, config.with_(wheel_check=False), recorder=recorder) as robot:
-        begin = tapped.now()
+    with Robot(taped, config.with_(wheel_check=False), recorder=recorder) as robot:
+        begin = taped.now()
         for speeds in plan.before.tolist():
             robot.tick(speeds)
-            robot.safety.check(tapped.now() - begin)
+            robot.safety.check(taped.now() - begin)
         still = 0
         for _ in range(plan.pause):
             robot.listen()
-            robot.safety.check(tapped.now() - begin)
+            robot.safety.check(taped.now() - begin)
             still = still + 1 if max(map(abs, robot.speeds)) < STANDING_SPEED else 0
             if still * config.period > STANDING_TIME:
                 break
         for speeds in plan.after.tolist():
             robot.tick(speeds)
-            robot.safety.check(tapped.now() - begin)
+            robot.safety.check(taped.now() - begin)
         robot.stop()
-    return tapped.log
+    return tape.log

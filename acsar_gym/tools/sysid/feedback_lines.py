@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import PRINTED_STEP
-from acsar_gym.tools.doctor.board import measure_rate
+from acsar_gym.tools.sysid.board import measure_rate
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
@@ -45,9 +45,6 @@ def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
     """Measure the lines, where a stalled host may have read some late and in bursts.
 
     The rate is measured as `doctor` measures it, see `measure_rate`.
-
-    Args:
-        tracks: at least one with two lines.
     """
     slopes, spans = [], []
     for track in tracks:

@@ -278,13 +278,7 @@ def guess_timeout(tracks: Sequence[BoardTrack]) -> float:
 def search_start(
     problem: FitProblem, deadbands: Sequence[float], times: BoardTimes
 ) -> tuple[list[WheelModel], BoardTimes]:
-    """Search the start of a fit on a grid of delays, lags and ramps; gains are linear.
-
-    Args:
-        problem: to solve.
-        deadbands: of the wheels [rad/s].
-        times: window and time-out to begin with.
-    """
+    """Search the start of a fit on a grid of delays, lags and ramps; gains are linear."""
     best_cost, best = math.inf, ([WheelModel(0.0, 0.0, 0.0, 0.0)], times)
     for delay in SEARCHED_DELAYS.tolist():
         own, models, cost = times._replace(delay=delay), [], 0.0
@@ -376,11 +370,7 @@ def search_window(
 def find_rounding(
     problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Quantum | None
 ) -> tuple[SpeedRounding, float | None]:
-    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both.
-
-    Returns:
-        The rounding; and the window, if whole counts tell it exactly [s].
-    """
+    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
     step = quantum.step if quantum else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
     fitted, near = float(solution.x[-2]), math.inf
@@ -419,16 +409,7 @@ def fit_deadband(
     rounding: SpeedRounding,
     usual: float | None,
 ) -> DeadbandEstimate:
-    """Find the deadband of one wheel: the answer jumps where a set point crosses one.
-
-    Args:
-        problem: the tracks.
-        index: of the wheel in the problem.
-        model: the wheel's parameters; its deadband isn't used.
-        times: of the board.
-        rounding: of the speeds.
-        usual: for a log that can't tell: the value to stay at, unless it clearly fits worse.
-    """
+    """Find the deadband of one wheel: the answer jumps where a set point crosses one."""
     bands = np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID)
     if usual is not None:
         bands = np.append(bands, usual)

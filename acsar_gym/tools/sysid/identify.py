@@ -174,9 +174,6 @@ class Identification:
     def check(self, *, anyway: bool = False) -> None:
         """Check that this is worth a robot's file.
 
-        Args:
-            anyway: also where the model doesn't fit.
-
         Raises:
             IdentificationError: it isn't, and why.
         """

@@ -1,6 +1,6 @@
 """The twin's answer of each wheel to commands, and its residuals over recorded tracks.
 
-Ramp, gain, deadband, saturation, lag, encoder: the same recursion as `Firmware` over a `Body`, at
+Ramp and motor are the functions of `physics.model` that the firmware's twin and its bodies use, at
 the same loop rate. Where the twin's loops lie between the host's stamps isn't known, so commands
 and encoder readings are interpolated between loops: that is the mean over all phases of the twin's
 clock, and it is smooth in delay and window.
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
+from acsar_gym.physics.model import move_towards, wheel_speed
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.tracks import BoardTrack
 
 LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
 that the loop already has the latter."""
-CREEP_SPEED = 1e-3
-"""A wheel slower than this stands, once its set point is zero [rad/s]; as in `physics.model`."""
 PARAMETERS_PER_WHEEL = 3
 """Lag, gain and slowness of the ramp; the deadband isn't smooth."""
 WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])
@@ -105,15 +104,12 @@ def simulate_speeds(
     speeds = np.empty(len(after))
     set_point = speed = 0.0
     for k in range(len(after)):
-        low, high, old = set_point - step, set_point + step, set_point
-        set_point = min(max(after[k], low), high)
+        old = set_point
+        set_point = move_towards(old, after[k], step)
         if share[k] < 1.0:
-            set_point += (1.0 - share[k]) * (min(max(before[k], low), high) - set_point)
+            set_point += (1.0 - share[k]) * (move_towards(old, before[k], step) - set_point)
         aim = pass_deadband(set_point * gain, spread * gain * abs(set_point - old), deadband)
-        aim = min(max(aim, -top), top)
-        speed += blend * (aim - speed)
-        if aim == 0.0 and abs(speed) < CREEP_SPEED:
-            speed = 0.0
+        speed = wheel_speed(speed, aim, 1.0, blend, 0.0, top)
         speeds[k] = speed
     return speeds
 

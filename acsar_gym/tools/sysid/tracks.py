@@ -181,14 +181,7 @@ def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
 def make_twin_track(
     episode: Episode, config: RobotConfig, of: RobotConfig, body: str
 ) -> EpisodeTrack:
-    """Make the track of a twin that gets the recorded commands.
-
-    Args:
-        episode: whose commands are replayed.
-        config: of the robot, for decoding and odometry.
-        of: config of the twin.
-        body: physics of the twin, such as "planar".
-    """
+    """Make the track of a twin that gets the recorded commands."""
     done = replay_commands(of, episode.wire, episode.stamps, body=body)
     return _make_track(done.wire, episode.stamps, done.poses, config)
 
@@ -213,10 +206,6 @@ def add_truth(recording: Recording, log: Path) -> Recording:
     """Add true poses to a recording that was made over a pseudo-terminal.
 
     The link and the emulator both use the machine's monotonic clock.
-
-    Args:
-        recording: whose truth isn't known.
-        log: of `acsar-gym emulate --log`.
 
     Raises:
         ConfigError: the log holds no true poses, or is of another time.

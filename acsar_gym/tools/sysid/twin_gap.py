@@ -36,6 +36,8 @@ TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 MOVING_SPEED = 0.2
 """Wheels that never differ by more than this from their mean don't tell a time shift [rad/s]."""
 TWIN_SIDES = ("before", "after")
+GAP_COLUMNS = ("figure", "unit", "before", "after", "95 % interval", "after / before")
+LOG_COLUMNS = ("log", "use", "duration", "wheel speeds", "end position", "against")
 NOTED_PAUSE = 0.1
 """Longer pauses between commands are noted [s]."""
 SHORTEST_EPISODE = 1.0
@@ -378,18 +380,9 @@ def gap_rows(gap: TwinGap) -> list[tuple[str, str, str, str, str, str]]:
     ]
 
 
-def gap_tables(gap: TwinGap) -> list[Table]:
-    """Make the tables of a gap: figures, and the logs."""
-    kind = "held-out logs" if gap.held_out else "logs that the robot was fitted to"
-    title = f"Gap of {gap.robot} (before: {gap.before}) on {kind}, twin: {gap.body}"
-    figures = Table(title=escape_text(title), title_justify="left")
-    for name in ("figure", "unit", "before", "after", "95 % interval", "after / before"):
-        figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
-    for row in gap_rows(gap):
-        figures.add_row(*row)
-    logs = Table(title="Each episode, before -> after", title_justify="left")
-    for name in ("log", "use", "duration", "wheel speeds", "end position", "against"):
-        logs.add_column(name, justify="right" if name == "duration" else "left")
+def log_rows(gap: TwinGap) -> list[tuple[str, ...]]:
+    """Return the cells of `LOG_COLUMNS` for each episode."""
+    rows: list[tuple[str, ...]] = []
     for replay in gap.replays:
         speeds, ends = (
             " -> ".join(format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
@@ -398,7 +391,24 @@ def gap_tables(gap: TwinGap) -> list[Table]:
         use = "fitted" if replay.fitted else "held out"
         against = "truth" if replay.recorded.known else "odometry"
         cells = (f"{replay.seconds:.1f} s", f"{speeds} rad/s", f"{ends} cm", against)
-        logs.add_row(escape_text(replay.name), use, *cells)
+        rows.append((replay.name, use, *cells))
+    return rows
+
+
+def gap_tables(gap: TwinGap) -> list[Table]:
+    """Make the tables of a gap: figures, and the logs."""
+    kind = "held-out logs" if gap.held_out else "logs that the robot was fitted to"
+    title = f"Gap of {gap.robot} (before: {gap.before}) on {kind}, twin: {gap.body}"
+    figures = Table(title=escape_text(title), title_justify="left")
+    for name in GAP_COLUMNS:
+        figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
+    for row in gap_rows(gap):
+        figures.add_row(*row)
+    logs = Table(title="Each episode, before -> after", title_justify="left")
+    for name in LOG_COLUMNS:
+        logs.add_column(name, justify="right" if name == "duration" else "left")
+    for cells in log_rows(gap):
+        logs.add_row(*map(escape_text, cells))
     return [figures, logs]
 
 
@@ -443,15 +453,11 @@ def format_gap(gap: TwinGap) -> dict[str, Any]:
     return told
 
 
-def parse_limits(given: Sequence[str], known: Sequence[str]) -> dict[str, float]:
+def parse_limits(given: Sequence[str]) -> dict[str, float]:
     """Parse limits of `--fail-over` for continuous integration, such as "wheel_speed_rms=0.5".
 
-    Args:
-        given: the limits.
-        known: names of the metrics.
-
     Returns:
-        Metrics and their limits, in SI units.
+        Metrics of LIMIT_NAMES and their limits, in SI units.
 
     Raises:
         ConfigError: an unknown metric, or a value that isn't a number from 0 up.
@@ -459,8 +465,8 @@ def parse_limits(given: Sequence[str], known: Sequence[str]) -> dict[str, float]
     limits = {}
     for text in given:
         name, equals, value = text.partition("=")
-        if name not in known:
-            unknown = f"{show_value(name)}{suggest_name(name, known)}"
+        if name not in LIMIT_NAMES:
+            unknown = f"{show_value(name)}{suggest_name(name, LIMIT_NAMES)}"
             raise ConfigError(f"--fail-over: unknown metric {unknown}")
         try:
             limit = float(value) if equals else math.nan

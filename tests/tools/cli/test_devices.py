@@ -12,7 +12,7 @@ from cli_tools import Call, assert_one_line
 from serial_tools import TIMEOUT, TRIALS, Emulated, RobotFile, StartEmulator, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.tools.doctor import board
+from acsar_gym.tools.sysid import board
 from acsar_gym.worlds import Pose
 
 pytestmark = pytest.mark.usefixtures("deadline")

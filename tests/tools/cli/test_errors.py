@@ -13,7 +13,6 @@ from zip_tools import save
 
 from acsar_gym import RobotConfig
 from acsar_gym.tools.jobs import cluster
-from acsar_gym.tools.sysid.calibration_runs import write_runs
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -159,7 +158,7 @@ ERRORS = [
     ("calibrate planar straight --space 1 1", 2, "--space 1 1"),
     ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings"),
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
-    ("calibrate planar turn --radii 2", 2, "--speeds times --radii"),
+    ("calibrate planar turn --radii 2 --speeds 1", 2, "--speeds times --radii"),
     ("calibrate planar straight --speed 0", 2, "--speed 0"),
     ("calibrate planar straight --tape 0", 2, "--tape"),
     ("calibrate planar straight --aside 0.1", 2, "--aside "),
@@ -167,8 +166,7 @@ ERRORS = [
     ("calibrate /dev/ttyUSB9 straight --measured 2", 2, "--space "),
     ("calibrate /dev/ttyUSB9 straight --space 9 9", 2, "--measured-deg"),
     (f"calibrate {MISSING} straight --space 9 9 --measured 2", 2, "add --yes"),
-    ("calibrate missing.json straight", 2, "missing.json"),
-    ("calibrate none.json straight", 2, "none.json: "),
+    ("calibrate missing.mcap straight", 2, "missing.mcap"),
     ("calibrate planar straight --out missing/my.yaml", 2, "missing/my.yaml: "),
     ("calibrate /dev/ttyUSB9 turn --yes --out x.txt", 2, "path = 'x.txt'"),
     ("calibrate planar turn --measured-deg nan", 2, "--measured-deg nan"),
@@ -205,7 +203,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     left, right = (wheel(f"w{y}", "base_link", f"0 {y} 0", tyre(0.03)) for y in (-0.1, 0.1))
     (folder / "two.urdf").write_text(robot(link("base_link"), left, right))
     (folder / "empty").mkdir()
-    write_runs(folder / "none.json", [], RobotConfig.preset("acsar"))
     save(folder / "model.zip")
     return folder
 

@@ -23,8 +23,6 @@ WRITES = [
     "benchmark --html mine.html",
     "benchmark --table mine.md",
     "calibrate planar straight --json mine.json",
-    "compare tape.mcap tape.mcap --json mine.json",
-    "compare tape.mcap tape.mcap --html mine.html",
     "demo --json mine.json",
     "doctor --json mine.json",
     "emulate --log mine.log",

@@ -1,4 +1,4 @@
-"""The commands identify, calibrate, gap and compare, on simulated robots and in files."""
+"""The commands identify, calibrate and gap, on simulated robots and in files."""
 
 from __future__ import annotations
 
@@ -6,20 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-import numpy as np
 import pytest
 import yaml
 from cli_tools import Call, assert_one_line
+from quirks import make_link, parse_quirks
 from rollout_tools import HIDDEN, random_steps
 from serial_tools import TRIALS, RobotFile, StartEmulator, cli
 
-from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym import Robot, RobotConfig, links, open_link
+from acsar_gym.links import Link
 from acsar_gym.recording import Recorder
-from acsar_gym.tools.emulation.quirks import make_link, parse_quirks
-from acsar_gym.tools.sysid.calibrate import DrivenRobot
-from acsar_gym.worlds import World
-from acsar_gym.worlds.files import save_world
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -51,22 +47,17 @@ def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: 
     "option",
     [
         ("--twin", "acsar"),
-        ("--quirk", "rpm"),
         ("--record", "new.mcap"),
         ("--duration", "5"),
-        ("--world", "empty"),
-        ("--lidar", "simulated"),
     ],
     ids=lambda option: str(option[0]),
 )
 def test_options_of_driving_are_refused_with_recordings(
     short: Path, call: Call, option: tuple[str, str]
 ) -> None:
-    commands: list[tuple[Any, ...]] = []
-    if option[0] not in ("--world", "--lidar"):
-        commands.append(("identify", short))
-    if option[0] not in ("--quirk", "--duration"):
-        commands += [("calibrate", file, "straight") for file in (short, "kept.json")]
+    commands: list[tuple[Any, ...]] = [("identify", short)]
+    if option[0] != "--duration":
+        commands.append(("calibrate", short, "straight"))
     for asked in commands:
         code, _, error = call(*asked, *option)
         assert code == 2
@@ -96,7 +87,9 @@ def test_a_miswired_robot_is_refused(call: Call, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("inside")
 def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path: Path) -> None:
     out, figures = tmp_path / "mine.yaml", tmp_path / "found.json"
-    asked = ("identify", "planar", "--quirk", "feedback-factor=1.5", "--duration", "12")
+    twin = tmp_path / "twin.yaml"
+    RobotConfig.preset("acsar").with_(motor={"gain": 1.5}).save(twin)
+    asked = ("identify", "planar", "--twin", twin, "--duration", "12")
     code, said, error = call(*asked, "--out", out, "--json", figures)
     assert code == 1
     assert_one_line(error, "doesn't fit: feedback is 1.50 times too large")
@@ -118,7 +111,7 @@ def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path:
     assert again + "holds at reversals" in call(*drive)[1]
 
 
-QUICK = ("--distance", "0.6", "--turns", "1", "--size", "0.4", "--repeats", "1")
+QUICK = ("--distance", "0.6", "--turns", "1", "--repeats", "1")
 
 
 @pytest.fixture
@@ -148,11 +141,11 @@ def test_in_simulation_truth_measures_and_the_result_is_a_robot_file(
     assert found.body.turn_factor == found.wheel_separation_multiplier
     measured = found.measured["wheel_separation_multiplier"]
     assert measured.low <= found.wheel_separation_multiplier <= measured.high
-    assert measured.method == "calibrate square straight turn"
+    assert measured.method == "calibrate straight turn"
     assert len(measured.logs[0]) == 16
     told = json.loads(result.read_text(encoding="utf-8"))
     assert told["not_told"] == []
-    assert len(told["runs"]) == 5
+    assert len(told["runs"]) == 3
 
 
 def test_runs_that_were_finished_before_a_stall_are_used(
@@ -160,11 +153,10 @@ def test_runs_that_were_finished_before_a_stall_are_used(
 ) -> None:
     """A board that hangs 8 s after it began: in the turn, which takes longer."""
 
-    def make_robot(robot: DrivenRobot) -> Robot:
-        quirks = parse_quirks(["frozen=8"])
-        return Robot(make_link("planar", robot.twin, quirks), robot.config)
+    def open_quirky(name: str, config: RobotConfig) -> Link:
+        return make_link(name, config, parse_quirks(["frozen=8"]))
 
-    monkeypatch.setattr(DrivenRobot, "make_robot", make_robot)
+    monkeypatch.setattr(links, "open_link", open_quirky)
     out, drive = tmp_path / "my.yaml", ("--distance", "0.6", "--repeats", "1")
     code, said, error = call("calibrate", "planar", "all", *drive, "--out", out)
     assert code == 3
@@ -174,18 +166,11 @@ def test_runs_that_were_finished_before_a_stall_are_used(
     assert set(RobotConfig.load(out).measured) >= {"wheel_radius"}
 
 
-def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call, tmp_path: Path) -> None:
-    runs = tmp_path / "cal.json"
-    drive = ("--distance", "0.6", "--runs", runs, "--measured")
-    code, _, error = call("calibrate", "planar", "straight", *drive, "61.5")
+def test_a_reading_that_contradicts_the_odometry_is_refused(call: Call) -> None:
+    drive = ("--distance", "0.6", "--measured", "61.5")
+    code, _, error = call("calibrate", "planar", "straight", *drive)
     assert code == 2
     assert_one_line(error, "contradicts the odometry by more than 30%")
-    code, said, _ = call("calibrate", runs, "straight")
-    assert code == 0
-    assert "1 runs kept in" in said
-    code, said, _ = call("calibrate", runs, "straight", "--measured", "0.615")
-    assert code == 0
-    assert "distance 0.615 m" in said
 
 
 def test_over_a_serial_device(
@@ -207,29 +192,17 @@ def test_over_a_serial_device(
     assert found == pytest.approx(0.051, rel=0.04)
 
 
-def test_a_lidar_measures_in_a_world(call: Call, twin: Path, tmp_path: Path) -> None:
-    room, out = tmp_path / "room.yaml", tmp_path / "my.yaml"
-    walls = np.array([(-2, -2, 4, -2), (4, -2, 4, 2), (4, 2, -2, 2), (-2, 2, -2, -2)], np.float64)
-    save_world(World(segments=walls), room)
-    asked = ("--twin", twin, "--lidar", "simulated", "--world", room, "--out", out)
-    assert call("calibrate", "planar", "all", *QUICK, "--speeds", "1.2", *asked)[0] == 0
-    found = RobotConfig.load(out)
-    assert found.wheel_radius == pytest.approx(0.051, rel=0.01)
-    assert found.wheel_separation_multiplier == pytest.approx(1.81, rel=0.01)
-
-
-@pytest.mark.parametrize("kept", ["cal.json", "cal.mcap"])
-def test_readings_given_later_keep_what_is_known_of_the_robot(
-    call: Call, tmp_path: Path, kept: str
-) -> None:
-    mine, out = tmp_path / "my.yaml", tmp_path / "out.yaml"
+def test_readings_given_later_keep_what_is_known_of_the_robot(call: Call, tmp_path: Path) -> None:
+    mine, out, record = (tmp_path / name for name in ("my.yaml", "out.yaml", "cal.mcap"))
     known = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
     known.save(mine)
-    options = ("--record", tmp_path / "cal.mcap", "--runs", tmp_path / "cal.json", "--robot", mine)
+    options = ("--record", record, "--robot", mine)
     drive = ("--distance", "0.6", "--repeats", "1", "--measured", "0.6")
     assert call("calibrate", "planar", "straight", *drive, *options)[0] == 0
-    later = (tmp_path / kept, "straight", "--measured", "0.61", "--out", out)
-    code, said, _ = call("calibrate", *later)
+    code, said, _ = call("calibrate", record, "straight")
+    assert code == 0
+    assert "no run has a reading" in said
+    code, said, _ = call("calibrate", record, "all", "--measured", "0.61", "--out", out)
     assert code == 0
     assert "distance 0.610 m" in said
     assert RobotConfig.load(out).motor == known.motor
@@ -242,7 +215,7 @@ ROBOT = ACSAR.with_(**HIDDEN)
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with recordings of the hidden robot, its file, and both sides of a task."""
+    """A folder with recordings of the hidden robot, and its file."""
     folder = tmp_path_factory.mktemp("files")
     for seed in range(2):
         with Robot(
@@ -252,25 +225,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 robot.tick(speeds)
     fitted = {**yaml.safe_load(ACSAR.model_dump_json()), **HIDDEN}
     (folder / "robot.yaml").write_text(yaml.safe_dump(fitted), encoding="utf-8")
-    for name, config, seeds in (
-        ("sim", ACSAR, range(3)),
-        ("real", ROBOT, range(1, 4)),
-        ("late", ACSAR, range(9, 10)),
-    ):
-        env = gymnasium.make(
-            "acsar_gym/PointGoal-v0",
-            link=open_link("planar", config),
-            robot=ACSAR,
-            record=folder / f"{name}.mcap",
-        )
-        for seed in seeds:
-            observation, _ = env.reset(seed=seed)
-            done = False
-            while not done:
-                action = np.array([0.8 * max(observation[1], 0.0), observation[2]], np.float32)
-                observation, _, terminated, truncated, _ = env.step(action)
-                done = terminated or truncated
-        env.close()
     return folder
 
 
@@ -294,23 +248,6 @@ def test_the_right_robot_has_nearly_no_gap(inside: Path, call: Call) -> None:
     code, _, error = call("gap", *logs[:2], "--robot", "acsar", "--fail-over", "end_pose=0.001")
     assert code == 1
     assert_one_line(error, "end_pose = ")
-
-
-def test_two_sides_of_a_task(inside: Path, call: Call) -> None:
-    outputs = ("--json", "compare.json", "--html", "compare.html")
-    code, out, error = call("compare", "sim.mcap", "real.mcap", "--sim", "late.mcap", *outputs)
-    assert (code, error) == (0, "")
-    assert "sim: 2 of 4 episodes have no partner" in out
-    told = json.loads((inside / "compare.json").read_text())
-    assert [pair["seed"] for pair in told["pairs"]] == [1, 2]
-    assert told["metrics"]["success_rate"]["values"] == [1.0, 1.0]
-    assert told["metrics"]["odometry_error"]["pairs"] == 2
-    html = (inside / "compare.html").read_text(encoding="utf-8")
-    assert '"text":"goal_distance, D = ' in html
-    limit = ("--fail-over", "success_rate=0.0", "time_to_goal=0.0")
-    code, _, error = call("compare", "sim.mcap", "real.mcap", *limit)
-    assert code == 1
-    assert_one_line(error, "time_to_goal = ")
 
 
 def test_a_cut_recording_is_used_as_far_as_it_goes(inside: Path, call: Call) -> None:

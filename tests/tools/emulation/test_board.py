@@ -14,7 +14,6 @@ import pytest
 from serial_tools import (
     TIMEOUT,
     Emulated,
-    RobotFile,
     StartEmulator,
     cli,
     no_leak,
@@ -97,19 +96,6 @@ def test_the_robot_stops_when_commands_stop(
     link.close()
 
 
-def test_without_a_command_timeout_it_drives_on(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
-) -> None:
-    robot = robot_file(firmware={"command_timeout": None})
-    emulator = start_emulator("--robot", str(robot))
-    link = drive_and_fall_silent(emulator.device, config)
-    wait_until(emulator.is_driven, "a command")
-    wait_unheard(emulator, 0.8)
-    assert not emulator.stands(loops=20)
-    link.close()
-    wait_until(emulator.stands, "a robot that stands")
-
-
 def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated) -> None:
     """The client knows nothing of this package."""
     port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY)
@@ -140,18 +126,6 @@ def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
     loops = [e["t"] for e in emulator.events() if "pose" in e and e["t"] > resumed]
     assert len(loops) * LOOP < loops[-1] - resumed + LONGEST_CATCH_UP + LOOP
     assert sum(e["lost"] for e in emulator.events() if "lost" in e) > LONGEST_CATCH_UP
-
-
-def test_short_stalls_are_caught_up_with(emulator: Emulated) -> None:
-    before = time.monotonic()
-    for _ in range(4):
-        emulator.pause()
-        time.sleep(0.6 * LONGEST_CATCH_UP)
-        emulator.resume()
-        wait_for_log(emulator, time.monotonic() + 0.1)
-    events = [e for e in emulator.events() if e["t"] > before]
-    passed = sum(LOOP if "pose" in e else e.get("lost", 0.0) for e in events)
-    assert passed > events[-1]["t"] - before - LONGEST_CATCH_UP - 0.1
 
 
 def test_a_duration_ends_it(tmp_path: Path) -> None:

@@ -15,9 +15,7 @@ from pathlib import Path
 import pytest
 from serial_tools import TIMEOUT, StartEmulator, no_leak, program
 
-from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.emulation.board import Emulator
 from acsar_gym.tools.emulation.cable import EmulatedCable
 
 BAUD_RATE = 115200
@@ -42,13 +40,6 @@ def test_a_name_in_use_stays_with_its_device(cable: EmulatedCable, name: Path) -
     with pytest.raises(ConfigError, match=r"usb-acsar: is the name of /dev/pts/\d+"):
         EmulatedCable(BAUD_RATE, name)
     assert str(name.readlink()) == cable.device
-
-
-def test_a_name_that_was_left_behind_is_taken(name: Path) -> None:
-    name.symlink_to("/dev/pts/999999")
-    cable = EmulatedCable(BAUD_RATE, name)
-    assert str(name.readlink()) == cable.device
-    cable.pull()
 
 
 @contextlib.contextmanager
@@ -116,26 +107,6 @@ def test_it_is_sound_where_the_baud_rates_agree(cable: EmulatedCable) -> None:
     assert cable.has_equal_rates  # the next client finds the board's own rate again
 
 
-def test_what_nobody_reads_is_lost_and_holds_nobody_up(cable: EmulatedCable) -> None:
-    for _ in range(1000):
-        cable.write(b"x" * 100)
-    with client(cable.device) as port:
-        tty.setraw(port, termios.TCSANOW)
-        assert set(heard(port)) == set(b"x")
-
-
-def test_a_name_that_others_change_is_no_error(cable: EmulatedCable, name: Path) -> None:
-    name.unlink()
-    cable.pull()
-    cable.plug()
-    assert str(name.readlink()) == cable.device
-    name.unlink()
-    other = EmulatedCable(BAUD_RATE, name)
-    cable.pull()
-    assert str(name.readlink()) == other.device
-    other.pull()
-
-
 @pytest.mark.parametrize("kind", ["file", "folder", "missing folder"])
 def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
     kind: str, tmp_path: Path
@@ -148,23 +119,6 @@ def test_where_the_name_cannot_be_made_nothing_stays_open_or_is_lost(
     assert str(name) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert (tmp_path / "kept").read_text() == "mine"
-
-
-def test_an_emulator_is_pulled_and_plugged_in_while_it_runs(
-    config: RobotConfig, name: Path
-) -> None:
-    with no_leak(), Emulator(config, name=name) as emulator:
-        before = emulator.device
-        with client(before):
-            emulator.plugged = False
-            emulator.run(duration=0.02)
-            assert emulator.device == ""
-            assert not name.is_symlink()
-            emulator.plugged = True
-            emulator.run(duration=0.02)
-            assert emulator.device not in ("", before)
-            assert str(name.readlink()) == emulator.device
-    assert not name.is_symlink()
 
 
 @pytest.mark.usefixtures("deadline")

@@ -5,14 +5,11 @@ from __future__ import annotations
 import json
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rollout_tools import HIDDEN, driven, random_steps, recording, rollouts
 
-from acsar_gym import RobotConfig
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.tools.evaluation.page import (
     MAX_LINE_POINTS,
@@ -23,12 +20,8 @@ from acsar_gym.tools.evaluation.page import (
     line_trace,
     stairs_trace,
 )
-from acsar_gym.tools.sysid import pages
-from acsar_gym.tools.sysid.sim_real import compare_sides
-from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 pytest.importorskip("plotly")
-ACSAR = RobotConfig.preset("acsar")
 EVIL = '</script><script src="https://example.com/x.js"></script><img src=x onerror=alert(1)>'
 LOADING = {"src", "href", "data", "action", "poster", "srcset", "formaction", "background"}
 
@@ -81,22 +74,6 @@ def test_text_from_files_is_only_text() -> None:
     assert data[0]["choices"][0][0]["name"] == EVIL
     assert data[0]["choices"][0][0]["y"] == [1.0, None]
     assert page.said.count(EVIL) >= 8
-
-
-def test_a_report_loads_nothing(tmp_path: Path) -> None:
-    robot = ACSAR.with_(**HIDDEN)
-    log = recording(ACSAR, driven(robot, random_steps(0, 3.0, robot)))
-    gap = measure_gap([("log.mcap", log)], ("robot.yaml", robot), ("acsar", ACSAR))
-    pages.gap_page(gap).write(tmp_path / "gap.html")
-    task = [("sim.mcap", rollouts(ACSAR, range(2)))]
-    pages.compare_page(compare_sides(task, task)).write(tmp_path / "compare.html")
-    for name, plots in (("gap.html", 3), ("compare.html", 5)):
-        html = (tmp_path / name).read_text(encoding="utf-8")
-        page = Reader(html)
-        assert page.loads == []
-        assert "default-src 'none'" in html
-        assert page.tags.count("figure") == len(json.loads(page.scripts[0])) == plots
-        assert "NaN" not in page.scripts[0]
 
 
 def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:

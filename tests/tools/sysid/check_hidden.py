@@ -18,13 +18,14 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from quirks import apply_to_config, make_link, parse_quirks
 from sysid_tools import TOLERANCES, draw_misfit, draw_motors, find_missed_truths, score_findings
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import IdentificationError
-from acsar_gym.tools.emulation.quirks import apply_to_config, make_link, parse_quirks
 from acsar_gym.tools.sysid.identify import Identification, identify_device
 
+quirk_file = str(Path(__file__).parents[2] / "quirks.py")
 PATIENT = RobotConfig.preset("acsar").with_(watchdog_timeout=2.0, feedback_timeout=5.0)
 """What is known of the robots, with the patience that a busy machine needs."""
 ENOUGH = 0.95
@@ -43,8 +44,7 @@ def emulated(hidden: RobotConfig, quirks: tuple[str, ...], duration: float) -> I
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "hidden.yaml"
         hidden.save(file)
-        command = [sys.executable, "-m", "acsar_gym", "emulate", "--robot", str(file)]
-        command += ["--quirk", *quirks] if quirks else []
+        command = [sys.executable, quirk_file, "emulate", "--robot", str(file), "--quirk", *quirks]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as emulator:
             try:
                 assert emulator.stdout is not None

@@ -7,10 +7,13 @@ import pytest
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LinkError
+from acsar_gym.links import Link
+from acsar_gym.links.base import ForwardingLink
+from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.excitation import (
     TICK_STRETCH,
-    TappedLink,
+    StretchedLink,
     drive_excitation,
     plan_excitation,
 )
@@ -34,33 +37,43 @@ def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None
 
 @pytest.mark.usefixtures("deadline")
 def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: RobotConfig) -> None:
-    tapped = TappedLink(open_link(shared_device, config))
-    with Robot(tapped, config) as robot:
+    tape = WireTape()
+    link = RecordedLink(StretchedLink(open_link(shared_device, config)), tape, config)
+    with Robot(link, config) as robot:
         for _ in range(60):
             robot.tick((3.0, -3.0, 3.0, -3.0))
         for _ in range(30):
             robot.listen()
-    found = decode_track(tapped.log, config)
+    found = decode_track(tape.log, config)
     assert found is not None
     last = np.flatnonzero(found.commands.any(axis=1))[-1]
     assert last in found.pauses
     assert found.commands[last].tolist() == [3.0, -3.0, 3.0, -3.0]
     assert np.median(np.diff(found.arrivals)) == pytest.approx(0.01 * TICK_STRETCH, rel=0.2)
     assert len(found.stamps) > 30
-    phases = np.mod(tapped.log.got_stamps[:, None] - tapped.log.sent_stamps, 0.01)
+    phases = np.mod(tape.log.got_stamps[:, None] - tape.log.sent_stamps, 0.01)
     assert phases.std() > 1e-3
-    assert tapped.log.sent[-1].startswith(ZEROS)
+    assert tape.log.sent[-1].startswith(ZEROS)
 
 
-class FailingLink(TappedLink):
+class FailingLink(ForwardingLink):
     """A link that is lost after three seconds, and remembers what was sent."""
 
     ticks = 0
     closed = False
+    sent = b""
+
+    def __init__(self, link: Link, *, fails: bool) -> None:
+        super().__init__(link)
+        self._fails = fails
+
+    def write(self, data: bytes) -> None:
+        self.sent = data
+        super().write(data)
 
     def advance(self, period: float) -> bytes:
         self.ticks += 1
-        if self.ticks == 300:
+        if self._fails and self.ticks == 300:
             raise LinkError("lost", "plug it in")
         return super().advance(period)
 
@@ -70,24 +83,24 @@ class FailingLink(TappedLink):
 
 
 def test_a_link_that_is_lost_ends_the_manoeuvre_with_zeros() -> None:
-    link = FailingLink(open_link("planar", ACSAR))
+    link = FailingLink(open_link("planar", ACSAR), fails=True)
     with pytest.raises(LinkError, match="lost"):
         drive_excitation(link, ACSAR, 12.0)
     assert link.closed
-    assert link.log.sent[-1].startswith(ZEROS)
+    assert link.sent.startswith(ZEROS)
 
 
 @pytest.mark.parametrize("reason", ["emergency stop", "geofence"])
 def test_a_stop_ends_the_manoeuvre(reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    link, tick = TappedLink(open_link("planar", ACSAR)), Robot.tick
+    link, tick = FailingLink(open_link("planar", ACSAR), fails=False), Robot.tick
     fence = {"min_x": -0.02, "max_x": 0.02} if reason == "geofence" else None
 
     def stop_late(robot: Robot, speeds: tuple[float, ...]) -> None:
-        if fence is None and len(link.log.sent) > 50:
+        if fence is None and link.ticks > 50:
             robot.estop()
         tick(robot, speeds)
 
     monkeypatch.setattr(Robot, "tick", stop_late)
     with pytest.raises(LinkError, match=reason):
         drive_excitation(link, ACSAR.with_(geofence=fence), 12.0)
-    assert link.log.sent[-1].startswith(ZEROS)
+    assert link.sent.startswith(ZEROS)

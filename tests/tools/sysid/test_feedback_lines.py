@@ -43,13 +43,6 @@ def test_a_stalled_host_reads_in_bursts(stalled: float) -> None:
     assert measure(read).rate == pytest.approx(50.0, rel=0.002)
 
 
-def test_lost_lines_and_episodes_that_count_by_their_length() -> None:
-    kept = np.random.default_rng(0).random(1000) > 0.002
-    assert abs(measure((np.arange(1000) / 50.0)[kept]).rate - 50.0) < 0.2
-    long, short = np.arange(1000) / 100.0, np.arange(100) / 98.0
-    assert measure(long, short).rate == pytest.approx(99.8, abs=0.1)
-
-
 def test_lines_that_a_fit_leaves_out_as_late_still_count() -> None:
     made = np.arange(2000) / 100.0
     read = made + 0.0003 * np.random.default_rng(0).random(2000)

@@ -11,20 +11,16 @@ from sysid_tools import ACSAR
 from acsar_gym.tools.sysid import parameter_findings
 from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.fit import (
-    DEADBAND_GRID,
-    LARGEST_DEADBAND,
     FitSolution,
     MotorFit,
     SpeedRounding,
     configured_times,
     configured_wheel,
-    fit_deadband,
 )
 from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.model_check import STEADY_FAST, PartError
 from acsar_gym.tools.sysid.parameter_findings import INTERVAL_FACTOR, NO_RAMP, ParameterFinding
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL, FitProblem
-from acsar_gym.tools.sysid.tracks import BoardTrack
 
 DT = 1.0 / ACSAR.firmware.loop_rate
 GAIN, SLOWNESS, MIDDLE, WINDOW = 1, 2, -3, -2
@@ -93,12 +89,6 @@ def test_what_the_model_misses_widens_the_intervals_of_gains() -> None:
     assert gain.high == pytest.approx(1.025)
 
 
-@pytest.mark.parametrize(("value", "told"), [(1.0, False), (1.2, True)])
-def test_a_vague_value_is_kept_only_where_it_can_be_right(value: float, told: bool) -> None:
-    (gain,) = find_all(make_fit(GAIN, (value,) * 4, (0.15,) * 4, 4), "motor.gain")
-    assert gain.told == told
-
-
 def test_delay_and_window_add_up_to_what_was_fitted() -> None:
     """Whatever window the robot's file has: their sum is told best."""
     fit = make_fit(MIDDLE, 0.06, 0.001)
@@ -130,29 +120,3 @@ def test_no_ramp_is_told_only_where_the_log_shows_it(
     assert ramp.value == pytest.approx(told)
     assert ramp.told == (told is not None)
     assert ramp.told or "too vague" in ramp.note
-
-
-@pytest.mark.parametrize(
-    ("half", "told"), [(0.01, True), (0.05, True), (0.08, False), (0.15, False)]
-)
-def test_an_averaging_time_may_be_too_vague(half: float, told: bool) -> None:
-    fit = make_fit(WINDOW, 0.06, half)
-    found = parameter_findings._find_window(ParameterFinding("encoder.window"), fit)
-    assert found.told == told
-    assert (found.value is None) != told
-    assert told or "too vague" in found.note
-
-
-@pytest.mark.parametrize(("usual", "value"), [(None, LARGEST_DEADBAND / 2.0), (0.3, 0.3)])
-def test_no_deadband_is_likelier_than_another_before_the_log(
-    usual: float | None, value: float
-) -> None:
-    """Of a log at rest, which fits any: their mean, or the usual one."""
-    stamps = np.arange(0.0, 10.0, 0.01)
-    rest = np.zeros((len(stamps), 4))
-    numbers = np.arange(len(stamps))
-    track = BoardTrack(stamps, rest, stamps, rest, np.zeros(len(stamps), bool), numbers)
-    problem = FitProblem.of((track,), (0,), ACSAR)
-    model, times = configured_wheel(ACSAR, 0), configured_times(ACSAR)
-    found = fit_deadband(problem, 0, model, times, SpeedRounding(0.0, 0.0), usual)
-    assert found.value == pytest.approx(value, abs=DEADBAND_GRID / 10.0)

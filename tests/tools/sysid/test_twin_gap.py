@@ -17,7 +17,6 @@ from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.excitation import plan_excitation
 from acsar_gym.tools.sysid.identify import identify_logs
 from acsar_gym.tools.sysid.twin_gap import (
     TwinGap,
@@ -125,14 +124,6 @@ def test_ten_milliseconds_of_delay_are_found() -> None:
     assert "delays differ: the robot answers" in conclude_gap(gap)[1]
 
 
-def test_the_manoeuvre_of_identify_has_enough_steps_for_delays() -> None:
-    whole = plan_excitation(ROBOT, 12.0, ROBOT.period)
-    episode = driven(ROBOT, np.concatenate((whole.before, whole.after)), phase=0.0025)
-    delays = measure_one(recording(ACSAR, episode)).delays("after")
-    assert min(delays.counts) > 8
-    assert not delays.differs
-
-
 @pytest.mark.parametrize("fits", [True, False])
 def test_fitted_logs_dont_count(*, fits: bool) -> None:
     """Nor where the model didn't fit, and values have no intervals."""
@@ -177,12 +168,11 @@ def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: 
 
 
 def test_limits_are_names_and_numbers() -> None:
-    known = ("wheel_speed_rms", "end_pose")
     limits = {"wheel_speed_rms": 0.5, "end_pose": 0.01}
-    assert parse_limits(["wheel_speed_rms=0.5", "end_pose=1e-2"], known) == limits
+    assert parse_limits(["wheel_speed_rms=0.5", "end_pose=1e-2"]) == limits
     for value in ("", "=", "=-1", "=nan", "=inf"):
         with pytest.raises(ConfigError, match="end_pose"):
-            parse_limits([f"end_pose{value}"], known)
+            parse_limits([f"end_pose{value}"])
 
 
 @pytest.mark.parametrize(("value", "count"), [(0.01, 0), (-0.011, 1), (math.nan, 1)])

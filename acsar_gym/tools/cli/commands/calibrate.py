@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,44 +17,139 @@ from acsar_gym.tools.cli.options import (
     File,
     Force,
     HostOptions,
-    LidarArg,
     RecordOptions,
     RobotArg,
-    WorldFileOptions,
-    Worlds,
     check_not_given,
     check_writable,
     countdown,
     print_results,
     say,
 )
-from acsar_gym.tools.sysid.calibration_options import Manoeuvres, RunOptions
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.sysid.calibrate import CalibrationJob, DrivenRobot
+    from acsar_gym.tools.sysid.calibration import CalibrationJob, GivenReadings
     from acsar_gym.tools.sysid.calibration_drive import RunPlan
 
 Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|FILE")]
 Manoeuvre = Annotated[
-    Literal["straight", "turn", "square", "all"],
+    Literal["straight", "turn", "all"],
     tyro.conf.Positional,
-    tyro.conf.arg(metavar="straight|turn|square|all"),
+    tyro.conf.arg(metavar="straight|turn|all"),
 ]
+Numbers = Annotated[tuple[float, ...], tyro.conf.arg(metavar="N [N ...]")]
+USUAL_SPEED_SHARE = 0.6
+"""Speed where none is given, as a share of the robot's largest."""
+TURN_RATE_SHARES = (0.4, 0.8)
+"""Turn rates where neither rates nor readings are given, as shares of the robot's largest."""
 
 
 @dataclass(frozen=True)
-class CalibrationSetup(RecordOptions, WorldFileOptions):
-    """The robot, who measures, and recording."""
+class StraightOptions:
+    """Straight lines: tell the wheels' mean radius."""
+
+    distance: float = 2.0
+    """Length of each run, by odometry [m]."""
+    measured: Numbers = ()
+    """Measured straight distances from start to end, one for each run [m]; positive, backwards
+    runs as well."""
+    aside: Numbers = ()
+    """How far to the left of the line ahead each run ended [m], negative to the right; tells left
+    against right radius."""
+
+
+@dataclass(frozen=True)
+class TurnOptions:
+    """Turns: tell wheel_separation_multiplier and body.turn_factor."""
+
+    turns: float = 5.0
+    """Full turns of each run, by odometry; left and right alternate."""
+    measured_deg: Numbers = ()
+    """Measured angles, one for each run [degrees], full turns counted; right turns positive or
+    negative."""
+    speeds: Numbers = ()
+    """Turn rates [rad/s]; default: 40 % and 80 % of what max_angular and max_linear allow, or 60 %
+    where readings are given."""
+    radii: Numbers = (0.0,)
+    """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
+    sides also tell left against right radius."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How runs are driven, and on which floor."""
+
+    space: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
+    """Free floor ahead of the robot's centre, and to each of its sides [m]. Needed for a real
+    robot, which is stopped at its edge."""
+    speed: float | None = None
+    """Linear speed [m/s]; default: 60 % of max_linear."""
+    repeats: int | None = None
+    """Runs of each kind; default: as many as readings, else 3 straight lines, 1 turn of each speed
+    and radius."""
+    yes: bool = False
+    """Don't ask before driving, for scripts."""
+
+
+_flat = tyro.conf.arg(name="")
+
+
+@dataclass(frozen=True)
+class Manoeuvres:
+    """What is driven."""
+
+    straight: Annotated[StraightOptions, _flat] = StraightOptions()
+    turn: Annotated[TurnOptions, _flat] = TurnOptions()
+    run: Annotated[RunOptions, _flat] = RunOptions()
+
+    def given(self) -> GivenReadings:
+        """The readings among the options."""
+        from acsar_gym.tools.sysid.calibration import GivenReadings  # noqa: PLC0415
+
+        straight = self.straight
+        return GivenReadings(straight.measured, straight.aside, self.turn.measured_deg)
+
+    def plans(self, name: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
+        """The runs of a manoeuvre, or of both: as many as readings, or as asked for."""
+        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
+
+        straight, turn, run = self.straight, self.turn, self.run
+        if run.repeats is not None and run.repeats < 1:
+            raise ConfigError(f"--repeats {run.repeats}: must be 1 or more")
+        plans = []
+        if name != "turn":
+            speed = USUAL_SPEED_SHARE * config.max_linear if run.speed is None else run.speed
+            _check_speed("--speed", speed, config.max_linear, "max_linear")
+            repeats = run.repeats or len(straight.measured) or 3
+            plans += calibration_drive.plan_straights(straight.distance, speed, repeats)
+        if name != "straight":
+            shares = (USUAL_SPEED_SHARE,) if turn.measured_deg else TURN_RATE_SHARES
+            top = min(config.max_angular, config.max_linear / max(*turn.radii, 1e-9))
+            speeds = turn.speeds or tuple(share * top for share in shares)
+            for speed in speeds:
+                _check_speed("--speeds", speed, config.max_angular, "max_angular")
+                fastest = max(speed * max(turn.radii, default=0.0), 1e-9)
+                _check_speed("--speeds times --radii", fastest, config.max_linear, "max_linear")
+            kinds = max(1, len(speeds) * len(turn.radii))
+            repeats = run.repeats or max(1, len(turn.measured_deg) // kinds)
+            plans += calibration_drive.plan_turns(turn.turns, speeds, turn.radii, repeats)
+        return plans
+
+
+def _check_speed(option: str, value: float, most: float, field: str) -> None:
+    """Raise ConfigError unless 0 < value <= most."""
+    if not 0.0 < value <= most:
+        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")
+
+
+@dataclass(frozen=True)
+class CalibrationSetup(RecordOptions):
+    """The robot, the scales of who measures, and recording."""
 
     robot: RobotArg = None
-    """Preset or config file: what is known so far; default: the robot of the runs in the file, else
+    """Preset or config file: what is known so far; default: the robot of the recording, else
     acsar."""
     twin: RobotArg = None
     """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
-    world: Worlds = None
-    """Simulation: world around the robot, for --lidar."""
-    lidar: LidarArg = None
-    """Measure by scan matching instead of a tape: MODEL:///dev/ttyUSB1, or simulated."""
     tape: float = 0.005
     """Divisions of the tape [m]."""
     protractor: float = 1.0
@@ -66,10 +160,6 @@ class CalibrationSetup(RecordOptions, WorldFileOptions):
 class CalibrationOutputs:
     """Results."""
 
-    runs: File = None
-    """Keep the runs in this file, and fit all runs in it together; readings may be given later
-    with this file as DEVICE. With --yes nobody waits for a reading between runs: drive one run at
-    a time (--repeats 1), measure, then drive the next."""
     out: File = None
     """Write what was found into this robot's file, to be used as --robot; if it exists, its
     comments stay, and what was not found. Only where runs have readings."""
@@ -83,132 +173,119 @@ def calibrate_robot(
     device: Device,
     manoeuvre: Manoeuvre,
     what: Manoeuvres,
-    run: RunOptions,
-    wire: CalibrationSetup,
+    setup: CalibrationSetup,
     host: HostOptions,
     output: CalibrationOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
     The robot drives within --space, and you measure with a tape where the point below its centre
-    ended: it asks after each run (in scripts: --measured, --measured-deg, --corners). Lengths are
-    positive; right turns are positive or negative. A LiDAR, or
-    in simulation the truth, can measure instead. With --runs FILE, straight lines, turns and
-    squares are fitted together, as robots with unequal wheels need.
+    ended: it asks after each run (in scripts: --measured, --aside, --measured-deg; or --record FILE
+    now, and FILE as DEVICE with the readings later). Lengths are positive; right turns are positive
+    or negative. In simulation the truth measures.
 
     Args:
-        device: serial device, planar, bullet, mujoco; or runs that were driven before, to give
-            readings to: a .json file of --runs, or an .mcap file of --record.
+        device: serial device, planar, bullet, mujoco; or a recording of runs that were driven
+            before, to give readings to.
         manoeuvre: what to drive.
-        what: manoeuvres.
-        run: driving.
-        wire: robot and measuring.
+        what: manoeuvres, and how they are driven.
+        setup: robot and measuring.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
+    from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.recording import read  # noqa: PLC0415
-    from acsar_gym.tools.sysid import calibrate, calibration_runs  # noqa: PLC0415
+    from acsar_gym.robot import Robot  # noqa: PLC0415
+    from acsar_gym.tools.sysid import calibration, calibration_drive  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
-    check_writable(output.runs, force=True)  # runs are added to it
-    of_file, of_recording = device.endswith(".json"), device.endswith(".mcap")
-    kept_in = Path(device) if of_file else output.runs
-    if not (0.0 < wire.tape <= 1.0 and 0.0 < wire.protractor <= 90.0):
+    if not (0.0 < setup.tape <= 1.0 and 0.0 < setup.protractor <= 90.0):
         raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
-    if of_file or of_recording:
-        driving = (wire.twin, wire.world, wire.lidar, wire.record, wire.view)
-        options = ("--twin", "--world", "--lidar", "--record", "--view")
-        check_not_given(zip(options, driving, strict=True))
-    known = None
-    if wire.robot is None and of_recording:
-        known = read(Path(device)).config
-    elif wire.robot is None and kept_in is not None and kept_in.exists():
-        known = calibration_runs.read_robot(kept_in)
-    config, given = known or RobotConfig.of(wire.robot), what.given()
-    scales = calibrate.ReadingScales(wire.tape, wire.protractor)
+    recorded, simulated = device.endswith(".mcap"), device in BODIES
+    if recorded:
+        driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
+        check_not_given(driving)
+    elif setup.twin is not None and not simulated:
+        raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
+    if recorded and setup.robot is None:
+        config = read(Path(device)).config
+    else:
+        config = RobotConfig.of(setup.robot)
+    scales = calibration.ReadingScales(setup.tape, setup.protractor)
     ask = _ask_reading if sys.stdin.isatty() else None
-    job = calibrate.CalibrationJob(config, given, scales, kept_in, ask, known=of_file)
-    if of_recording:
-        job.add(calibration_runs.read_recorded_runs(Path(device), manoeuvre, config))
-    elif not of_file:
-        twin = config if wire.twin is None else RobotConfig.of(wire.twin)
-        host.prepare(device)
-        recorder = wire.recorder("calibrate", link=device)
-        world = wire.place(wire.world)
-        robot = calibrate.DrivenRobot(device, config, twin, wire.lidar, world, recorder)
-        for option, value in (("--twin", wire.twin), ("--world", wire.world)):
-            if value is not None and not robot.simulated:
-                raise ConfigError(f"{option} is for simulated robots: {' or '.join(BODIES)}")
-        plans = what.plans(manoeuvre, config, run, given)
-        with _using_finished(job, manoeuvre, kept_in, output):
-            job.drive(robot, plans, run.space, lambda plan: _announce_run(robot, run, plan))
-    return _finish_calibration(job, manoeuvre, kept_in, output)
+    job = calibration.CalibrationJob(config, what.given(), scales, ask)
+    if recorded:
+        job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
+        return _finish_calibration(job, output)
+    host.prepare(device)
+    recorder = setup.recorder("calibrate", link=device)
+    driven = RobotConfig.of(setup.twin) if setup.twin is not None else config
+    robot = Robot(open_link(device, driven), config, recorder=recorder)
+    plans = what.plans(manoeuvre, config)
 
+    def announce(plan: RunPlan) -> None:
+        _announce_run(device, what.run, plan, simulated=simulated)
 
-@contextlib.contextmanager
-def _using_finished(
-    job: CalibrationJob, manoeuvre: Manoeuvre, kept_in: Path | None, output: CalibrationOutputs
-) -> Iterator[None]:
-    """Use the runs that were finished where the link fails in a later one."""
     try:
-        yield
+        calibration_drive.drive_plans(job, robot, plans, what.run.space, announce, recorder)
     except LinkError:
-        if job.driven:
-            say(f"{job.driven} finished runs are used")
+        if job.runs:
+            say(f"{len(job.runs)} finished runs are used")
             with contextlib.suppress(ConfigError):  # too few; what ended them counts more
-                _finish_calibration(job, manoeuvre, kept_in, output)
+                _finish_calibration(job, output)
         raise
+    return _finish_calibration(job, output, setup.record)
 
 
 def _finish_calibration(
-    job: CalibrationJob, manoeuvre: Manoeuvre, kept_in: Path | None, output: CalibrationOutputs
+    job: CalibrationJob, output: CalibrationOutputs, record: Path | None = None
 ) -> int:
     """Read, fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
 
     config = job.config
-    job.read(manoeuvre)
+    job.finish()
     for line in job.notes:
         say(line)
-    fit = job.fit()
-    data = calibration_fit.format_calibration(fit, job.found, config)
-    if fit is None:
-        print_results(json=output.json, data=data)
+    if not any(run.readings for run in job.runs):
+        print_results(
+            json=output.json, data=calibration_fit.format_calibration(None, job.runs, config)
+        )
         hint = "no run has a reading: nothing was found"
-        if kept_in is not None:
-            option = {"straight": "--measured", "turn": "--measured-deg", "square": "--corners"}
-            names = sorted({run.manoeuvre for run in job.found})
-            hints = (f"acsar-gym calibrate {kept_in} {name} {option[name]} ..." for name in names)
-            hint = f"{len(job.found)} runs kept in {kept_in}; readings: {' or '.join(hints)}"
+        if record is not None:
+            hint += f"; give them later: acsar-gym calibrate {record} all --measured ..."
         say(hint)
         if output.out is not None:
             say(f"{output.out} isn't written: there are no readings yet")
         return 0
-    tables = (
-        calibration_fit.runs_table(job.found, fit, config),
+    fit = calibration_fit.fit_geometry(job.runs, config)
+    print_results(
+        calibration_fit.runs_table(job.runs, fit, config),
         calibration_fit.calibration_table(fit, config),
+        json=output.json,
+        data=calibration_fit.format_calibration(fit, job.runs, config),
     )
-    print_results(*tables, json=output.json, data=data)
     if output.out is not None:
         calibration_fit.make_calibrated_config(fit, config).save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
 
 
-def _announce_run(robot: DrivenRobot, run: RunOptions, plan: RunPlan) -> None:
+def _announce_run(device: str, run: RunOptions, plan: RunPlan, *, simulated: bool) -> None:
     """Ask before a real robot drives; say what is driven."""
     asks = sys.stdin.isatty() and not run.yes
-    if not (robot.simulated or run.yes or asks):
-        countdown(f"{robot.url}: the robot would drive", yes=False)  # says to add --yes
+    if not (simulated or run.yes or asks):
+        countdown(f"{device}: the robot would drive", yes=False)  # says to add --yes
     say(f"{plan.name} ...")
-    if not robot.simulated:
+    if simulated:
+        return
+    if asks:
         x, y = run.space or (0.0, 0.0)
         start = "leave the robot where it is" if plan.back else "put the robot on its start mark"
-        if asks:
-            room = f"with {x:g} m free ahead and {y:g} m to each side"
-            _ask_reading(f"{start}, {room}, then press Enter")
-        countdown(f"{robot.url}: the robot will drive: {plan.name}", yes=run.yes)
+        room = f"with {x:g} m free ahead and {y:g} m to each side"
+        _ask_reading(f"{start}, {room}, then press Enter")
+    countdown(f"{device}: the robot will drive: {plan.name}", yes=run.yes)
 
 
 def _ask_reading(question: str) -> str:

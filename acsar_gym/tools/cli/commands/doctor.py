@@ -74,16 +74,16 @@ def examine_robot(
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
     """
-    from acsar_gym.tools.doctor import wire  # noqa: PLC0415
+    from acsar_gym.tools.commission import examine  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
-        config = wire.at_baud_rate(config, baud_rate)
+        config = examine.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
     output.check()
     host.prepare(device if spinning.spin else None)
     if timing.timing:
-        from acsar_gym.tools.doctor import timing as timings  # noqa: PLC0415
+        from acsar_gym.tools.commission import timing as timings  # noqa: PLC0415
 
         timed = timings.examine_timing(device, config, timing.duration)
         print_results(*timed.tables(), json=output.json, data=timed.as_dict())
@@ -95,25 +95,25 @@ def _run_checks(
     device: str | None, config: RobotConfig, output: ResultOptions, spinning: SpinOptions
 ) -> int:
     """Run the checks of the serial port; returns the exit code."""
-    from acsar_gym.tools.doctor import checks, commission, wire  # noqa: PLC0415
+    from acsar_gym.tools.commission import checks, examine, wiring  # noqa: PLC0415
 
     turning, stop = None, None
     if spinning.spin:
         if device is None:
             raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
         check_writable(robot=spinning.out, force=output.force)
-        eyes = None if spinning.saw is None else commission.parse_all_seen(spinning.saw)
+        eyes = None if spinning.saw is None else wiring.parse_all_seen(spinning.saw)
         what = f"the wheels of the robot on {device} will turn: lift it"
         countdown(what, yes=spinning.yes)
         asks = eyes is None and not spinning.yes
-        turning = commission.Commission(eyes=eyes, ask=ask_user if asks else None)
+        turning = wiring.Commission(eyes=eyes, ask=ask_user if asks else None)
     elif spinning.out is not None or spinning.saw is not None:
         raise ConfigError("--out and --saw need --spin, which turns the wheels")
     found = [checks.check_ports(device), checks.check_estop()]
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
         try:
-            found.extend(wire.examine_device(device, config, turning, recorder))
+            found.extend(examine.examine_device(device, config, turning, recorder))
         except EmergencyStopError as error:
             stop = error
     if turning is not None and spinning.out is not None:

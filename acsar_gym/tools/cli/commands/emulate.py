@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import signal
 from dataclasses import dataclass
-from typing import Annotated
-
-import tyro
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.tools.cli.commands import command
@@ -19,19 +16,6 @@ from acsar_gym.tools.cli.options import (
     Worlds,
     check_writable,
 )
-
-
-@dataclass(frozen=True)
-class BoardOptions:
-    """How an emulated board behaves."""
-
-    silent: bool = False
-    """Never answer, as a board without power."""
-    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """How it differs: at-comma, no-comma, unpadded, padded-space, reversed-encoder=WHEEL,
-    reversed-motor=WHEEL, swapped-encoders, swapped-motors, dead-wheel=WHEEL, dead-encoder=WHEEL,
-    runaway=WHEEL, feedback-factor=NUMBER, frozen, resets, command-timeout=SECONDS, no-timeout,
-    feedback-rate=HZ, backward-gain=NUMBER, overshoot=SHARE, reversal-hold=SECONDS."""
 
 
 @dataclass(frozen=True)
@@ -55,26 +39,26 @@ class EmulatorFiles:
 
 @command("emulate", "robots")
 def emulate_board(
-    board: BoardOptions,
     place: EmulatedWorld,
     files: EmulatorFiles,
     robot: RobotArg = None,
     body: str = "planar",
     duration: Seconds = None,
     lidar: bool = False,
+    silent: bool = False,
 ) -> int:
     """Run an emulated board on a pseudo-terminal and print its device path.
 
     SIGUSR1 unplugs the cable, SIGUSR2 plugs it in again as another device.
 
     Args:
-        board: how the board behaves.
         place: the world around the robot.
         files: log and link.
         robot: preset or config file of the emulated robot.
         body: physics, planar, bullet or mujoco.
         duration: seconds to run; default: until Ctrl-C.
         lidar: also emulate an RPLIDAR, on a pseudo-terminal of its own.
+        silent: never answer, as a board without power.
     """
     from acsar_gym.tools.emulation.board import LOG_MARK, Emulator  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
@@ -90,11 +74,10 @@ def emulate_board(
         config,
         body=body,
         log=files.log,
-        silent=board.silent,
+        silent=silent,
         world=world,
         sees=lidar,
         name=files.name,
-        quirks=board.quirk,
     ) as emulator:
         # A list, because an exception that is raised in a signal handler can be lost.
         ended: list[int] = []

@@ -44,8 +44,6 @@ class IdentifySetup(RecordOptions):
     """Preset or config file: what is known so far. Default: the one recorded, or acsar."""
     twin: RobotArg = None
     """Simulation: the robot that is driven, a hidden one to be found."""
-    quirk: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")] = ()
-    """Simulation: how its board differs, as for emulate, such as backward-gain=0.85."""
 
 
 @dataclass(frozen=True)
@@ -93,28 +91,25 @@ def identify_robot(
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
-    from acsar_gym.tools.emulation import quirks  # noqa: PLC0415
     from acsar_gym.tools.sysid import identify  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
     recorded = _list_logs(sources, logs)
     robot = setup.robot
     if recorded:
-        driving = (setup.twin, setup.quirk, setup.record, setup.view, duration != DURATION)
-        options = ("--twin", "--quirk", "--record", "--view", "--duration")
+        driving = (setup.twin, setup.record, setup.view, duration != DURATION)
+        options = ("--twin", "--record", "--view", "--duration")
         check_not_given(zip(options, driving, strict=True))
         known = None if robot is None else RobotConfig.of(robot)
         found = identify.identify_files([bag.open(path, robot) for path in recorded], known)
     else:
         device = sources[0]
         config, simulated = RobotConfig.of(robot), device in BODIES
-        if (setup.twin is not None or setup.quirk) and not simulated:
-            raise ConfigError(f"--twin and --quirk are for simulated robots: {' or '.join(BODIES)}")
+        if setup.twin is not None and not simulated:
+            raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
         if simulated:
             host.prepare()
-            odd = quirks.parse_quirks(setup.quirk)
-            twin = config if setup.twin is None else RobotConfig.of(setup.twin)
-            link = quirks.make_link(device, quirks.apply_to_config(odd, twin), odd)
+            link = open_link(device, config if setup.twin is None else RobotConfig.of(setup.twin))
         else:
             link = open_link(device, config)
             host.prepare(device)

@@ -13,8 +13,8 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.doctor import host as realtime
-from acsar_gym.tools.doctor.checks import Check
+from acsar_gym.tools.commission import host as realtime
+from acsar_gym.tools.commission.checks import Check
 
 linux = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="this system has no SCHED_FIFO"
@@ -23,7 +23,7 @@ CABLE = "usb-FTDI_FT232R-if00-port0"
 PREPARE = """
 import os, sys
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.doctor.host import prepare_realtime
+from acsar_gym.tools.commission.host import prepare_realtime
 try:
     prepare_realtime(20, [min(os.sched_getaffinity(0))])
 except ConfigError as error:
@@ -144,25 +144,6 @@ def test_hubs_on_the_way(
     assert hub.status == status
     assert said in hub.found
     assert bool(hub.fix) == (status == "warn")
-
-
-def test_a_wire_that_is_almost_full(
-    config: RobotConfig, found: Callable[..., dict[str, Check]]
-) -> None:
-    baud = found("/dev/ttyUSB0", config.with_(baud_rate=38400))["baud rate"]
-    assert baud.status == "warn"
-    assert "112 lines/s" in baud.found
-    assert "baud_rate" in baud.fix
-
-
-def test_a_computer_that_tells_nothing(
-    tmp_path: Path, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
-    checks = list(realtime.check_computer("/dev/pts/3", config, tmp_path))
-    assert {check.status for check in checks if check.name not in ("cores", "baud rate")} == {
-        "skip"
-    }
 
 
 @linux

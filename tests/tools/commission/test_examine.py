@@ -20,14 +20,14 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import BoardGarbledError, ConfigError, EmergencyStopError
+from acsar_gym.errors import BoardGarbledError, EmergencyStopError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.tools.cli import main
-from acsar_gym.tools.doctor import board, wire
-from acsar_gym.tools.doctor import checks as doctor_checks
-from acsar_gym.tools.doctor.checks import Check
-from acsar_gym.tools.doctor.commission import Commission
+from acsar_gym.tools.commission import examine
+from acsar_gym.tools.commission.checks import Check
+from acsar_gym.tools.commission.wiring import Commission
+from acsar_gym.tools.sysid import board
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -47,7 +47,7 @@ def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
 def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
     with no_leak():
         commission = Commission() if spin else None
-        return {check.name: check for check in wire.examine_device(device, config, commission)}
+        return {check.name: check for check in examine.examine_device(device, config, commission)}
 
 
 def reported(path: Path) -> dict[str, dict[str, str]]:
@@ -113,9 +113,9 @@ def test_spin_measures_round_trip_and_stop(
 SPINS = """
 import os, signal, sys
 from acsar_gym import RobotConfig
-from acsar_gym.tools.doctor import wire
+from acsar_gym.tools.commission import examine
 from acsar_gym.protocol import encode
-link = wire.StoppableLink(sys.argv[1], RobotConfig().with_(watchdog_timeout=5.0))
+link = examine.StoppableLink(sys.argv[1], RobotConfig().with_(watchdog_timeout=5.0))
 link.open()
 for tick in range(100):
     link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))
@@ -138,33 +138,6 @@ def test_a_board_is_stopped_whichever_zeros_it_takes(
     wait_until(emulator.stands, "a robot that stands")
 
 
-def test_a_check_that_fails_to_open_listens_no_more(
-    config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[wire.StoppableLink] = []  # so that no finalizer closes anything
-
-    class Kept(wire.StoppableLink):
-        def __init__(self, device: str, config: RobotConfig) -> None:
-            super().__init__(device, config)
-            made.append(self)
-
-    monkeypatch.setattr(wire, "StoppableLink", Kept)
-    (check,) = wire.examine_device(MISSING, config)
-    assert (check.name, check.status) == ("open", "fail")
-    assert made[0].listener.paths == []
-
-
-def test_slow_feedback_is_a_warning(
-    config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
-) -> None:
-    robot = robot_file(firmware={"feedback_rate": 20.0})
-    emulator = start_emulator("--robot", str(robot))
-    rate = examined(emulator.device, config)["feedback rate"]
-    assert rate.status == "warn"
-    assert "100 expected" in rate.found
-    assert "feedback_rate" in rate.fix
-
-
 def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotConfig) -> None:
     wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
     checks = examined(shared_device, wrong)
@@ -175,20 +148,13 @@ def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotCo
     assert "--baud-rate 115200" in checks["baud rate"].fix
 
 
-def test_a_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
-    silent = start_emulator("--silent")
-    (check,) = examined(silent.device, config.with_(connect_timeout=0.3)).values()
-    assert (check.name, check.status) == ("first valid line", "fail")
-    assert "power" in check.fix
-
-
 def test_a_device_lost_during_the_examination(
     config: RobotConfig, start_emulator: StartEmulator
 ) -> None:
     emulator = start_emulator()
     checks = []
     with no_leak():
-        for check in wire.examine_device(emulator.device, config):
+        for check in examine.examine_device(emulator.device, config):
             checks.append(check)
             if check.name == "first valid line":
                 emulator.kill()
@@ -203,7 +169,7 @@ def test_an_emergency_stop_is_the_last_check(
     monkeypatch.setattr(StopListener, "is_requested", lambda _: bool(requested))
     checks = []
     with no_leak(), pytest.raises(EmergencyStopError) as caught:
-        for check in wire.examine_device(shared_device, config):
+        for check in examine.examine_device(shared_device, config):
             checks.append(check)
             if check.name == "first valid line":
                 requested.append(True)
@@ -248,13 +214,8 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
 
 @pytest.mark.parametrize(("baud", "rate"), [(9600, 20.0), (19200, 50.0), (38400, 100.0)])
 def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
-    robot = wire.at_baud_rate(ACSAR, baud)
+    robot = examine.at_baud_rate(ACSAR, baud)
     assert (robot.baud_rate, robot.control_rate) == (baud, rate)
-
-
-def test_a_line_that_is_too_slow_for_the_feedback_is_refused() -> None:
-    with pytest.raises(ConfigError, match="baud_rate = 9600"):
-        wire.at_baud_rate(ACSAR.with_(firmware={"feedback_rate": 50.0}), 9600)
 
 
 def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,8 +231,8 @@ def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr(wire, "SerialLink", Garbled)
-    check = wire.search_baud_rate("/dev/ttyUSB0", ACSAR)
+    monkeypatch.setattr(examine, "SerialLink", Garbled)
+    check = examine.search_baud_rate("/dev/ttyUSB0", ACSAR)
     assert check.status == "fail"
     assert tried == [57600, 38400, 19200, 9600]
 
@@ -282,11 +243,3 @@ def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_a_rate_close_to_a_usual_one_is_that_one(measured: float, rate: float) -> None:
     assert board.round_rate(measured) == rate
-
-
-def test_a_computer_without_ports_is_a_warning_unless_a_device_is_given(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(doctor_checks, "find_ports", list)
-    assert doctor_checks.check_ports().status == "warn"
-    assert doctor_checks.check_ports("/dev/pts/7").status == "ok"

@@ -32,8 +32,8 @@ from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks import State
 from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.task import new_memory
-from acsar_gym.tools.doctor.checks import Check, draw_checks, warn_if
-from acsar_gym.tools.doctor.host import check_computer
+from acsar_gym.tools.commission.checks import Check, draw_checks, warn_if
+from acsar_gym.tools.commission.host import check_computer
 from acsar_gym.tools.policies import OnnxPolicy, Policy
 
 HISTOGRAM_EDGES = (2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1)

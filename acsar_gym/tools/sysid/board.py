@@ -1,10 +1,12 @@
-"""Listens to a board while it is commanded: what it sends, which wheel answers, and how soon."""
+"""Measures a board while it is commanded: what it sends, which wheel answers, how soon it stops.
+
+`doctor` calls this, and `identify` takes the rate of lines from it; motors and delays are fitted.
+"""
 
 from __future__ import annotations
 
-import re
-from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+import math
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -13,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from acsar_gym.config import BITS_PER_BYTE, RobotConfig
-from acsar_gym.links.base import Link, echoes_of
-from acsar_gym.links.handshake import shown_bytes, silence_error, still_turning_error
+from acsar_gym.config import BITS_PER_BYTE, RobotConfig, WheelsConfig
+from acsar_gym.links.base import ForwardingLink, Link, echoes_of
+from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.protocol import (
     ECHO_PROBE,
     ECHO_ZERO,
@@ -23,31 +25,25 @@ from acsar_gym.protocol import (
     PRINTED_STEP,
     ZERO,
     Decoder,
-    EchoDecoder,
     Speeds,
     encode_line,
     line_end,
 )
-from acsar_gym.tools.doctor.checks import Check, warn_if
+from acsar_gym.wire import Wire
 
 PROBE_POLL = 0.001
 """Resolution of the times [s]."""
 COMMAND_INTERVAL = 0.05
 """A command is repeated so often, to prevent the firmware's time-out [s]."""
-RESET_GAP = 0.5
-"""A board that was silent so long in between was reset [s]."""
-SILENCE_TIMEOUT = 3.0
-"""A board that is silent so long doesn't come back [s]; one that was reset takes 1 to 2 s."""
+RESET_GAP, SILENCE_TIMEOUT = 0.5, 3.0
+"""A board that was silent so long in between was reset; so long, and it doesn't come back [s]. One
+that was reset takes 1 to 2 s."""
 LONGEST_STALL = 0.05
 """Time that this program was held up counts as silence of the board only up to this [s]."""
-CLEAR_TIME = 0.1
-"""How long old lines may come [s]."""
-ECHO_TIME = 0.5
-"""How long an echo may take [s]."""
-ECHO_PROBES = 10
-"""Commands whose echoes may still come after that."""
-MAX_RAW_LINES = 400
-"""Newest raw lines that are kept."""
+CLEAR_TIME, ECHO_TIME, LISTEN_TIME = 0.1, 0.5, 2.0
+"""How long old lines may come, an echo may take, and feedback is counted [s]."""
+TAIL_BYTES = 400
+"""Newest bytes that are kept as they came."""
 
 
 class FeedbackLine(NamedTuple):
@@ -55,43 +51,60 @@ class FeedbackLine(NamedTuple):
 
     stamp: float
     """When its last byte had arrived [s]."""
-    begin: float
-    """When its first byte began to arrive [s]."""
     speeds: Speeds
     """Speeds of the letters a, b, c, d [rad/s], not yet those of the wheels."""
+
+
+class _TailLink(ForwardingLink):
+    """Keeps the newest bytes that arrived; set points and echoes are the probe's own affair."""
+
+    tail = b""
+    echoes = None
+
+    def advance(self, period: float) -> bytes:
+        data = super().advance(period)
+        self.tail = (self.tail + data)[-TAIL_BYTES:]
+        return data
 
 
 class BoardProbe:
     """Sends commands to the letters of a board, and hears its lines.
 
-    Attributes: `decoder`; `lines`, all that came; `gaps`, how long the board was silent each time
-    that it was reset [s]; `raw`, the newest lines as they came; `sent`, when the last byte of the
-    newest command had left [s]; `trailing_comma` and `upper_case`, of the commands; `echoes`,
-    whether the board sends commands back, and `rate`, the lines that it sends per second [Hz], both
-    once `check_feedback` has found them.
-
-    Args:
-        link: to the board, open.
-        config: of the robot.
+    Attributes: `lines`, all that came; `gaps`, how long the board was silent each time that it was
+    reset [s]; `sent`, when the last byte of the newest command had left [s]; `trailing_comma` and
+    `upper_case`, of the commands; `echoes`, whether the board sends commands back, and `rate`, the
+    lines that it sends per second [Hz], once `measure_feedback` has found them; `line_time`, how
+    long a line takes on the wire [s].
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
-        self._link = link
+        self._link = _TailLink(link)
+        letters = config.with_(wheels=WheelsConfig().model_dump(), feedback_timeout=SILENCE_TIMEOUT)
+        self._wire = Wire(self._link, letters, PROBE_POLL)
+        self._wire.reset()
         self._byte_time = BITS_PER_BYTE / config.baud_rate
-        self.decoder = Decoder()
+        self.line_time = config.line_time
         self.lines: list[FeedbackLine] = []
         self.trailing_comma = True
         self.upper_case = False
         self.echoes = bool(echoes_of(link))
         self.rate = 0.0
         self.gaps: list[float] = []
-        self.raw: deque[bytes] = deque(maxlen=MAX_RAW_LINES)
         self.sent = 0.0
-        self._speeds: Speeds = ZERO
-        self._partial = b""
-        self._begin: float | None = None
-        self._polled = link.now()
         self._quiet = 0.0
+        if self.echoes:
+            self._wire.leave_out_echoes()
+
+    @property
+    def decoder(self) -> Decoder:
+        """Decodes the lines; with counters of refused input."""
+        return self._wire.decoder
+
+    @property
+    def newest_line(self) -> bytes:
+        """The newest whole line as it came, which isn't an echo."""
+        whole = self._link.tail.rpartition(b"\n")[0].split(b"\n")
+        return next((line for line in reversed(whole) if ECHO_ZERO not in line), b"").strip()
 
     def command(self, speeds: Speeds, order: str = MOTORS) -> None:
         """Send one command line.
@@ -103,11 +116,8 @@ class BoardProbe:
         parts = encode_line(*speeds, b"").split(b",")
         line = b",".join(parts[MOTORS.index(letter)] for letter in order)
         line += line_end(trailing_comma=self.trailing_comma)
-        line = line.upper() if self.upper_case else line
-        if isinstance(self.decoder, EchoDecoder):
-            line = self.decoder.mark(line)
         self.sent = self._link.now() + len(line) * self._byte_time
-        self._link.write(line)
+        self._wire.send_line(line.upper() if self.upper_case else line)
 
     def poll(self) -> list[FeedbackLine]:
         """Let PROBE_POLL pass, and return the lines that have arrived.
@@ -116,31 +126,14 @@ class BoardProbe:
             BoardSilentError: nothing valid has arrived for SILENCE_TIMEOUT.
             LinkError: the link is lost, or there was an emergency stop.
         """
-        data = self._link.advance(PROBE_POLL)
-        now = self._link.now()
-        self._quiet += min(now - self._polled, LONGEST_STALL)
-        self._polled = now
-        if data and self._begin is None:
-            self._begin = now
-        lines = []
-        for reading in self.decoder.feed(data):
-            self._speeds = reading.over(self._speeds)
-            lasted = len(self.raw[-1] if self.raw else b"") * self._byte_time
-            begin = min(now - lasted, now if self._begin is None else self._begin)
-            lines.append(FeedbackLine(now, begin, self._speeds))
-        if data:
-            *raw, self._partial = (self._partial + data).split(b"\n")
-            self.raw.extend(line[:200] for line in raw)
-            self._partial = self._partial[:200]
-            if raw:
-                self._begin = now if self._partial else None
-        if lines:
+        heard, lasted = self._wire.exchange(None)
+        self._quiet += min(lasted, LONGEST_STALL)
+        if heard:
             if self._quiet > RESET_GAP:
                 self.gaps.append(self._quiet)
             self._quiet = 0.0
-            self.lines += lines
-        elif self._quiet > SILENCE_TIMEOUT:
-            raise silence_error(self._quiet, self.decoder)
+        lines = [FeedbackLine(self._wire.stamp, speeds) for speeds in heard]
+        self.lines += lines
         return lines
 
     def hear(
@@ -158,9 +151,6 @@ class BoardProbe:
             enough: called with all lines after each one.
             patience: longest time [s].
             repeat: time between commands [s].
-
-        Returns:
-            The lines.
         """
         begin = due = self._link.now()
         lines: list[FeedbackLine] = []
@@ -186,13 +176,27 @@ class BoardProbe:
 
     def find_echo(self) -> None:
         """Send zero commands unlike feedback for a while, and see whether they come back."""
+        self.clear()
         begin = self._link.now()
         while not self.echoes and self._link.now() - begin < ECHO_TIME:
-            self._link.write(ECHO_PROBE + line_end(trailing_comma=self.trailing_comma))
+            self._wire.send_line(ECHO_PROBE + line_end(trailing_comma=self.trailing_comma))
             self.listen(COMMAND_INTERVAL)
-            self.echoes = any(ECHO_PROBE in line for line in self.raw)
-        if self.echoes:
-            self.decoder = EchoDecoder(*[ECHO_PROBE] * ECHO_PROBES)
+            self.echoes = ECHO_PROBE in self._link.tail
+        if self.echoes:  # those of the probes may still come
+            self._wire.leave_out_echoes(*[ECHO_PROBE] * math.ceil(ECHO_TIME / COMMAND_INTERVAL))
+        self.clear()
+
+    def measure_feedback(self, period: float) -> list[FeedbackLine]:
+        """Command zero at the control rate for a while; returns the lines, and sets `rate`.
+
+        Raises:
+            BoardSilentError: none came.
+        """
+        lines = self.listen(LISTEN_TIME, ZERO, repeat=period)
+        self.rate = round_rate(measure_rate([line.stamp for line in lines], range(len(lines))))
+        if not self.rate:
+            raise silence_error(LISTEN_TIME, self.decoder)
+        return lines
 
 
 def since(lines: Sequence[FeedbackLine], begin: float) -> list[FeedbackLine]:
@@ -200,17 +204,12 @@ def since(lines: Sequence[FeedbackLine], begin: float) -> list[FeedbackLine]:
     return [line for line in lines if line.stamp > begin]
 
 
-# What a standing board sends
-
-LISTEN_TIME = 2.0
-"""Time during which feedback is counted [s]."""
 MOST_RATE_LINES = 400
 """Lines between which slopes are computed."""
 BOARD_RATES = (5, 10, 20, 25, 30, 40, 50, 60, 80, 100, 125, 150, 200)
 """Rates that boards are set to [Hz]."""
 RATE_ROUNDING = 0.03
 """A rate that is so close to one of these is that one."""
-PADDED_LINE = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}\r?")
 
 
 def round_rate(measured: float) -> float:
@@ -239,93 +238,23 @@ def measure_rate(stamps: Sequence[float], numbers: Sequence[int]) -> float:
     return float(np.median((places[later] - places[earlier]) / (times[later] - times[earlier])))
 
 
-def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
-    """Command zero at the control rate for a while, and say what the board sends meanwhile."""
-    probe.clear()
-    probe.find_echo()
-    if probe.echoes:
-        yield warn_if(
-            not config.echo,
-            "echo",
-            "this board echoes: it sends each command back; echoes don't count as feedback",
-            "take the echo out of the board's program, or write echo: true into the robot's file",
-        )
-    probe.clear()
-    lines = probe.listen(LISTEN_TIME, ZERO, repeat=config.period)
-    stamps = [line.stamp for line in lines]
-    probe.rate = round_rate(measure_rate(stamps, range(len(stamps))))
-    if not probe.rate:
-        raise silence_error(LISTEN_TIME, probe.decoder)
-    expected = config.feedback_rate
-    yield warn_if(
-        probe.rate < 0.9 * expected,
-        "feedback rate",
-        f"{probe.rate:.1f} lines/s, {expected:g} expected",
-        "set firmware.feedback_rate to what the board sends, or speed the board up",
-    )
-    echo = ECHO_ZERO if probe.echoes else None
-    newest = next((line for line in reversed(probe.raw) if echo is None or echo not in line), b"")
-    padded = PADDED_LINE.fullmatch(newest) is not None
-    numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
-    comma = "with" if newest.rstrip().endswith(b",") else "without"
-    found = f"{numbers}, {comma} a trailing comma: {shown_bytes(newest.rstrip())}"
-    yield Check("line format", "ok", found)
-    refused = sum(probe.decoder.refused.values())
-    sample = f", such as in {shown_bytes(probe.decoder.sample)}" if refused else ""
-    yield warn_if(
-        refused > 0,
-        "line quality",
-        f"{refused} bad parts in {probe.decoder.lines} lines{sample}",
-        "check the cable, ground and baud rate",
-    )
-    turning = [k for k in range(4) if lines and abs(median(x.speeds[k] for x in lines)) > 0.5]
-    if turning:
-        letters = ", ".join("abcd"[k] for k in turning)
-        yield Check(
-            "standing",
-            "warn",
-            f"{letters}: feedback isn't zero while zero is commanded",
-            "if that wheel stands, check its encoder; if it turns, what else commands the board",
-        )
-    if probe.gaps:
-        yield report_resets(probe.gaps)
-
-
-def report_resets(gaps: Sequence[float]) -> Check:
-    """Say that the board was reset."""
-    silent = ", ".join(f"{gap:.1f} s" for gap in gaps)
-    return Check(
-        "resets",
-        "fail",
-        f"the board was reset: silent for {silent}",
-        "check its power supply, which motors may draw down, and its watchdog",
-    )
-
-
 # One wheel after the other
 
-MOVING_SHARE = 0.4
-"""A wheel that has this share of the commanded speed moves."""
-STANDING_SHARE = 0.1
-"""A wheel that is slower than this share of the commanded speed stands."""
+MOVING_SHARE, STANDING_SHARE = 0.4, 0.1
+"""A wheel that has this share of the commanded speed moves; one that is slower stands."""
 AGREEING_LINES = 3
 """Lines that must agree."""
-START_TIMEOUT = 1.5
-"""Longest wait for a wheel to start [s]; motors, speed loops and delays take up to 0.5 s."""
-SINGLE_COMMAND_TIMEOUT = 0.7
-"""Longest wait for the effect of a single command [s]; many boards stop by themselves soon."""
-STOP_TIMEOUT = 3.0
-"""Longest wait for wheels to stop [s]."""
+START_TIMEOUT, SINGLE_COMMAND_TIMEOUT = 1.5, 0.7
+"""Longest wait for a wheel to start [s]: motors, speed loops and delays take up to 0.5 s; and after
+a single command, as many boards stop by themselves soon."""
+STOP_TIMEOUT, SETTLING_TIMEOUT = 3.0, 1.5
+"""Longest wait for wheels to stop, and for a steady speed [s]."""
 FAINT_SHARE = 0.025
 """A letter that reports less than this share of the commanded speed reports nothing; one in m/s has
 0.05 of it on a usual wheel."""
-SPEED_WINDOW = 0.2
-"""Length of the windows in which the wheel's speed is measured, once it moves [s]."""
-STEADY_SHARE = 0.03
+SPEED_WINDOW, STEADY_SHARE = 0.2, 0.03
 """A speed is steady where it changes by less than this share of the commanded speed, or of itself,
-from one window to the next."""
-SETTLING_TIMEOUT = 1.5
-"""Longest wait for a steady speed [s]."""
+from one window [s] to the next."""
 STALE_TIME, STALE_FACTOR, STALE_JUMP = 0.12, 2.2, 0.2
 """Lines were old ones if they were the same for so long [s], and the next one is further from them
 than a wheel's usual largest change by this factor, and than this share of the commanded speed."""
@@ -334,12 +263,13 @@ FEWEST_CHANGES, STALE_CHANGE = 4, 0.5
 the commanded speed."""
 LINE_LOST = 1.8
 """Factor on the usual gap between lines where one was lost."""
-ODD_SHARES = (0.83, 0.97, 0.89, 0.79)
-"""Commands of four wheels that no other feedback is like, as shares of the commanded speed."""
-SET_POINT_TIME = 0.6
-"""How long they are commanded [s]."""
+ODD_SHARES, SET_POINT_TIME = (0.83, 0.97, 0.89, 0.79), 0.6
+"""Commands of four wheels that no other feedback is like, as shares of the commanded speed, and how
+long they are commanded [s]."""
 LOWEST_RATIO, HIGHEST_RATIO = 0.7, 1.4
 """A wheel's measured speed is right between these shares of the commanded one."""
+RATIO_TOLERANCE = 0.1
+"""Ratios of speeds that differ by less than this share are the same."""
 
 
 @dataclass(frozen=True)
@@ -360,6 +290,14 @@ class WheelAnswer:
     speeds: Speeds
     moving: tuple[int, ...]
     stopped: bool = False
+
+    @classmethod
+    def of(cls, letter: int, lines: Sequence[FeedbackLine], asked: float) -> WheelAnswer:
+        """The answer that lines hold."""
+        speeds = _mean_speeds(lines)
+        least = max(FAINT_SHARE * asked, MOVING_SHARE * max(map(abs, speeds)))
+        moving = [k for k in range(4) if abs(speeds[k]) > least]
+        return cls(letter, asked, speeds, tuple(sorted(moving, key=lambda k: -abs(speeds[k]))))
 
     @property
     def encoder(self) -> int | None:
@@ -383,10 +321,21 @@ class WheelAnswer:
         return not self.moving or (in_range and not self.stopped)
 
 
+def _mean_speeds(lines: Sequence[FeedbackLine]) -> Speeds:
+    """The mean speed of each letter [rad/s]."""
+    a, b, c, d = (fmean(line.speeds[k] for line in lines) if lines else 0.0 for k in range(4))
+    return a, b, c, d
+
+
 def command_letters(letters: Collection[int], speed: float) -> Speeds:
     """Return a command for some letters, by their indices [rad/s]."""
     a, b, c, d = (speed if number in letters else 0.0 for number in range(4))
     return a, b, c, d
+
+
+def _turns(share: float, speed: float, lines: Sequence[FeedbackLine]) -> bool:
+    """Whether a wheel turned in the newest line, faster than this share of a speed [rad/s]."""
+    return bool(lines) and max(map(abs, lines[-1].speeds)) > share * speed
 
 
 def stop_wheels(probe: BoardProbe, speed: float) -> None:
@@ -402,12 +351,12 @@ def stop_wheels(probe: BoardProbe, speed: float) -> None:
 
     def stands(lines: list[FeedbackLine]) -> bool:
         newest = lines[-AGREEING_LINES:]
-        fastest = max(max(map(abs, one.speeds)) for one in newest)
+        fastest = max(max(map(abs, line.speeds)) for line in newest)
         return len(newest) == AGREEING_LINES and fastest < STANDING_SHARE * speed
 
-    heard = probe.hear(ZERO, stands, STOP_TIMEOUT)
-    if not heard or max(map(abs, heard[-1].speeds)) >= STANDING_SHARE * speed:
-        raise still_turning_error(STOP_TIMEOUT, heard[-1].speeds if heard else ZERO)
+    lines = probe.hear(ZERO, stands, STOP_TIMEOUT)
+    if not lines or max(map(abs, lines[-1].speeds)) >= STANDING_SHARE * speed:
+        raise still_turning_error(STOP_TIMEOUT, lines[-1].speeds if lines else ZERO)
 
 
 def spin_wheel(probe: BoardProbe, letter: int, speed: float) -> WheelAnswer:
@@ -423,7 +372,7 @@ def spin_wheel(probe: BoardProbe, letter: int, speed: float) -> WheelAnswer:
     def moves(lines: list[FeedbackLine]) -> bool:
         newest = lines[-AGREEING_LINES:]
         return len(newest) == AGREEING_LINES and any(
-            all(abs(one.speeds[k]) > MOVING_SHARE * speed for one in newest) for k in range(4)
+            all(abs(line.speeds[k]) > MOVING_SHARE * speed for line in newest) for k in range(4)
         )
 
     def is_steady(lines: list[FeedbackLine]) -> bool:
@@ -437,29 +386,15 @@ def spin_wheel(probe: BoardProbe, letter: int, speed: float) -> WheelAnswer:
             for now, then in zip(_mean_speeds(newest), _mean_speeds(before), strict=True)
         )
 
-    begun = probe.hear(command, moves, START_TIMEOUT)[-AGREEING_LINES:]
-    heard = probe.hear(command, is_steady, SETTLING_TIMEOUT)
+    first = probe.hear(command, moves, START_TIMEOUT)[-AGREEING_LINES:]
+    lines = probe.hear(command, is_steady, SETTLING_TIMEOUT)
     stop_wheels(probe, speed)
-    newest = since(heard, heard[-1].stamp - SPEED_WINDOW) if heard else begun[-1:]
-    answer = _judge_answer(letter, newest, speed)
-    before = _judge_answer(letter, begun, speed)
+    newest = since(lines, lines[-1].stamp - SPEED_WINDOW) if lines else first[-1:]
+    answer = WheelAnswer.of(letter, newest, speed)
+    before = WheelAnswer.of(letter, first, speed)
     if not answer.moving and max(map(abs, before.speeds)) > MOVING_SHARE * speed:
         return replace(before, stopped=True)
     return answer
-
-
-def _mean_speeds(lines: Sequence[FeedbackLine]) -> Speeds:
-    """Return the mean speed of each letter [rad/s]."""
-    a, b, c, d = (fmean(line.speeds[k] for line in lines) if lines else 0.0 for k in range(4))
-    return a, b, c, d
-
-
-def _judge_answer(letter: int, lines: Sequence[FeedbackLine], asked: float) -> WheelAnswer:
-    """Return the answer that lines of feedback hold."""
-    speeds = _mean_speeds(lines)
-    least = max(FAINT_SHARE * asked, MOVING_SHARE * max(map(abs, speeds)))
-    moving = [k for k in range(4) if abs(speeds[k]) > least]
-    return WheelAnswer(letter, asked, speeds, tuple(sorted(moving, key=lambda k: -abs(speeds[k]))))
 
 
 def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: bool) -> bool:
@@ -473,14 +408,11 @@ def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: boo
         speed: to command [rad/s].
         comma: whether the line has the trailing comma.
     """
-
-    def turns(lines: list[FeedbackLine]) -> bool:
-        return bool(lines) and max(map(abs, lines[-1].speeds)) > STANDING_SHARE * speed
-
     order = MOTORS.replace(MOTORS[letter], "") + MOTORS[letter]
     usual, probe.trailing_comma = probe.trailing_comma, comma
     probe.command(command_letters((letter,), speed), order)
     probe.trailing_comma = usual
+    turns = partial(_turns, STANDING_SHARE, speed)
     lines = probe.hear(None, turns, SINGLE_COMMAND_TIMEOUT)
     stop_wheels(probe, speed)
     return turns(lines)
@@ -488,10 +420,7 @@ def takes_last_value(probe: BoardProbe, letter: int, speed: float, *, comma: boo
 
 def takes_upper_case(probe: BoardProbe, speed: float) -> bool:
     """Return whether wheels turn that are commanded in upper-case letters [rad/s]."""
-
-    def turns(lines: list[FeedbackLine]) -> bool:
-        return bool(lines) and max(map(abs, lines[-1].speeds)) > MOVING_SHARE * speed
-
+    turns = partial(_turns, MOVING_SHARE, speed)
     probe.upper_case = True
     lines = probe.hear(command_letters(range(4), speed), turns, START_TIMEOUT)
     stop_wheels(probe, speed)
@@ -508,15 +437,11 @@ def sends_set_points(probe: BoardProbe, speed: float) -> bool:
     """
     a, b, c, d = (round(share * speed, 2) for share in ODD_SHARES)
     command = a, b, c, d
-
-    def is_command(line: FeedbackLine) -> bool:
-        pairs = zip(line.speeds, command, strict=True)
-        return all(abs(said - wanted) < 1.5 * PRINTED_STEP for said, wanted in pairs)
-
     lines = probe.listen(SET_POINT_TIME, command)
     stop_wheels(probe, speed)
-    turning = [line for line in lines if max(map(abs, line.speeds)) > STANDING_SHARE * speed]
-    return bool(turning) and all(map(is_command, turning))
+    turning = [line for line in lines if _turns(STANDING_SHARE, speed, [line])]
+    away = np.array([line.speeds for line in turning]).reshape(-1, 4) - command
+    return bool(turning) and float(np.abs(away).max()) < 1.5 * PRINTED_STEP
 
 
 def find_stale(lines: Sequence[FeedbackLine], speed: float) -> tuple[float, float] | None:
@@ -547,17 +472,41 @@ def find_stale(lines: Sequence[FeedbackLine], speed: float) -> tuple[float, floa
         if len(largest) < FEWEST_CHANGES:
             continue
         usual = float(np.median(largest))
-        for place in places[1:]:
-            before = int(places[np.searchsorted(places, place) - 1])
+        least = max(STALE_FACTOR * usual, STALE_JUMP * speed)
+        for before, place in pairwise(places.tolist()):
             repeated = gaps[before + 1 : place].sum() > STALE_TIME
-            whole = gaps[place] < LINE_LOST * float(np.median(gaps))
-            if (
-                repeated
-                and whole
-                and changes[place] > max(STALE_FACTOR * usual, STALE_JUMP * speed)
-            ):
+            whole_gap = gaps[place] < LINE_LOST * float(np.median(gaps))
+            if repeated and whole_gap and changes[place] > least:
                 return float(changes[place]), usual
     return None
+
+
+def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
+    """Say in which other unit a board may measure, or take its commands, or that a motor is weak.
+
+    Args:
+        ratio: of measured to commanded speed.
+        config: of the robot.
+        fast: whether the measured speed has more digits than a line holds.
+    """
+    units = [
+        f"likely {unit} (x {factor:.3g})"
+        for unit, factor in (
+            ("feedback in rpm", 30.0 / math.pi),
+            ("feedback in rev/s", 0.5 / math.pi),
+            ("feedback in deg/s", 180.0 / math.pi),
+            ("feedback in m/s", config.wheel_radius),
+            ("commands taken as rpm", math.pi / 30.0),
+        )
+        if math.isclose(ratio, factor, rel_tol=RATIO_TOLERANCE)
+    ]
+    if fast:
+        before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
+        units.insert(0, before_gears)
+    weak = ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
+    if units:
+        return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways{weak}"
+    return f"likely counts per turn or gear ratio in the board's program{weak}"
 
 
 # All wheels together: from a command to its first effect, and the command time-out
@@ -566,22 +515,18 @@ RESPONSE_TRIALS = 9
 """Commands whose first effect is timed, at different phases of the board's clock."""
 NOISE_SHARE = 0.05
 """Smallest speed that shows an effect, as a share of the commanded one."""
-QUIET_TIME = 0.3
-"""How long encoders must report zero before a command is timed [s]."""
-ZERO_SPEED = 0.005
-"""Mean speeds below this are zero [rad/s]; lines have two decimals."""
-CALM_TIMEOUT = 1.2
-"""Longest wait for that [s]; some encoders never do."""
+QUIET_TIME, ZERO_SPEED, CALM_TIMEOUT = 0.3, 0.005, 1.2
+"""How long encoders must report zero before a command is timed [s], mean speeds that are zero
+[rad/s], as lines have two decimals, and the longest wait for that [s]; some encoders never do."""
 DELAY_JITTER = 0.005
 """How much delays differ apart from the phase of the feedback [s]."""
 EFFECT_TIMEOUT = 1.0
 """Longest wait for an effect [s]."""
 FALL_LEVEL = 0.75
 """Falling speeds are compared at this share of the steady speed."""
-STEADY_MEAN = 0.02
-"""A speed is steady where it changes by less than this share from one window to the next."""
-STEADY_TIMEOUT = 3.0
-"""Longest wait for a steady speed, or for a time-out [s]."""
+STEADY_MEAN, STEADY_TIMEOUT = 0.02, 3.0
+"""A speed is steady where it changes by less than this share from one window to the next; longest
+wait for that, or for a time-out [s]."""
 
 
 def leave_out_early(delays: Sequence[float], period: float) -> list[float]:
@@ -600,7 +545,7 @@ class StepResponse:
     """Commands all letters that answer, and reads their mean speed.
 
     Args:
-        probe: hears the board.
+        probe: hears the board, whose `rate` is known.
         motors: indices of the letters to command.
         encoders: indices of the letters that answer.
         speed: to command [rad/s].
@@ -619,18 +564,14 @@ class StepResponse:
     def _exceeds(self, level: float, lines: Sequence[FeedbackLine]) -> bool:
         return bool(lines) and self._mean(lines[-1]) > level
 
-    def measure_delays(self, rate: float) -> list[float]:
+    def measure_delays(self) -> list[float]:
         """Time a few commands, the first one only to warm up.
-
-        Args:
-            rate: lines that the board sends per second [Hz].
 
         Returns:
             Times from a command's last byte to the first byte of the line that shows its effect,
             with more or less of the wait for the next line [s], ascending; none where a command had
-            no effect.
         """
-        probe, found = self._probe, []
+        probe, delays = self._probe, []
 
         def recent_noise(lines: list[FeedbackLine]) -> float:
             newest = since(lines, lines[-1].stamp - QUIET_TIME) if lines else []
@@ -644,17 +585,16 @@ class StepResponse:
             stop_wheels(probe, self._speed)
             noise = recent_noise(probe.hear(ZERO, is_quiet, CALM_TIMEOUT))
             probe.hear(None, lambda _: True, EFFECT_TIMEOUT)
-            probe.listen(trial / (RESPONSE_TRIALS * rate))
-            level = max(ZERO_SPEED, 2.0 * noise)
+            probe.listen(trial / (RESPONSE_TRIALS * probe.rate))
             probe.command(self._command)
             sent = probe.sent
-            shows = partial(self._exceeds, level)
+            shows = partial(self._exceeds, max(ZERO_SPEED, 2.0 * noise))
             lines = probe.hear(None, shows, EFFECT_TIMEOUT)
             if not shows(lines):
                 return []
-            found.append(max(lines[-1].begin - sent, 0.0))
+            delays.append(max(lines[-1].stamp - probe.line_time - sent, 0.0))
         stop_wheels(probe, self._speed)
-        return leave_out_early(found[1:], 1.0 / rate)
+        return leave_out_early(delays[1:], 1.0 / probe.rate)
 
     def measure_timeout(self) -> tuple[float, float | None] | None:
         """Let the wheels turn steadily, stop commanding, and compare with a commanded stop.
@@ -704,13 +644,10 @@ class StepResponse:
     def _find_fall(
         self, newest: list[FeedbackLine], command: Speeds | None, end: float, level: float
     ) -> tuple[float | None, FeedbackLine | None]:
-        """Listen until the mean speed is below `end` [rad/s].
-
-        Returns:
-            When it fell below a level, between two lines [s], None if it didn't; and the last line.
-        """
-        heard = self._probe.hear(command, lambda x: self._mean(x[-1]) < end, STEADY_TIMEOUT)
-        lines = [*newest, *heard]
+        """Listen until the mean speed is below `end` [rad/s]."""
+        lines = newest + self._probe.hear(
+            command, lambda heard: self._mean(heard[-1]) < end, STEADY_TIMEOUT
+        )
         for before, after in pairwise(lines):
             high, low = self._mean(before), self._mean(after)
             if low < level <= high:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
+from statistics import median
 
 from acsar_gym.config import BAUD_RATES, RobotConfig
 from acsar_gym.config.robot import USUAL_RATES
@@ -16,19 +18,23 @@ from acsar_gym.errors import (
 )
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.base import Link
+from acsar_gym.links.handshake import shown_bytes
 from acsar_gym.links.recorded import record_link
 from acsar_gym.links.serial import SerialLink
-from acsar_gym.protocol import ZERO, encode
+from acsar_gym.protocol import MOTORS, ZERO, encode
 from acsar_gym.recording import Recorder
-from acsar_gym.tools.doctor.board import BoardProbe, check_feedback
-from acsar_gym.tools.doctor.checks import Check
-from acsar_gym.tools.doctor.commission import Commission
+from acsar_gym.tools.commission.checks import Check, warn_if
+from acsar_gym.tools.commission.wiring import Commission, report_resets
+from acsar_gym.tools.sysid.board import BoardProbe
 from acsar_gym.worlds import Scene
 
 BAUD_TIMEOUT = 3.0
 """Longest wait for a valid line at each rate [s]; boards take 1 to 3 s to start."""
 USUAL_POLICY_RATE = 10.0
 """Usual rate of a policy; a control rate must be a multiple of it [Hz]."""
+PADDED_LINE = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}")
+TURNING_SPEED = 0.5
+"""Wheels that are said to be faster than this turn [rad/s]."""
 
 
 def at_baud_rate(config: RobotConfig, baud: int) -> RobotConfig:
@@ -58,10 +64,6 @@ def search_baud_rate(device: str, config: RobotConfig) -> Check:
     """Try the other baud rates, fastest first, and say which one gives valid lines.
 
     Nothing is commanded but zero.
-
-    Args:
-        device: the serial device, closed.
-        config: of the robot, whose own rate gave none.
     """
     for baud in sorted(set(BAUD_RATES) - {config.baud_rate}, reverse=True):
         timeout = min(BAUD_TIMEOUT, config.connect_timeout)
@@ -103,9 +105,6 @@ def examine_device(
         config: configuration of the robot.
         commission: turns the wheels, too, and takes what was found; None: the robot stands.
         recorder: records the wire; closed at the end.
-
-    Yields:
-        The results in order.
 
     Raises:
         EmergencyStopError: after the last result.
@@ -149,11 +148,6 @@ def examine_board(
 ) -> Iterator[Check]:
     """Check the board behind an open link.
 
-    Args:
-        link: to the board, or to a simulated one.
-        config: configuration of the robot.
-        commission: as for `examine_device`.
-
     Raises:
         LinkError: the board is lost or silent, or its wheels keep turning.
     """
@@ -164,6 +158,51 @@ def examine_board(
             yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
     elif not probe.gaps:
         yield from commission.run(probe, config)
+
+
+def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
+    """Command zero at the control rate for a while, and say what the board sends meanwhile."""
+    probe.find_echo()
+    if probe.echoes:
+        yield warn_if(
+            not config.echo,
+            "echo",
+            "this board echoes: it sends each command back; echoes don't count as feedback",
+            "take the echo out of the board's program, or write echo: true into the robot's file",
+        )
+    lines = probe.measure_feedback(config.period)
+    expected = config.feedback_rate
+    yield warn_if(
+        probe.rate < 0.9 * expected,
+        "feedback rate",
+        f"{probe.rate:.1f} lines/s, {expected:g} expected",
+        "set firmware.feedback_rate to what the board sends, or speed the board up",
+    )
+    newest = probe.newest_line
+    padded = PADDED_LINE.fullmatch(newest) is not None
+    numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
+    comma = "with" if newest.endswith(b",") else "without"
+    found = f"{numbers}, {comma} a trailing comma: {shown_bytes(newest)}"
+    yield Check("line format", "ok", found)
+    refused = sum(probe.decoder.refused.values())
+    sample = f", such as in {shown_bytes(probe.decoder.sample)}" if refused else ""
+    yield warn_if(
+        refused > 0,
+        "line quality",
+        f"{refused} bad parts in {probe.decoder.lines} lines{sample}",
+        "check the cable, ground and baud rate",
+    )
+    turning = [k for k in range(4) if abs(median(x.speeds[k] for x in lines)) > TURNING_SPEED]
+    if turning:
+        letters = ", ".join(MOTORS[k] for k in turning)
+        yield Check(
+            "standing",
+            "warn",
+            f"{letters}: feedback isn't zero while zero is commanded",
+            "if that wheel stands, check its encoder; if it turns, what else commands the board",
+        )
+    if probe.gaps:
+        yield report_resets(probe.gaps)
 
 
 class StoppableLink(SerialLink):

@@ -14,20 +14,21 @@ from acsar_gym.config import RobotConfig, WheelConfig, WheelsConfig
 from acsar_gym.errors import ConfigError, escape_unprintable, show_value
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.safety.layer import Safety
-from acsar_gym.tools.doctor.board import (
+from acsar_gym.tools.commission.checks import Check, warn_if
+from acsar_gym.tools.sysid.board import (
+    RATIO_TOLERANCE,
     RESPONSE_TRIALS,
     BoardProbe,
     StepResponse,
     WheelAnswer,
     find_stale,
-    report_resets,
+    likely_units,
     sends_set_points,
     spin_wheel,
     stop_wheels,
     takes_last_value,
     takes_upper_case,
 )
-from acsar_gym.tools.doctor.checks import Check, warn_if
 
 SPIN_SPEED = 3.0
 """Wheel speed of the checks [rad/s]; 0.15 m/s at the rim of the usual wheel."""
@@ -41,8 +42,6 @@ EXACT_RATIO = 0.005
 """A measured speed is exactly the commanded one within this share."""
 TIMEOUT_TOLERANCE = 0.03
 """A time-out is as configured within this [s]."""
-RATIO_TOLERANCE = 0.1
-"""Ratios of speeds that differ by less than this share are the same."""
 HIGHEST_SPEED = 99.9
 """Speed above which a line with two digits may have cut a speed off [rad/s]."""
 MAX_QUESTIONS = 5
@@ -74,11 +73,6 @@ SeenWheel = tuple[int, int] | None
 
 def parse_seen(answer: str, letter: int) -> SeenWheel:
     """Read what somebody saw while one letter was commanded forward.
-
-    Args:
-        answer: letter of the wheel that turned, with n for backward (or p for forward) behind it;
-            "none" if none turned; empty for the letter's own wheel.
-        letter: index of the commanded letter.
 
     Raises:
         ConfigError: it says none of these.
@@ -130,10 +124,6 @@ class Commission:
     def run(self, probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
         """Turn the wheels; yield what was found.
 
-        Args:
-            probe: hears the board.
-            config: of the robot.
-
         Raises:
             LinkError: the board is lost, or wheels keep turning.
             ConfigError: what was seen can't be.
@@ -150,8 +140,8 @@ class Commission:
         if (refusal := _refuse_board(probe, answers, speed)) is not None:
             yield refusal
             return
-        found = infer_wiring(answers, self.eyes, config)
-        yield from check_wiring(answers, self.eyes, config, found)
+        wiring = infer_wiring(answers, self.eyes, config)
+        yield from check_wiring(answers, self.eyes, config, wiring)
         heard = [answer for answer in answers if answer.encoder is not None]
         if not heard:
             yield Check(DELAY_CHECK, "fail", "no wheel turns", NOTHING_TURNS)
@@ -160,8 +150,8 @@ class Commission:
             for name in ("line end", DELAY_CHECK, TIMEOUT_CHECK):
                 yield Check(name, "skip", "needs wheels that turn as commanded", "mend them first")
             return
-        if found != config.wheels:
-            self.changes["wheels"] = found.model_dump()
+        if wiring != config.wheels:
+            self.changes["wheels"] = wiring.model_dump()
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
         if probe.echoes and not config.echo:
             self.changes["echo"] = True
@@ -178,7 +168,7 @@ class Commission:
         yield self._check_line_end(probe, config, heard[-1].letter, speed)
         encoders = {answer.encoder for answer in heard if answer.encoder is not None}
         response = StepResponse(probe, [answer.letter for answer in heard], encoders, speed)
-        yield report_delays(response.measure_delays(probe.rate))
+        yield report_delays(response.measure_delays())
         timed, agreed = self._check_timeout(response, config)
         yield timed
         if abs(probe.rate / config.feedback_rate - 1.0) > RATE_TOLERANCE:
@@ -265,29 +255,40 @@ class Commission:
     def _check_timeout(self, response: StepResponse, config: RobotConfig) -> tuple[Check, bool]:
         """Say how soon the board stops by itself, and whether two measurements agree on it."""
         seen: list[float] = []
-        while (found := response.measure_timeout()) is not None:
-            alike = [other for other in seen if abs(found[0] - other) < SAME_TIMEOUT]
+        while (timed := response.measure_timeout()) is not None:
+            alike = [other for other in seen if abs(timed[0] - other) < SAME_TIMEOUT]
             if alike:
-                found = 0.5 * (found[0] + alike[0]), found[1]
+                timed = 0.5 * (timed[0] + alike[0]), timed[1]
                 break
-            seen.append(found[0])
+            seen.append(timed[0])
             if len(seen) == TIMEOUT_TRIALS:
                 listed = ", ".join(f"{after:.2f}" for after in seen)
                 said = f"another time at each trial: {listed} s"
                 fix = "does the board repeat old lines, or is this computer busy? Try again"
                 return Check(TIMEOUT_CHECK, "fail", said, fix), False
         configured = config.firmware.command_timeout or math.inf
-        after = math.inf if found is None else round(found[0], 2)
+        after = math.inf if timed is None else round(timed[0], 2)
         if after != configured and not abs(after - configured) <= TIMEOUT_TOLERANCE:
-            self._note_firmware("command_timeout", None if found is None else after)
-        if found is None:
+            self._note_firmware("command_timeout", None if timed is None else after)
+        if timed is None:
             fix = "add a command time-out to the firmware"
             return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix), True
-        stands = f"; the wheels stand after {found[1]:.2f} s" if found[1] else ""
+        stands = f"; the wheels stand after {timed[1]:.2f} s" if timed[1] else ""
         return Check(TIMEOUT_CHECK, "ok", f"{after:.2f} s after the last command{stands}"), True
 
     def _note_firmware(self, name: str, value: float | None) -> None:
         self.changes.setdefault("firmware", {})[name] = value
+
+
+def report_resets(gaps: Sequence[float]) -> Check:
+    """Say that the board was reset."""
+    silent = ", ".join(f"{gap:.1f} s" for gap in gaps)
+    return Check(
+        "resets",
+        "fail",
+        f"the board was reset: silent for {silent}",
+        "check its power supply, which motors may draw down, and its watchdog",
+    )
 
 
 def _report_notes(notes: Sequence[str]) -> Check:
@@ -325,12 +326,7 @@ def _refuse_board(probe: BoardProbe, answers: Sequence[WheelAnswer], speed: floa
 
 
 def report_delays(delays: Sequence[float]) -> Check:
-    """Say how long commands take to show.
-
-    Args:
-        delays: [s], ascending, of the `RESPONSE_TRIALS` commands less those that were left out;
-            none where wheels don't turn.
-    """
+    """Say how long commands take to show."""
     if not delays:
         return Check(DELAY_CHECK, "fail", "not all wheels turn", NOTHING_TURNS)
     usual, latest = median(delays), delays[math.ceil(0.95 * len(delays)) - 1]
@@ -348,11 +344,11 @@ def report_delays(delays: Sequence[float]) -> Check:
 def _ask_seen(ask: AskWatcher, letter: int, config: RobotConfig) -> str:
     """Ask which wheel turned while a letter was commanded forward, until the answer makes sense."""
     wheel = next(k for k, one in enumerate(config.wheels.each) if one.motor == MOTORS[letter])
-    own = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
+    usual = MOTORS[wheel] + ("n" if config.wheels.each[wheel].motor_sign == -1 else "")
     question = f"{MOTORS[letter]} was commanded forward: which wheel turned ({WHEEL_NAMES}; "
     question += "n behind it: backward; "
     for _ in range(MAX_QUESTIONS):
-        said = ask(f"{question}none; Enter: {own})? ").strip() or own
+        said = ask(f"{question}none; Enter: {usual})? ").strip() or usual
         with contextlib.suppress(ConfigError):
             parse_seen(said, letter)
             return said
@@ -365,23 +361,16 @@ def _ask_seen(ask: AskWatcher, letter: int, config: RobotConfig) -> str:
 def infer_wiring(
     answers: Sequence[WheelAnswer], eyes: Sequence[SeenWheel] | None, config: RobotConfig
 ) -> WheelsConfig:
-    """Infer the wiring; wheels of which nothing is known keep their letters, or those left.
-
-    Args:
-        answers: of the encoders, for the letters a, b, c, d.
-        eyes: what was seen to turn, for each; None if nobody looked: motors are then taken to be
-            where the robot's file says.
-        config: of the robot, as its file says.
-    """
+    """Infer the wiring; wheels of which nothing is known keep their letters, or those left."""
     file = config.wheels.each
-    own_motors = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in file]
-    own_encoders = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in file]
-    letters = [letter for letter, _ in own_motors]
+    file_motors = [(MOTORS.index(wheel.motor), wheel.motor_sign) for wheel in file]
+    file_encoders = [(MOTORS.index(wheel.encoder), wheel.sign) for wheel in file]
+    letters = [letter for letter, _ in file_motors]
     motors: dict[int, tuple[int, int]] = {}
     encoders: dict[int, tuple[int, int]] = {}
     for answer in answers:
         wheel = letters.index(answer.letter)
-        saw = (wheel, own_motors[wheel][1]) if eyes is None else eyes[answer.letter]
+        saw = (wheel, file_motors[wheel][1]) if eyes is None else eyes[answer.letter]
         if saw is None:
             continue
         wheel, way = saw
@@ -389,12 +378,12 @@ def infer_wiring(
         if answer.encoder is not None and answer.encoder not in {e for e, _ in encoders.values()}:
             sign = answer.sign * way if answer.is_right else file[wheel].sign
             encoders[wheel] = answer.encoder, sign
-    for known, own in ((motors, own_motors), (encoders, own_encoders)):
-        left = set(range(4)) - {letter for letter, _ in known.values()}
-        others = [wheel for wheel in range(4) if wheel not in known]
-        for wheel in sorted(others, key=lambda wheel: own[wheel][0] not in left):
-            known[wheel] = own[wheel] if own[wheel][0] in left else (min(left), 1)
-            left.discard(known[wheel][0])
+    for parts, in_file in ((motors, file_motors), (encoders, file_encoders)):
+        left = set(range(4)) - {letter for letter, _ in parts.values()}
+        others = [wheel for wheel in range(4) if wheel not in parts]
+        for wheel in sorted(others, key=lambda wheel: in_file[wheel][0] not in left):
+            parts[wheel] = in_file[wheel] if in_file[wheel][0] in left else (min(left), 1)
+            left.discard(parts[wheel][0])
     return WheelsConfig.model_validate(
         {
             letter: {
@@ -414,14 +403,7 @@ def check_wiring(
     config: RobotConfig,
     found: WheelsConfig,
 ) -> Iterator[Check]:
-    """Say what was found about each wheel, and about all of them.
-
-    Args:
-        answers: of the encoders, for the letters a, b, c, d.
-        eyes: what was seen to turn; None if nobody looked.
-        config: as it was configured.
-        found: the wiring that was inferred.
-    """
+    """Say what was found about each wheel, and about all of them."""
     for wheel in range(4):
         yield _check_wheel(wheel, answers, eyes, config, found.each[wheel])
     file = config.wheels
@@ -568,31 +550,3 @@ def _explain_speed(answer: WheelAnswer, answers: Sequence[WheelAnswer], config: 
         return "check the plugs of motor and encoder, and the motor's driver"
     fast = ratio * answer.asked > HIGHEST_SPEED
     return likely_units(ratio, config, fast=fast)
-
-
-def likely_units(ratio: float, config: RobotConfig, *, fast: bool = False) -> str:
-    """Say in which other unit a board may measure, or take its commands, or that a motor is weak.
-
-    Args:
-        ratio: of measured to commanded speed.
-        config: of the robot.
-        fast: whether the measured speed has more digits than a line holds.
-    """
-    units = [
-        f"likely {unit} (x {factor:.3g})"
-        for unit, factor in (
-            ("feedback in rpm", 30.0 / math.pi),
-            ("feedback in rev/s", 0.5 / math.pi),
-            ("feedback in deg/s", 180.0 / math.pi),
-            ("feedback in m/s", config.wheel_radius),
-            ("commands taken as rpm", math.pi / 30.0),
-        )
-        if math.isclose(ratio, factor, rel_tol=RATIO_TOLERANCE)
-    ]
-    if fast:
-        before_gears = "likely feedback in deg/s or counts, or that of the motor before its gears"
-        units.insert(0, before_gears)
-    weak = ", or a motor that is too weak" if ratio < 1.0 and not fast else ""
-    if units:
-        return f"{' or '.join(units)}: the wire carries rad/s of the wheel, both ways{weak}"
-    return f"likely counts per turn or gear ratio {IN_PROGRAM}{weak}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rich.console import Console
-from serial_tools import Emulated, no_leak, program, wait_until
+from serial_tools import Emulated, no_leak, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LinkError, MissingExtraError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.lateness import DurationSpread, TickTiming
 from acsar_gym.protocol import ZERO
-from acsar_gym.tools.doctor import timing as doctor_timing
-from acsar_gym.tools.doctor.checks import Check
-from acsar_gym.tools.doctor.timing import HISTOGRAM_EDGES, TimingReport, examine_timing
+from acsar_gym.tools.commission import timing as doctor_timing
+from acsar_gym.tools.commission.checks import Check
+from acsar_gym.tools.commission.timing import HISTOGRAM_EDGES, TimingReport, examine_timing
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -32,22 +31,6 @@ Action = NDArray[np.float32]
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorter turns than at the command line: ten ticks."""
     monkeypatch.setattr(doctor_timing, "BLOCK_TIME", 0.1)
-
-
-BYTE_BY_BYTE = """
-import os, pty, select, time, tty
-
-board, device = pty.openpty()
-tty.setraw(device)
-print(os.ttyname(device), flush=True)
-while True:
-    for byte in b"ap00.00,bp00.00,cp00.00,dp00.00\\r\\n":
-        os.write(board, bytes([byte]))
-        time.sleep(0.0003)
-    if select.select([board], [], [], 0.0)[0]:
-        os.read(board, 65536)
-"""
-"""A board that stands and sends byte by byte, as over a real wire."""
 
 
 def forwards(observation: Action) -> Action:
@@ -80,15 +63,6 @@ def report() -> TimingReport:
 
 def judged(report: TimingReport) -> dict[str, Check]:
     return {check.name: check for check in report.figures}
-
-
-def test_a_line_that_the_reset_cuts_is_no_bad_part(config: RobotConfig) -> None:
-    """Opening and resetting discard what has arrived, most often in the middle of a line."""
-    with program(BYTE_BY_BYTE) as board:
-        assert board.stdout is not None
-        device = board.stdout.readline().strip()
-        for _ in range(2):
-            assert examine_timing(device, config, 0.1, forwards).refused == 0
 
 
 def test_a_run_over_the_emulator(config: RobotConfig, shared_device: str) -> None:
@@ -133,18 +107,6 @@ def test_with_the_packaged_policy_and_without_onnxruntime(
     report = examine_timing(shared_device, config, 0.1)
     assert report.policy_time is None
     assert "no policy" in judged(report)["processor"].found
-
-
-def test_a_policy_that_takes_longer_than_ticks(config: RobotConfig, shared_device: str) -> None:
-    def slow(observation: Action) -> Action:
-        time.sleep(0.036)
-        return np.zeros(2, np.float32)
-
-    report = examine_timing(shared_device, config, 0.5, slow)
-    assert report.lateness.late_ticks >= 5
-    assert report.lateness.missed_ticks >= 2 * 5
-    assert report.lateness.worst > 0.02
-    assert judged(report)["late ticks"].status == "warn"
 
 
 def test_a_device_that_goes_away(config: RobotConfig, own_emulator: Emulated) -> None:

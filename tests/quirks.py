@@ -1,5 +1,7 @@
 """Boards that behave differently: ways in which real ones have been wired and programmed.
 
+For tests; `python tests/quirks.py emulate --quirk swapped-motors` serves a pseudo-terminal.
+
 A quirk is a name such as `at-comma`, or a name and a value such as `dead-wheel=c`. Those of wiring
 and timing change the emulated robot's config, those of motors lie between firmware and body, and
 the others change the bytes at the board's connector. What a config says already needs no quirk: an
@@ -9,11 +11,11 @@ instant encoder is `encoder.window` of one loop, saturation is `motor.max_speed`
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
 from acsar_gym.links.simulated import SimulatedLink
@@ -22,48 +24,18 @@ from acsar_gym.physics.body import Body
 from acsar_gym.protocol import MOTORS, ZERO, Decoder, Speeds, encode
 from acsar_gym.worlds import Scene
 
-BOOT_TIME = 1.5
-"""How long a board is silent after a reset [s]."""
-STALE_TIME = 0.3
-"""How long a board with stale feedback repeats a line [s]."""
+BOOT_TIME, STALE_TIME = 1.5, 0.3
+"""How long a board is silent after a reset, and a stale one repeats a line [s]."""
 RUNAWAY_SPEED = 14.4
 """How much faster than commanded a wheel of `assets/firmware` turns where its encoder is reversed,
 so that the speed loop drives it away from its command [rad/s]."""
 WHEEL_QUIRKS = ("reversed-encoder", "reversed-motor", "dead-wheel", "dead-encoder", "runaway")
-"""Quirks whose value is a wheel. A `runaway` wheel has a reversed encoder within the board's speed
-loop."""
-NUMBER_QUIRKS = {
-    "feedback-factor": "",
-    "frozen": "1",
-    "resets": "1",
-    "command-timeout": "",
-    "feedback-rate": "",
-    "backward-gain": "",
-    "overshoot": "",
-    "reversal-hold": "",
-    "echo": "0.005",
-    "stale": "3",
-}
-"""Quirks whose value is a number, and their default; "" where there is none. `echo` is how late
-each command comes back [s], `stale` how often a line is repeated for `STALE_TIME` [s]."""
+"""Quirks whose value is a wheel."""
 MOTOR_QUIRKS = ("backward-gain", "overshoot", "reversal-hold")
-"""Quirks of motors, outside the model that `identify` fits."""
-PLAIN_QUIRKS = (
-    "at-comma",
-    "no-comma",
-    "unpadded",
-    "padded-space",
-    "swapped-encoders",
-    "swapped-motors",
-    "no-timeout",
-    "echo-newest",
-    "set-points",
-    "upper-case",
-    "signs",
-    "upper-case-commands",
-)
-"""Quirks without a value. `echo-newest` sends the newest command before each line of feedback,
-`set-points` the commanded speeds as feedback."""
+"""Quirks of motors, outside the model that `identify` fits; their value is a number."""
+DEFAULTS = {"frozen": "1", "resets": "1", "echo": "0.005", "stale": "3"}
+"""Numbers where none is given: `echo` is how late each command comes back [s], `stale` how often a
+line is repeated for `STALE_TIME` [s]."""
 INPUT_QUIRKS = {
     "at-comma",
     "no-comma",
@@ -74,8 +46,24 @@ INPUT_QUIRKS = {
     "set-points",
     "upper-case-commands",
 }
-"""Quirks of a board that look at single commands."""
-QUIRK_NAMES = (*PLAIN_QUIRKS, *WHEEL_QUIRKS, *NUMBER_QUIRKS)
+"""Quirks of a board that look at single commands. `echo-newest` sends the newest command before
+each line of feedback, `set-points` the commanded speeds as feedback."""
+QUIRK_NAMES = {
+    *WHEEL_QUIRKS,
+    *MOTOR_QUIRKS,
+    *DEFAULTS,
+    *INPUT_QUIRKS,
+    "unpadded",
+    "padded-space",
+    "swapped-encoders",
+    "swapped-motors",
+    "no-timeout",
+    "upper-case",
+    "signs",
+    "feedback-factor",
+    "command-timeout",
+    "feedback-rate",
+}
 MIRRORED_LETTERS = str.maketrans("abcd", "badc")
 """Letters of the wheels on the other side."""
 
@@ -84,38 +72,17 @@ Quirks = dict[str, str]
 
 
 def parse_quirks(quirks: Sequence[str]) -> Quirks:
-    """Check quirks such as "at-comma" and "dead-wheel=c"; ConfigError names a bad one."""
+    """Quirks such as "at-comma" and "dead-wheel=c" by name."""
     found: Quirks = {}
     for quirk in quirks:
-        name, equals, value = quirk.partition("=")
-        if name not in QUIRK_NAMES:
-            near = suggest_name(name[:40], QUIRK_NAMES)
-            raise ConfigError(f"unknown quirk {show_value(quirk)}{near}")
-        if name in PLAIN_QUIRKS and equals:
-            raise ConfigError(f"quirk {show_value(quirk)}: {name} has no value")
-        if name in WHEEL_QUIRKS and value not in tuple(MOTORS):
-            raise ConfigError(
-                f"quirk {show_value(quirk)}: write {name}=WHEEL, one of {', '.join(MOTORS)}"
-            )
-        if name in NUMBER_QUIRKS:
-            value = value or NUMBER_QUIRKS[name]
-            try:
-                number = float(value)
-            except ValueError:
-                number = math.nan
-            if not 0.0 < number < math.inf:
-                raise ConfigError(f"quirk {show_value(quirk)}: write {name}=NUMBER, more than 0")
-        found[name] = value
+        name, _, value = quirk.partition("=")
+        assert name in QUIRK_NAMES, quirk
+        found[name] = value or DEFAULTS.get(name, "")
     return found
 
 
 def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
-    """Return the config of a robot with these quirks of wiring and timing.
-
-    Args:
-        quirks: names and values.
-        config: of the robot without them.
-    """
+    """Return the config of a robot with these quirks of wiring and timing."""
     firmware: dict[str, Any] = {}
     if "command-timeout" in quirks:
         firmware["command_timeout"] = float(quirks["command-timeout"])
@@ -135,13 +102,7 @@ def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
 
 
 def make_link(name: str, config: RobotConfig, quirks: Quirks) -> Link:
-    """Make a simulated robot with these quirks.
-
-    Args:
-        name: of a simulated body, such as "planar".
-        config: of the robot, with its quirks of wiring and timing.
-        quirks: names and values.
-    """
+    """Make a simulated robot with these quirks; the config has those of wiring and timing."""
     if quirks.keys().isdisjoint(MOTOR_QUIRKS):
         link = open_link(name, config)
     else:
@@ -157,11 +118,6 @@ class QuirkyMotors:
     by this share M: u = integral of (set point - speed) / (4 zeta^2 T) with the damping
     zeta = -ln M / sqrt(pi^2 + ln^2 M) of a second-order system.
     `reversal-hold`: a wheel stands for this time whenever its set point changes sign [s].
-
-    Args:
-        body: with motors as modelled.
-        config: of the robot.
-        quirks: names and values.
     """
 
     def __init__(self, body: Body, config: RobotConfig, quirks: Quirks) -> None:
@@ -212,13 +168,7 @@ class QuirkyMotors:
 
 
 class QuirkyLink(ForwardingLink):
-    """A simulated robot whose board differs in the bytes that it takes and sends.
-
-    Args:
-        link: of the simulated robot.
-        config: of that robot.
-        quirks: names and values.
-    """
+    """A simulated robot whose board differs in the bytes that it takes and sends."""
 
     def __init__(self, link: Link, config: RobotConfig, quirks: Quirks) -> None:
         super().__init__(link)
@@ -354,3 +304,30 @@ class QuirkyLink(ForwardingLink):
             for motor, speed in zip(MOTORS, speeds, strict=True)
         ]
         return (",".join(parts) + ("," if self._comma else "") + "\r\n").encode()
+
+
+def emulate() -> None:
+    """Run `acsar-gym emulate` with the quirks that follow --quirk in the arguments."""
+    from acsar_gym.tools.cli import main
+    from acsar_gym.tools.emulation import board
+
+    begin = sys.argv.index("--quirk") if "--quirk" in sys.argv else len(sys.argv)
+    end = begin + 1
+    while end < len(sys.argv) and not sys.argv[end].startswith("--"):
+        end += 1
+    quirks = parse_quirks(sys.argv[begin + 1 : end])
+    del sys.argv[begin:end]
+
+    class QuirkyEmulator(board.Emulator):
+        def __init__(self, config: RobotConfig, **options: Any) -> None:
+            def make(body: str, config: RobotConfig) -> Link:
+                return make_link(body, config, quirks)
+
+            super().__init__(apply_to_config(quirks, config), make_link=make, **options)
+
+    board.Emulator = QuirkyEmulator  # type: ignore[misc]
+    main()
+
+
+if __name__ == "__main__":
+    emulate()

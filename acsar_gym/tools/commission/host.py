@@ -9,7 +9,7 @@ from pathlib import Path
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, ConfigError
-from acsar_gym.tools.doctor.checks import Check, warn_if
+from acsar_gym.tools.commission.checks import Check, warn_if
 
 LIMITS_FILE = "/etc/security/limits.d/99-realtime.conf"
 BUSY_LOAD = 0.7
@@ -90,9 +90,6 @@ def check_computer(
             adapter's latency timer.
         config: configuration of the robot.
         root: folder with sys and proc.
-
-    Yields:
-        The results.
     """
     has_affinity = hasattr(os, "sched_getaffinity")
     cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1

@@ -1,0 +1,438 @@
+"""The job `calibrate`: runs are driven or read from recordings, given readings, checked and fitted.
+
+A run is one drive from standstill to standstill, straight or in turns. What odometry says of its
+wheel angles is compared with what a person read from a tape or a protractor; in simulation, with
+the truth.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.recording import read
+from acsar_gym.tools.sysid.delays import Floats
+
+MANOEUVRES = ("straight", "turn")
+ODOMETRY_ROUGHNESS = 2e-4
+"""Standard deviation of odometry, as a share of the way of each side: encoders, printed digits."""
+SKID_SPREAD = 1e-3
+"""Standard deviation of the multiplier from run to run, as a share: it depends a little on speed
+and turn radius."""
+CONTRADICTION_SHARE = 0.3
+"""A reading that differs from odometry by more than this share is refused."""
+SHORTEST_RUN = 1e-3
+"""A straight run that is shorter than this, by odometry, can't be measured [m]."""
+SKID_MULTIPLIERS = (1.0, 2.2)
+"""Multipliers of skid-steer robots; a turn may contradict odometry by as much as they explain."""
+DIVISION_SIGMA = 0.5
+"""Standard deviation of a reading, as a share of the scale's divisions: rounding and placement."""
+LARGEST_READING = 1e6
+ASKED_READINGS = {
+    "straight": "straight distance from start to end [m], and how far to the left it ended [m] if "
+    "you have it",
+    "turn": "turned angle [degrees], full turns counted",
+}
+"""What a person is asked for after each run."""
+
+
+class RunReading(NamedTuple):
+    """One measured number of a run's end, in the frame of its start."""
+
+    kind: str
+    """Straight `distance`, offset to the left (`aside`), or `heading`, full turns included."""
+    value: float
+    """[m] or [rad]."""
+    sigma: float
+    """Standard deviation [m] or [rad]."""
+    source: str
+    """tape or truth."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CalibrationRun:
+    """One drive from standstill to standstill."""
+
+    name: str
+    """Such as "turn 2, left"."""
+    manoeuvre: str
+    """straight or turn."""
+    wheels: Floats
+    """(n, 2): angles turned since the start by the left and by the right wheels [rad]."""
+    readings: tuple[RunReading, ...] = ()
+
+    def read(self, readings: Sequence[RunReading]) -> CalibrationRun:
+        """Return a copy with these readings."""
+        return replace(self, readings=tuple(readings))
+
+
+class Geometry(NamedTuple):
+    """The three numbers that odometry needs."""
+
+    radius: float
+    """Mean of the left and right wheels' radii [m]."""
+    ratio: float
+    """Right radius less left radius, as a share of the mean."""
+    multiplier: float
+    """wheel_separation_multiplier."""
+
+    @property
+    def left(self) -> float:
+        """Radius of the left wheels [m]."""
+        return self.radius * (1.0 - self.ratio / 2.0)
+
+    @property
+    def right(self) -> float:
+        """Radius of the right wheels [m]."""
+        return self.radius * (1.0 + self.ratio / 2.0)
+
+
+def configured_geometry(config: RobotConfig) -> Geometry:
+    """The geometry that a robot is configured with."""
+    left, right = config.left_wheel_radius_multiplier, config.right_wheel_radius_multiplier
+    mean = (left + right) / 2.0
+    return Geometry(
+        config.wheel_radius * mean, (right - left) / mean, config.wheel_separation_multiplier
+    )
+
+
+def integrate_wheels(
+    wheels: Floats, geometry: Geometry, separation: float
+) -> tuple[float, float, float]:
+    """Integrate wheel angles exactly, as arcs.
+
+    Args:
+        wheels: (n, 2), angles of the left and right wheels since the start [rad].
+        geometry: radii and multiplier.
+        separation: wheel_separation [m].
+
+    Returns:
+        x [m], y [m] and theta [rad], full turns included, in the frame of the start.
+    """
+    moved = np.diff(wheels, axis=0, prepend=0.0) * (geometry.left, geometry.right)
+    way = (moved[:, 0] + moved[:, 1]) / 2.0
+    turned = (moved[:, 1] - moved[:, 0]) / (separation * geometry.multiplier)
+    middle = np.cumsum(turned) - turned / 2.0
+    chord = way * np.sinc(turned / (2.0 * math.pi))
+    x, y = (chord * np.cos(middle)).sum(), (chord * np.sin(middle)).sum()
+    return float(x), float(y), float(turned.sum())
+
+
+def predict_readings(run: CalibrationRun, geometry: Geometry, separation: float) -> list[float]:
+    """What each reading of a run should be by odometry [m, rad]."""
+    x, y, theta = integrate_wheels(run.wheels, geometry, separation)
+    values = {"distance": math.hypot(x, y), "aside": y, "heading": theta}
+    return [values[reading.kind] for reading in run.readings]
+
+
+def rolled_distance(run: CalibrationRun, radius: float) -> float:
+    """Mean of the distances that the left and the right wheels rolled in a run [m]."""
+    return float(np.abs(np.diff(run.wheels, axis=0)).sum()) * radius / 2.0
+
+
+def reading_sigmas(run: CalibrationRun, geometry: Geometry, separation: float) -> list[float]:
+    """Standard deviation of reading less odometry for each reading of a run [m, rad]."""
+    rough = ODOMETRY_ROUGHNESS * rolled_distance(run, geometry.radius)
+    arm = separation * geometry.multiplier / 2.0
+    skid = SKID_SPREAD * abs(integrate_wheels(run.wheels, geometry, separation)[2])
+    return [
+        math.hypot(reading.sigma, rough / arm, skid)
+        if reading.kind == "heading"
+        else math.hypot(reading.sigma, rough)
+        for reading in run.readings
+    ]
+
+
+def hash_runs(runs: Sequence[CalibrationRun]) -> str:
+    """Return the first 16 hex digits of the SHA-256 of runs and their readings."""
+    whole = hashlib.sha256()
+    for run in runs:
+        whole.update(np.round(run.wheels, 6).tobytes() + repr(run.readings).encode())
+    return whole.hexdigest()[:16]
+
+
+def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[CalibrationRun]:
+    """Make a run of each episode of a recording.
+
+    Args:
+        path: the recording, such as one of `calibrate --record`.
+        manoeuvre: straight, turn, or all; one that doesn't say it itself must be of one kind.
+        config: of the robot.
+
+    Raises:
+        ConfigError: the file can't be read, nothing turned, it is of another robot, or the
+            manoeuvre isn't known.
+    """
+    recording = read(path)
+    for name in ("wheel_separation", "wheelbase"):
+        there, here = getattr(recording.config, name), getattr(config, name)
+        if there != here:
+            raise ConfigError(
+                f"{path}: is of another robot: {name} is {there:g} there and {here:g} here; use "
+                "--robot with that robot's file"
+            )
+    runs: list[CalibrationRun] = []
+    for episode in recording.episodes:
+        own = str(episode.info.get("manoeuvre") or manoeuvre)
+        if own not in MANOEUVRES:
+            raise ConfigError(f"{path}: say what was recorded: {' or '.join(MANOEUVRES)}")
+        if manoeuvre not in (own, "all") or not np.abs(episode.speeds).max(initial=0.0):
+            continue
+        dt = np.diff(episode.stamps, prepend=episode.start)
+        dt[0] = min(dt[0], np.median(dt))  # the reset's wait for standstill is before the first
+        a, b, c, d = episode.speeds.T
+        turned = np.column_stack([(b + c) / 2.0, (a + d) / 2.0]) * dt[:, None]
+        wheels = np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)])
+        name = str(episode.info.get("run") or f"{own} {len(runs) + 1} of {path.name}")[:100]
+        runs.append(CalibrationRun(name, own, wheels))
+    if not runs:
+        raise ConfigError(f"{path}: no {manoeuvre} episode in which a wheel turned")
+    return runs
+
+
+class ReadingScales(NamedTuple):
+    """Divisions of tape [m] and protractor [degrees]."""
+
+    tape: float = 0.005
+    protractor: float = 1.0
+
+    def metres(self, kind: str, value: float) -> RunReading:
+        """A reading of the tape [m]."""
+        return RunReading(kind, value, DIVISION_SIGMA * self.tape, "tape")
+
+    def degrees(self, value: float) -> RunReading:
+        """A reading of the protractor [degrees]."""
+        sigma = DIVISION_SIGMA * math.radians(self.protractor)
+        return RunReading("heading", math.radians(value), sigma, "tape")
+
+
+@dataclass(frozen=True, slots=True)
+class GivenReadings:
+    """Readings that options give, in the order of the runs."""
+
+    measured: tuple[float, ...] = ()
+    """Distances of straight runs [m]."""
+    aside: tuple[float, ...] = ()
+    """Offsets to the left of straight runs' ends [m]; as many as distances, or none."""
+    degrees: tuple[float, ...] = ()
+    """Angles of turns [degrees]."""
+
+    def __post_init__(self) -> None:
+        for option, numbers in (
+            ("measured", self.measured),
+            ("aside", self.aside),
+            ("measured-deg", self.degrees),
+        ):
+            for number in numbers:
+                if not abs(number) <= LARGEST_READING:
+                    limits = f"{-LARGEST_READING:g} to {LARGEST_READING:g}"
+                    raise ConfigError(f"--{option} {number:g}: must be {limits}")
+        if self.aside and len(self.aside) != len(self.measured):
+            raise ConfigError(
+                f"--aside has {len(self.aside)} readings, --measured {len(self.measured)}: must be "
+                "as many"
+            )
+
+    def rows(self, manoeuvre: str) -> list[tuple[float, ...]]:
+        """The readings of one manoeuvre's runs."""
+        if manoeuvre == "straight":
+            return list(zip(self.measured, *([self.aside] if self.aside else []), strict=True))
+        return [(degrees,) for degrees in self.degrees]
+
+    def of_first(self, runs: Sequence[CalibrationRun]) -> GivenReadings:
+        """Return those of the first runs that were to be driven, where no more were finished."""
+        counts = Counter(run.manoeuvre for run in runs)
+        return GivenReadings(
+            self.measured[: counts["straight"]],
+            self.aside[: counts["straight"]],
+            self.degrees[: counts["turn"]],
+        )
+
+
+def give_readings(
+    run: CalibrationRun, row: Sequence[float], scales: ReadingScales
+) -> CalibrationRun:
+    """Give a run the readings of a row of numbers.
+
+    Straight: distance from start to end, and its offset to the left [m]. Turn: the turned angle
+    [degrees], full turns counted, in either sense.
+    """
+    if run.manoeuvre == "turn":
+        left, right = run.wheels[-1]
+        return run.read([scales.degrees(math.copysign(row[0], right - left))])
+    readings = [scales.metres("distance", abs(row[0]))]  # backwards runs are positive as well
+    return run.read(readings + [scales.metres("aside", aside) for aside in row[1:]])
+
+
+def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> CalibrationRun:
+    """Give a run the readings that a person typed; nothing typed leaves it without.
+
+    Raises:
+        ConfigError: these aren't as many numbers as asked for.
+    """
+    if not text.strip():
+        return run
+    try:
+        row = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        row = []
+    counts = (1, 2) if run.manoeuvre == "straight" else (1,)
+    if len(row) not in counts or not all(abs(number) <= LARGEST_READING for number in row):
+        asked = ASKED_READINGS[run.manoeuvre]
+        raise ConfigError(f"{show_value(text.strip())}: must be the {asked}")
+    return give_readings(run, row, scales)
+
+
+def assign_readings(
+    runs: Sequence[CalibrationRun], given: GivenReadings, scales: ReadingScales
+) -> list[CalibrationRun]:
+    """Give runs the readings of the options, manoeuvre by manoeuvre, in order.
+
+    Raises:
+        ConfigError: there are not as many.
+    """
+    result = list(runs)
+    for manoeuvre in MANOEUVRES:
+        rows = given.rows(manoeuvre)
+        places = [i for i, run in enumerate(result) if run.manoeuvre == manoeuvre]
+        if rows and len(places) != len(rows):
+            raise ConfigError(
+                f"{len(rows)} readings for {len(places)} {manoeuvre} runs: must be one for each run"
+            )
+        for i, row in zip(places, rows, strict=False):
+            result[i] = give_readings(result[i], row, scales)
+    return result
+
+
+def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
+    """Compare a run's readings with odometry.
+
+    Returns:
+        A line to be told about a turn that skidding explains but the config doesn't; else empty.
+
+    Raises:
+        ConfigError: a reading contradicts odometry by more than CONTRADICTION_SHARE.
+    """
+    note, geometry = "", configured_geometry(config)
+    expected = predict_readings(run, geometry, config.wheel_separation)
+    for reading, odometry in zip(run.readings, expected, strict=True):
+        value = reading.value
+        if reading.kind == "heading":
+            if run.manoeuvre == "turn":
+                note = _check_turn(run, value, odometry, config)
+        elif reading.kind == "aside":
+            if abs(value) > (1.0 + CONTRADICTION_SHARE) * rolled_distance(run, geometry.radius):
+                raise _contradict(run, f"{value:g}", "farther than the robot drove")
+        elif odometry < SHORTEST_RUN:
+            what = "ended where it began, by odometry: not a straight run"
+            raise ConfigError(f"{run.name}: {what}")
+        elif not abs(value - odometry) <= CONTRADICTION_SHARE * odometry:
+            times = value / odometry
+            hint = "in centimetres?" if 50.0 < times < 200.0 else "another run's?"
+            hint = "in millimetres?" if 500.0 < times < 2000.0 else hint
+            raise _contradict(run, f"{value:g} m", f"odometry says {odometry:.3f} m: {hint}")
+    return note
+
+
+def _check_turn(run: CalibrationRun, value: float, expected: float, config: RobotConfig) -> str:
+    """Check the angle of a turn; returns a line where only skidding explains it. ConfigError."""
+    if abs(value - expected) <= CONTRADICTION_SHARE * abs(expected):
+        return ""
+    implied = config.wheel_separation_multiplier * expected / value if value else math.inf
+    degrees, odometry = math.degrees(abs(value)), math.degrees(abs(expected))
+    what, least = f"odometry says {odometry:.0f} degrees", 1.0 + CONTRADICTION_SHARE
+    if SKID_MULTIPLIERS[0] / least <= implied <= SKID_MULTIPLIERS[1] * least:
+        return f"{run.name}: read {degrees:.0f}, {what}: a multiplier of {implied:.2f} explains it"
+    hint = "counted the full turns?" if degrees < 360.0 < odometry else "units, or another run's?"
+    raise _contradict(run, f"{degrees:g} degrees", f"{what}: {hint}")
+
+
+def _contradict(run: CalibrationRun, reading: str, why: str) -> ConfigError:
+    """The error for a reading that can't be of this run."""
+    return ConfigError(
+        f"{run.name}: the reading {reading} contradicts the odometry by more than "
+        f"{CONTRADICTION_SHARE:.0%}: {why}"
+    )
+
+
+class CalibrationJob:
+    """Collects runs and their readings.
+
+    Attributes: `config`, of the robot; `runs`, all so far; `notes`, lines to be told.
+
+    Args:
+        config: of the robot.
+        given: readings of the options.
+        scales: of the readings that a person takes.
+        ask: asks a person, who can answer; None where nobody is there.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        given: GivenReadings,
+        scales: ReadingScales,
+        ask: Callable[[str], str] | None = None,
+    ) -> None:
+        self.runs: list[CalibrationRun] = []
+        self.notes: list[str] = []
+        self.config = config
+        self.given = given
+        self._scales = scales
+        self._ask = ask
+
+    @property
+    def asks(self) -> bool:
+        """Whether somebody is there who can be asked."""
+        return self._ask is not None
+
+    def check_given(self, counts: Counter[str]) -> bool:
+        """Return whether the options give readings; ConfigError unless each run of a kind has one.
+
+        Args:
+            counts: how many runs of each manoeuvre are to be driven.
+        """
+        for manoeuvre in MANOEUVRES:
+            rows = len(self.given.rows(manoeuvre))
+            if rows not in (0, counts[manoeuvre]):
+                raise ConfigError(
+                    f"{rows} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one for "
+                    "each run"
+                )
+        return any(self.given.rows(manoeuvre) for manoeuvre in MANOEUVRES)
+
+    def finish(self) -> None:
+        """Give readings to runs that have none yet: those of the options, then what a person says.
+
+        Raises:
+            ConfigError: their number is another one, or a reading contradicts the odometry.
+        """
+        self.runs = assign_readings(self.runs, self.given, self._scales)
+        notes = [check_readings(run, self.config) for run in self.runs]
+        self.notes = [line for line in notes if line]
+        for place, run in enumerate(self.runs):
+            if not run.readings:
+                self.ask_readings(place)
+
+    def ask_readings(self, place: int) -> None:
+        """Ask until the answer is a reading of this run, or empty; not where nobody is there."""
+        run = self.runs[place]
+        question = f"{run.name}: {ASKED_READINGS[run.manoeuvre]} (Enter: none)"
+        while self._ask is not None:
+            try:
+                answered = parse_readings(run, self._ask(question), self._scales)
+                check_readings(answered, self.config)
+            except ConfigError as error:
+                question = f"{error}; again"
+            else:
+                self.runs[place] = answered
+                return
