@@ -20,7 +20,7 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
-.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale lint firmware \
   firmware-tested fuzz soak replug stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -76,8 +76,6 @@ test-browser: $(READY)  ## HTML reports and dashboard in headless Chromium, whic
 test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them killed
 	$(BIN)/pytest tests/scale
 
-throughput: $(READY)  ## what a second Ray node is worth; needs a machine with nothing else to do
-	$(BIN)/python tests/scale/throughput.py
 
 fuzz: $(READY)  ## coverage-guided fuzzing of what reads bytes and files, FUZZ_SECONDS each
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'

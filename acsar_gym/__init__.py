@@ -47,7 +47,7 @@ _HOMES = {
     "Outcome": "tasks",
     "Robot": "robot",
     "RobotConfig": "config",
-    "RobotEnv": "envs.base",
+    "RobotEnv": "envs.robot_env",
     "Sensor": "sensors",
     "State": "tasks",
     "Task": "tasks",

@@ -7,14 +7,7 @@ sets are worlds 100000 to 100999 of a generator, so that 1,000 of them overlap n
 worlds (1000 to 1399) nor the validation worlds (900 to 963) nor those that `acsar-gym evaluate`
 tests in by default (0 to 199, BARN 0 to 299), which were looked at while methods were chosen. On
 the open floor they are the seeds 2^33 to 2^33 + 999; trainings use seeds below 2^32, validation
-begins there.
-
-What the benchmark drives are sets of test scenes with a robot and a score, `find_sets`: those that
-`registration.SCENE_CHOICES` and `acsar_gym.register` name, and for any other id one in the worlds
-of its task. Worlds of a generator are made for the robot's footprint.
-
-The published worlds of BARN are sets of their own, read from a folder (`published_sets`). They
-don't come along, and nothing is trained on them.
+begins there. The published worlds of BARN are sets of their own, read from a folder.
 
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path where there is nothing else). Where the generator, or the footprint of the robot that
@@ -128,11 +121,7 @@ class SceneSet:
         return WIDE_ROBOT_DIFFICULTY if wide else None
 
     def reset(self, place: int) -> tuple[int, dict[str, Any]]:
-        """Return seed and options of the reset that begins a scene.
-
-        Args:
-            place: of the scene in this set, from 0.
-        """
+        """Return seed and options of the reset that begins the scene at a place of this set."""
         number = self.numbers[place]
         return number, {"world": number} if self.source else {}
 
@@ -184,11 +173,7 @@ class SceneSet:
     def check(self, count: int) -> None:
         """Compare the first scenes with the recorded hashes; makes their worlds once.
 
-        Args:
-            count: number of scenes that will be used.
-
-        Raises:
-            ConfigError: there are fewer, or they are of another version.
+        Raises ConfigError where there are fewer than `count`, or they are of another version.
         """
         if not 1 <= count <= len(self):
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
@@ -218,18 +203,9 @@ class Scenes:
 
     @classmethod
     def of(cls, env_id: str, source: str) -> Scenes:
-        """Return the sets of an id.
-
-        Args:
-            env_id: without its namespace.
-            source: generator of the worlds; "" for an open floor.
-        """
-        return cls(
-            *(
-                SceneSet(env_id, split, source, split_numbers(source, split), split)
-                for split in (TRAIN, VALIDATION, TEST)
-            )
-        )
+        """Return the sets of an id, without its namespace, in worlds of a generator."""
+        splits = (TRAIN, VALIDATION, TEST)
+        return cls(*(SceneSet(env_id, s, source, split_numbers(source, s), s) for s in splits))
 
 
 def split_numbers(source: str, split: str) -> range:
@@ -285,35 +261,23 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
 def choose_sets(found: Sequence[SceneSet], names: Collection[str]) -> list[SceneSet]:
     """Choose sets by name: "clutter" is those of all its robots, "clutter/husky" one of them.
 
-    Raises:
-        ConfigError: there is none of this name.
+    Raises ConfigError where there is none of this name.
     """
-    known = list(dict.fromkeys(n for one in found for n in (one.name.partition("/")[0], one.name)))
+    own_names = [{some.name, some.name.partition("/")[0]} for some in found]
     for name in names:
-        if name not in known:
+        if not any(name in own for own in own_names):
+            known = sorted(set[str]().union(*own_names))
             raise ConfigError(f"--sets {show_value(name)}{suggest_name(name[:40], known)}")
-    return [
-        one
-        for one in found
-        if not names or one.name in names or one.name.partition("/")[0] in names
-    ]
+    return [some for some, own in zip(found, own_names, strict=True) if not names or own & {*names}]
 
 
 def default_score(env_id: str) -> str:
-    """Return the score of an id's scenes where its registration names none.
-
-    Raises:
-        ConfigError: it isn't an environment of acsar_gym.
-    """
+    """Return the score of an id's scenes where its registration names none."""
     return "completion_time" if says_shortest_path(_make_planar(env_id).task) else "success"
 
 
 def task_worlds(env_id: str) -> str:
-    """Return the generator or folder that an id's task takes its worlds from; "" for none.
-
-    Raises:
-        ConfigError: it isn't an environment of acsar_gym, or its worlds have no name.
-    """
+    """Return the generator or folder that an id's task takes its worlds from; "" for none."""
     pool = _make_planar(env_id).pool
     if pool is None:
         return ""
@@ -344,12 +308,7 @@ def _make_planar(env_id: str) -> RobotEnv:
 def published_sets(some: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
     """Return those of BARN's sets that are driven in the published worlds, in these.
 
-    Args:
-        some: sets of scenes.
-        folder: with `world_N.world` and `path_N.npy` or `path_files`.
-
-    Raises:
-        WorldError: they can't be read.
+    `folder` has `world_N.world` and `path_N.npy` or `path_files`; WorldError if not.
     """
     found = []
     for one in some:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -101,7 +101,9 @@ def train(options: TrainingOptions) -> int:
             training = record.describe_training(
                 model, content[record.RUN_KEY]["commands"], plan.recipe.as_dict(), scores.clock()
             )
-            metrics = {} if scores.score is None else {"held_out": asdict(scores.score)}
+            metrics = (
+                {} if scores.score is None else {"held_out": held_out.as_metrics(scores.score)}
+            )
             bundle = describe(training=training, metrics=metrics)
             policy, zipped = record.save_results(model, bundle, plan.out)
             print(escape_unprintable(f"written: {policy} (to drive with), {zipped} (to train on)"))

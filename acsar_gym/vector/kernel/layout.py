@@ -134,6 +134,8 @@ class Episode:
     odom_error: Number
     """Distance between the position and that by odometry [m]."""
     success: Number
+    work: Number
+    """Mechanical work of the motors, where the batch is `metered` [J]."""
     scan_age: Number
     """[s]."""
     scan_stale: Number
@@ -376,6 +378,8 @@ class Setup(NamedTuple):
     """Whether the robots have a map."""
     first_ray: int
     """Place of the LiDAR's first number in an observation."""
+    metered: bool = False
+    """Whether the work of the motors is measured."""
 
 
 class Spawns(NamedTuple):
