@@ -31,10 +31,8 @@ from acsar_gym.errors import (
 
 J = TypeVar("J")
 R = TypeVar("R")
-MAX_WORKERS = 1024
-"""Most processes of one machine."""
-MAX_RETRIES = 3
-"""How often a job of a cluster is run again after the machine that ran it died."""
+MAX_WORKERS = 1024  # most processes of one machine
+MAX_RETRIES = 3  # how often a job of a cluster is run again after the machine that ran it died
 CLUSTER_TIMEOUT = 5.0
 """How long a cluster may take to answer, and interrupted jobs to close their links [s]."""
 MIN_QUEUED_JOBS = 100

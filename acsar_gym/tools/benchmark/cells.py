@@ -22,35 +22,27 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episodes import Episode
 
-BENCHMARK_SCHEMA = 3
-"""Version of these files."""
-MAX_CELL_BYTES = 20_000_000
-"""Largest accepted file [bytes]; 1,000 episodes have 0.3 MB."""
+BENCHMARK_SCHEMA = 3  # version of these files
+MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB
 PLAN_FILE, CELLS_FOLDER = "plan.json", "cells"
 COLUMNS = tuple(
     each.name for each in fields(Episode) if each.name not in ("pose", "timing", "told")
 )
 """Fields of an `Episode` that are kept, besides what the task told."""
-DERIVED_COLUMNS = ("time", "spl", "soft_spl")
-"""What follows from them, for readers of the JSON."""
+DERIVED_COLUMNS = ("time", "spl", "soft_spl")  # what follows from them, for readers of the JSON
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
     """One cell of the benchmark's table: an agent on an id's scenes, behind one kind of link."""
 
-    agent: str
-    """Name of the agent, such as "dwa"."""
+    agent: str  # name of the agent, such as "dwa"
     training_seed: int | None
     """Seed of the training; None for a baseline, and for a policy that doesn't say."""
-    id: str
-    """Id of the env without its namespace, such as "Barn-v1"."""
-    link: str
-    """Name of a simulated body, or "port"."""
-    condition: str
-    """ "nominal", or another name of `plan.CONDITIONS`."""
-    scenes: str
-    """Set of scenes, such as "barn-fast" or "clutter/husky"; see `scenes.SceneSet`."""
+    id: str  # id of the env without its namespace, such as "Barn-v1"
+    link: str  # name of a simulated body, or "port"
+    condition: str  # "nominal", or another name of `plan.CONDITIONS`
+    scenes: str  # set of scenes, such as "barn-fast" or "clutter/husky"; see `scenes.SceneSet`
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +51,8 @@ class CellResult:
 
     cell: Cell
     episodes: list[Episode] = field(default_factory=list)
-    seconds: float = 0.0
-    """CPU time that it took, without that of an emulator [s]."""
-    refused: str = ""
-    """Why the agent couldn't be run here; empty if it was."""
+    seconds: float = 0.0  # CPU time that it took, without that of an emulator [s]
+    refused: str = ""  # why the agent couldn't be run here; empty if it was
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for JSON."""

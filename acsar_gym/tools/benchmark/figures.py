@@ -34,28 +34,21 @@ from acsar_gym.tools.evaluation.metrics import Interval
 Floats = NDArray[np.float64]
 Statistic = Callable[[Floats], Floats]
 """Maps rows of values (..., n) to one figure a row (...)."""
-MAX_RESAMPLED = 4_000_000
-"""Values that are resampled at once, at most; limits the memory."""
-WORST_CROSS_TRACK = 0.1
-"""Mean cross-track error at which following a path scores nothing [m]."""
+MAX_RESAMPLED = 4_000_000  # values that are resampled at once, at most; limits the memory
+WORST_CROSS_TRACK = 0.1  # mean cross-track error at which following a path scores nothing [m]
 COMPLETION_TIME, CROSS_TRACK, SUCCESS = "completion_time", "cross_track", "success"
 """Names of scores that every task has; others are names of what a task tells."""
-COMPARED_FIGURES = ("score", "success")
-"""Fields of `Episode` by whose means agents are compared."""
-PLACE = ("id", "scenes", "link", "condition")
-"""What rows that are compared share."""
+COMPARED_FIGURES = ("score", "success")  # fields of `Episode` by whose means agents are compared
+PLACE = ("id", "scenes", "link", "condition")  # what rows that are compared share
 
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What the score of an episode depends on besides its result."""
 
-    name: str
-    """COMPLETION_TIME, CROSS_TRACK, SUCCESS, or one of the numbers that the task tells."""
-    top_speed: float
-    """Of the robot [m/s]."""
-    tolerance: float
-    """Distance to the goal that is a success [m]."""
+    name: str  # COMPLETION_TIME, CROSS_TRACK, SUCCESS, or one of the numbers that the task tells
+    top_speed: float  # of the robot [m/s]
+    tolerance: float  # distance to the goal that is a success [m]
 
     def check(self, task: Task) -> None:
         """Raise ConfigError where a task doesn't tell the number that is to be the score."""
@@ -118,8 +111,7 @@ class AgentRow:
 
     agent: str
     kind: str
-    place: tuple[str, ...]
-    """The values of PLACE."""
+    place: tuple[str, ...]  # the values of PLACE
     cells: list[CellResult] = field(default_factory=list)
 
     @property

@@ -25,11 +25,9 @@ from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
 
-PACKAGED = "packaged"
-"""Name of the agent that consists of the policies which come with the package."""
+PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
 LEARNED, BASELINE = "learned", "baseline"
-MAX_NAME_LENGTH = 60
-"""Most characters of an agent's name."""
+MAX_NAME_LENGTH = 60  # most characters of an agent's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +35,9 @@ class Agent:
     """A policy that drives on one id: one training seed of a named agent."""
 
     name: str
-    kind: str
-    """ "learned" or "baseline"."""
-    env: str
-    """Id of the env, with the module that registers it where there is one."""
-    policy: str
-    """File, function, class or name of a baseline, as `evaluate --policy` takes it."""
+    kind: str  # "learned" or "baseline"
+    env: str  # id of the env, with the module that registers it where there is one
+    policy: str  # file, function, class or name of a baseline, as `evaluate --policy` takes it
     training_seed: int | None = None
     sha256: str | None = None
 
@@ -174,12 +169,10 @@ NOMINAL = "nominal"
 class Condition:
     """What differs from the robot and the wire as configured."""
 
-    words: str
-    """What it is, for tables."""
+    words: str  # what it is, for tables
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
-    randomization: int = 0
-    """Level of `physics.randomization`; 0 for none."""
+    randomization: int = 0  # level of `physics.randomization`; 0 for none
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire; see `links.faults.Faults`."""
 
@@ -238,8 +231,7 @@ class BenchmarkJob:
     policy: PortablePolicy
     """The policy, with what its file contains: another machine may not have the file."""
     scenes: SceneSet
-    count: int
-    """How many scenes are driven."""
+    count: int  # how many scenes are driven
 
 
 @dataclass(frozen=True)
@@ -247,14 +239,11 @@ class BenchmarkPlan:
     """Everything that a benchmark measures; ConfigError for an unknown link or condition."""
 
     agents: tuple[Agent, ...]
-    sets: tuple[SceneSet, ...]
-    """Scenes, robots and scores, each of an agent's id."""
+    sets: tuple[SceneSet, ...]  # scenes, robots and scores, each of an agent's id
     links: tuple[str, ...] = (PLANAR, BULLET)
     conditions: tuple[str, ...] = (NOMINAL,)
-    count: int = 200
-    """Scenes of every cell; fewer where a folder holds fewer."""
-    port_count: int = 40
-    """Scenes of every cell behind the emulated port, which takes real time."""
+    count: int = 200  # scenes of every cell; fewer where a folder holds fewer
+    port_count: int = 40  # scenes of every cell behind the emulated port, which takes real time
 
     def __post_init__(self) -> None:
         check_names("--links", self.links, LINK_KINDS)

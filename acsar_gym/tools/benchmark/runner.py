@@ -51,8 +51,7 @@ from acsar_gym.worlds.world import point_in_world
 PORT_TOUCH_DISTANCE = 0.003
 """A footprint nearer to an obstacle than this touched it [m]: bodies in PyBullet stop each other
 before they overlap."""
-POSE_STRIDE = 20
-"""Every so many true poses of the log, which are 200 a second, count for lengths."""
+POSE_STRIDE = 20  # every so many true poses of the log, which are 200 a second, count for lengths
 
 
 def run_plan(

@@ -46,14 +46,11 @@ from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
-SCENES_VERSION = 1
-"""Version of all sets; counts up where any scene changes."""
-SCENES_PER_HASH = 100
-"""Scenes that share a hash."""
+SCENES_VERSION = 1  # version of all sets; counts up where any scene changes
+SCENES_PER_HASH = 100  # scenes that share a hash
 TRAIN, VALIDATION, TEST, GIVEN = "train", "validation", "test", "given"
 """Splits of generated scenes; given ones are read from a folder."""
-OWN_NAMESPACE = "acsar_gym/"
-"""Namespace of this package's ids, which tables leave out."""
+OWN_NAMESPACE = "acsar_gym/"  # namespace of this package's ids, which tables leave out
 DEFAULT_ROBOT = "acsar"
 WIDE_ROBOT_DIFFICULTY = 0.2
 """Difficulty of BARN worlds for robots wider than its own: none of the fuller fields can be made

@@ -31,44 +31,32 @@ from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.task import Goal
 from acsar_gym.worlds import Scene
 
-DEFAULT_ENV = "point_goal"
-"""The env of drives that were recorded without one."""
-DEFAULT_RATE = 10.0
-"""The env steps per second where the recording doesn't tell [Hz]."""
+DEFAULT_ENV = "point_goal"  # the env of drives that were recorded without one
+DEFAULT_RATE = 10.0  # the env steps per second where the recording doesn't tell [Hz]
 
 
 @dataclass(frozen=True, eq=False)
 class DemonstrationEpisode:
     """One episode of n env steps."""
 
-    observations: NDArray[np.float32]
-    """(n + 1, numbers): before the first step, and after each."""
-    actions: NDArray[np.float32]
-    """(n, 2): linear and angular, in [-1, 1]."""
-    rewards: NDArray[np.float64]
-    """(n,)."""
-    terminated: bool
-    """Whether it ended by success or failure; it was cut short otherwise."""
-    seed: int | None = None
-    """Of the env's reset; None where it isn't known."""
+    observations: NDArray[np.float32]  # (n + 1, numbers): before the first step, and after each
+    actions: NDArray[np.float32]  # (n, 2): linear and angular, in [-1, 1]
+    rewards: NDArray[np.float64]  # (n,)
+    terminated: bool  # whether it ended by success or failure; it was cut short otherwise
+    seed: int | None = None  # of the env's reset; None where it isn't known
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
     """Episodes of one env, of one recording or several."""
 
-    env_id: str
-    """The id of the env; "" where an env without an id recorded them."""
-    names: tuple[str, ...]
-    """Names of the observation's numbers."""
-    rate: float
-    """Env steps per second [Hz]."""
-    robot: str
-    """Name of the robot."""
+    env_id: str  # the id of the env; "" where an env without an id recorded them
+    names: tuple[str, ...]  # names of the observation's numbers
+    rate: float  # env steps per second [Hz]
+    robot: str  # name of the robot
     speeds: tuple[float, float]
     """Linear and angular speed that an action of 1 asks for [m/s, rad/s]."""
-    policy: str
-    """File of the policy that drove, or of those; "unknown" for a person."""
+    policy: str  # file of the policy that drove, or of those; "unknown" for a person
     episodes: tuple[DemonstrationEpisode, ...]
 
     @property

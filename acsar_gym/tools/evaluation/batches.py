@@ -29,10 +29,8 @@ from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.setup import MAX_WORLDS
 from acsar_gym.worlds import World
 
-MIN_EPISODES = 16
-"""Fewer episodes are driven one by one: making a batch takes longer than it saves."""
-MAX_BATCH = 128
-"""Robots of a batch, at most; one that has ended begins the next episode."""
+MIN_EPISODES = 16  # fewer episodes are driven one by one: making a batch takes longer than it saves
+MAX_BATCH = 128  # robots of a batch, at most; one that has ended begins the next episode
 SINGLE_OPTIONS = ("faults", "render_mode", *ONE_MODE_OPTIONS)
 """Options of an env whose episodes are driven one by one."""
 

@@ -37,8 +37,7 @@ Resets = Sequence[tuple[int, Mapping[str, Any]]]
 """Seed and options of the reset of each episode."""
 MAX_LOG_BYTES = 1_000_000_000
 """Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
-MAX_LATE_SHARE = 0.01
-"""Largest share of late ticks in a valid episode."""
+MAX_LATE_SHARE = 0.01  # largest share of late ticks in a valid episode
 POSE_KEYS = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
 
 
@@ -49,39 +48,26 @@ class Episode:
     Figures that aren't known are NaN.
     """
 
-    seed: int | None = None
-    """Of the reset."""
+    seed: int | None = None  # of the reset
     world: int | None = None
     """Number of the world; -1 for a world or path given by the user, None on an open floor."""
     success: bool
-    collision: bool
-    """Whether a simulated robot touched an obstacle; always False on hardware."""
-    fault: str = ""
-    """Fault of the link or board that ended the episode; empty if there was none."""
-    valid: bool = True
-    """Whether there was no fault, and no more late ticks than allowed."""
-    started: float = 0.0
-    """Time at which the first tick began, on the link's clock [s]."""
-    ended: float = math.nan
-    """Time at which the last tick ended, on the link's clock [s]."""
-    length: int = 0
-    """Number of policy steps."""
+    collision: bool  # whether a simulated robot touched an obstacle; always False on hardware
+    fault: str = ""  # fault of the link or board that ended the episode; empty if there was none
+    valid: bool = True  # whether there was no fault, and no more late ticks than allowed
+    started: float = 0.0  # time at which the first tick began, on the link's clock [s]
+    ended: float = math.nan  # time at which the last tick ended, on the link's clock [s]
+    length: int = 0  # number of policy steps
     ticks: int = 0
-    late_ticks: int = 0
-    """Ticks that ended over a millisecond late; 0 in simulation."""
-    episode_return: float = math.nan
-    """Sum of the rewards."""
-    path: float = math.nan
-    """Length of the path driven, by odometry [m]."""
-    driven: float = math.nan
-    """The same by ground truth if there is one, else by odometry [m]."""
+    late_ticks: int = 0  # ticks that ended over a millisecond late; 0 in simulation
+    episode_return: float = math.nan  # sum of the rewards
+    path: float = math.nan  # length of the path driven, by odometry [m]
+    driven: float = math.nan  # the same by ground truth if there is one, else by odometry [m]
     shortest: float = math.nan
     """Length of the shortest path to success for the robot's footprint [m], see
     `Task.shortest_path`."""
-    left: float = math.nan
-    """The same from the final position [m]."""
-    turning: float = math.nan
-    """Sum of absolute heading changes, by odometry [rad]."""
+    left: float = math.nan  # the same from the final position [m]
+    turning: float = math.nan  # sum of absolute heading changes, by odometry [rad]
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
     clearance: float = math.nan
@@ -90,14 +76,10 @@ class Episode:
     energy: float = math.nan
     """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
     P of `physics.model.motor_power`."""
-    odometry_error: float = math.nan
-    """Distance between odometry and ground truth at the end [m]."""
-    cross_track: float = math.nan
-    """Mean cross-track error of path following [m]."""
-    score: float = math.nan
-    """Of a scene of the benchmark; see `benchmark.figures.score_episode`."""
-    pose: Pose = (math.nan, math.nan, math.nan)
-    """Odometry at the end (x [m], y [m], theta [rad])."""
+    odometry_error: float = math.nan  # distance between odometry and ground truth at the end [m]
+    cross_track: float = math.nan  # mean cross-track error of path following [m]
+    score: float = math.nan  # of a scene of the benchmark; see `benchmark.figures.score_episode`
+    pose: Pose = (math.nan, math.nan, math.nan)  # odometry at the end (x [m], y [m], theta [rad])
     told: dict[str, float] = field(default_factory=dict)
     """What the task told in info at the end, by name: its `told`."""
     timing: EpisodeTiming | None = None

@@ -19,8 +19,7 @@ from acsar_gym.tools.evaluation.episodes import Episode
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000
 """Number of bootstrap samples. Their seed is fixed, so equal results give equal intervals."""
-MAX_RESAMPLED = 4_000_000
-"""Values that are resampled at once, at most; limits the memory."""
+MAX_RESAMPLED = 4_000_000  # values that are resampled at once, at most; limits the memory
 TOLD_PREFIX = "told."
 """Begins the names of intervals of what the task tells, which may be named like other figures."""
 
@@ -36,51 +35,35 @@ class Summary:
     collision_rate: float
     timeout_rate: float
     """None of the others: time-out or out of bounds. The four rates add up to 1."""
-    fault_rate: float
-    """Ended by a fault of link, board or wheels."""
+    fault_rate: float  # ended by a fault of link, board or wheels
     episode_return: float
     """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
-    length: float
-    """Policy steps per episode."""
-    time_to_goal: float
-    """Over successful episodes [s]."""
-    path: float
-    """Length of the path driven, over successful episodes, by odometry [m]."""
-    spl: float
-    """0 to 1; NaN if shortest paths aren't known, as in path following."""
+    length: float  # policy steps per episode
+    time_to_goal: float  # over successful episodes [s]
+    path: float  # length of the path driven, over successful episodes, by odometry [m]
+    spl: float  # 0 to 1; NaN if shortest paths aren't known, as in path following
     soft_spl: float
-    smoothness: float
-    """Heading change per metre driven [rad/m]; smaller is smoother."""
-    jerk: float
-    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother."""
+    smoothness: float  # heading change per metre driven [rad/m]; smaller is smoother
+    jerk: float  # mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother
     clearance: float
     """Least distance of the footprint to an obstacle in an episode, 0 in a collision [m]."""
-    energy: float
-    """Mechanical work of a simulated robot's motors, over successful episodes [J]."""
-    odometry_error: float
-    """Distance between odometry and ground truth at the end of an episode [m]."""
-    odometry_drift: float
-    """Odometry error divided by the length of the path driven."""
-    cross_track: float
-    """Mean cross-track error of path following [m]."""
+    energy: float  # mechanical work of a simulated robot's motors, over successful episodes [J]
+    odometry_error: float  # distance between odometry and ground truth at the end of an episode [m]
+    odometry_drift: float  # odometry error divided by the length of the path driven
+    cross_track: float  # mean cross-track error of path following [m]
     ticks: int
     late_ticks: int
-    missed_ticks: int
-    """Control periods that passed without a tick."""
+    missed_ticks: int  # control periods that passed without a tick
     lateness_p99: float
     """Largest 99th percentile of lateness of any episode [s]; NaN in simulation."""
-    worst_lateness: float
-    """Largest lateness of any tick [s]."""
-    worst_feedback_age: float
-    """Largest age of the feedback at a tick [s]."""
+    worst_lateness: float  # largest lateness of any tick [s]
+    worst_feedback_age: float  # largest age of the feedback at a tick [s]
     round_trip: float
     """Time from a command to its effect in the feedback, median over those of all episodes [s]."""
     round_trip_p95: float
     """95th percentile of the same [s]."""
-    round_trips: int
-    """How many were measured: each time that standing wheels are commanded to turn."""
-    invalid: int
-    """Episodes that ended with a fault or had too many late ticks."""
+    round_trips: int  # how many were measured: each time that standing wheels are commanded to turn
+    invalid: int  # episodes that ended with a fault or had too many late ticks
     told: dict[str, float] = field(default_factory=dict)
     """What the task tells at an episode's end, by name; see `Task.told`."""
     intervals: dict[str, Interval] = field(default_factory=dict)

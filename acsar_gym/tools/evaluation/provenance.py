@@ -47,8 +47,7 @@ from acsar_gym.worlds.pool import Pool
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "mujoco")
 """Libraries that the results of episodes depend on, where they are installed."""
-HIDDEN_ARGUMENTS = ("link", "record")
-"""Arguments of an env that say nothing about its episodes."""
+HIDDEN_ARGUMENTS = ("link", "record")  # arguments of an env that say nothing about its episodes
 
 
 def make_header(

@@ -52,25 +52,20 @@ from acsar_gym.worlds.pool import read_worlds
 from acsar_gym.worlds.search import lidar_height
 
 Env = gymnasium.Env[Any, Any]
-MAX_EPISODES = 10**6
-"""Most episodes of one evaluation; all results are kept in memory."""
-SEED_LIMIT = 2**63
-"""The first seed must be below this."""
+MAX_EPISODES = 10**6  # most episodes of one evaluation; all results are kept in memory
+SEED_LIMIT = 2**63  # the first seed must be below this
 MAX_POLICY_BYTES = 200_000_000
 MAX_SHARD_EPISODES, MAX_BATCHED_EPISODES = 10, 250
 """Most episodes of a shard: driven one by one, and as a batch."""
-SHARDS_PER_WORKER = 4
-"""Shards per worker, at least, so that workers finish at about the same time."""
+SHARDS_PER_WORKER = 4  # shards per worker, at least, so that workers finish at about the same time
 
 
 @dataclass(frozen=True)
 class EvaluationRun:
     """Results of an evaluation, complete or ended early, and what it was run with."""
 
-    header: dict[str, Any]
-    """What is needed to repeat it; see `provenance`."""
-    worlds: str
-    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
+    header: dict[str, Any]  # what is needed to repeat it; see `provenance`
+    worlds: str  # description of the worlds, such as "clutter 0 to 199 (test split)" or "none"
     results: list[Episode]
     ended: LinkError | KeyboardInterrupt | None = None
     """What ended it before its last episode; None for an evaluation that is complete."""
@@ -234,10 +229,8 @@ def seed_range(first: int, count: int) -> range:
 class PortablePolicy:
     """A loaded policy, ready to be loaded again in other processes and on other machines."""
 
-    name: str
-    """Its path or name."""
-    env: str
-    """Id of the env that it was loaded for; empty for the one that its file names."""
+    name: str  # its path or name
+    env: str  # id of the env that it was loaded for; empty for the one that its file names
     function: str | None = field(repr=False)
     trust: bool = field(repr=False)
     content: bytes | None = field(repr=False)
@@ -298,8 +291,7 @@ class Shard:
     link: str
     robot: RobotConfig = field(repr=False)
     seeds: range
-    skip: int
-    """Episodes of the evaluation before these."""
+    skip: int  # episodes of the evaluation before these
     how: Mapping[str, Any] = field(repr=False)
     options: Mapping[str, Any] = field(repr=False)
 
