@@ -26,7 +26,7 @@ BENCHMARK_SCHEMA = 3  # version of these files
 MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB
 PLAN_FILE, CELLS_FOLDER = "plan.json", "cells"
 COLUMNS = tuple(
-    each.name for each in fields(Episode) if each.name not in ("pose", "timing", "told")
+    column.name for column in fields(Episode) if column.name not in ("pose", "timing", "told")
 )
 """Fields of an `Episode` that are kept, besides what the task told."""
 DERIVED_COLUMNS = ("time", "spl", "soft_spl")  # what follows from them, for readers of the JSON
@@ -66,7 +66,7 @@ class CellResult:
     @classmethod
     def of(cls, line: Mapping[str, Any]) -> CellResult:
         """Make it from `as_dict`; ValueError, TypeError or KeyError if that is broken."""
-        cell = Cell(**{each.name: line[each.name] for each in fields(Cell)})
+        cell = Cell(**{column.name: line[column.name] for column in fields(Cell)})
         return cls(cell, read_episodes(line["episodes"]), line["seconds"], line["refused"])
 
 
@@ -83,21 +83,21 @@ def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
         for name in (*COLUMNS, *DERIVED_COLUMNS)
     }
     told = episodes[0].told if episodes else ()
-    columns["told"] = {name: [plain(one.told[name]) for one in episodes] for name in told}
+    columns["told"] = {name: [plain(episode.told[name]) for episode in episodes] for name in told}
     return columns
 
 
 def read_episodes(columns: Mapping[str, Any]) -> list[Episode]:
     """Return the episodes of `episode_columns`; None becomes NaN, but of seeds and worlds."""
 
-    def known(name: str, value: Any) -> Any:
+    def read_value(name: str, value: Any) -> Any:
         return math.nan if value is None and name not in ("seed", "world") else value
 
     told = columns["told"]
     return [
         Episode(
-            **{name: known(name, columns[name][number]) for name in COLUMNS},
-            told={name: known(name, values[number]) for name, values in told.items()},
+            **{name: read_value(name, columns[name][number]) for name in COLUMNS},
+            told={name: read_value(name, values[number]) for name, values in told.items()},
         )
         for number in range(len(columns["success"]))
     ]

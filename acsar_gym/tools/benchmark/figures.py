@@ -94,11 +94,12 @@ def summarise_cells(episodes: Sequence[Episode]) -> dict[str, Any]:
         "late_ticks": lambda e: e.late_ticks,
     }
     means = {
-        name: metrics.finite_mean(float(figure(one)) for one in episodes)
+        name: metrics.finite_mean(float(figure(episode)) for episode in episodes)
         for name, figure in figures.items()
     }
     told = {
-        name: metrics.finite_mean(one.told[name] for one in episodes) for name in episodes[0].told
+        name: metrics.finite_mean(episode.told[name] for episode in episodes)
+        for name in episodes[0].told
     }
     wins = sum(episode.success for episode in episodes)
     interval = metrics.wilson_interval(wins, len(episodes))
@@ -122,7 +123,7 @@ class AgentRow:
     def matrix(self, figure: str) -> Floats:
         """(training seeds, scenes) of a field of `Episode`."""
         return np.array(
-            [[float(getattr(one, figure)) for one in cell.episodes] for cell in self.driven]
+            [[float(getattr(episode, figure)) for episode in cell.episodes] for cell in self.driven]
         )
 
     def as_dict(self) -> dict[str, Any]:

@@ -114,8 +114,8 @@ def group_rows(result: Mapping[str, Any]) -> dict[tuple[str, str], list[dict[str
     for row in result["rows"]:
         if not row["refused"]:
             key = tuple(row[name] for name in (*PLACE, "agent"))
-            own = {name: pairs[*key, name] for name in COMPARED_FIGURES if (*key, name) in pairs}
-            groups.setdefault((row["id"], row["scenes"]), []).append({**row, "pairs": own})
+            compared = {f: pairs[*key, f] for f in COMPARED_FIGURES if (*key, f) in pairs}
+            groups.setdefault((row["id"], row["scenes"]), []).append({**row, "pairs": compared})
     for group in groups.values():
         group.sort(
             key=lambda row: (
@@ -207,18 +207,20 @@ def _draw_scores(rows: Sequence[Row]) -> Any:
         }
     )
     for link in dict.fromkeys(row["link"] for row in rows):
-        own = [row for row in rows if row["link"] == link]
-        ends = [row["intervals"]["score"] for row in own]
+        behind = [row for row in rows if row["link"] == link]
+        ends = [row["intervals"]["score"] for row in behind]
         figure.add_scatter(
-            x=[row["score"] for row in own],
-            y=[row["agent"] for row in own],
+            x=[row["score"] for row in behind],
+            y=[row["agent"] for row in behind],
             mode="markers",
             name=LINK_NAMES[link],
             error_x={
                 "type": "data",
                 "symmetric": False,
-                "array": [high - row["score"] for row, (_, high) in zip(own, ends, strict=True)],
-                "arrayminus": [row["score"] - low for row, (low, _) in zip(own, ends, strict=True)],
+                "array": [high - row["score"] for row, (_, high) in zip(behind, ends, strict=True)],
+                "arrayminus": [
+                    row["score"] - low for row, (low, _) in zip(behind, ends, strict=True)
+                ],
             },
         )
     return figure

@@ -146,8 +146,8 @@ class SceneSet:
     @property
     def sha256(self) -> str:
         """Hash of the whole set, from those of its blocks."""
-        told = json.dumps([self.split, self.version, self.blocks])
-        return hashlib.sha256(told.encode()).hexdigest()
+        text = json.dumps([self.split, self.version, self.blocks])
+        return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def about(self) -> dict[str, Any]:
@@ -302,31 +302,33 @@ def _make_planar(env_id: str) -> RobotEnv:
     return env
 
 
-def published_sets(some: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
+def published_sets(sets: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
     """Return those of BARN's sets that are driven in the published worlds, in these.
 
     `folder` has `world_N.world` and `path_N.npy` or `path_files`; WorldError if not.
     """
-    found = []
-    for one in some:
-        if one.id.startswith("Barn-") and one.name in PUBLISHED_BARN:
-            numbers = range(len(read_pool(str(folder), None, one.robot)))
-            name = f"{one.name}{PUBLISHED_SUFFIX}"
-            found.append(replace(one, name=name, source=str(folder), numbers=numbers, split=GIVEN))
-    return found
+    published = []
+    for scenes in sets:
+        if scenes.id.startswith("Barn-") and scenes.name in PUBLISHED_BARN:
+            numbers = range(len(read_pool(str(folder), None, scenes.robot)))
+            name = f"{scenes.name}{PUBLISHED_SUFFIX}"
+            published.append(
+                replace(scenes, name=name, source=str(folder), numbers=numbers, split=GIVEN)
+            )
+    return published
 
 
 def record_hashes() -> None:
     """Write the hashes of all generated sets to `scenes.json`; takes some minutes."""
-    told: dict[str, Any] = {}
+    hashes: dict[str, Any] = {}
     for scenes in SCENES.values():
-        for one in (scenes.train, scenes.validation, scenes.test):
-            if len(one) <= 100_000:
-                told.setdefault(one.key, {})[one.split] = hash_scenes(one, len(one))
+        for some in (scenes.train, scenes.validation, scenes.test):
+            if len(some) <= 100_000:
+                hashes.setdefault(some.key, {})[some.split] = hash_scenes(some, len(some))
     for name in IDS:
-        for one in find_sets(f"{OWN_NAMESPACE}{name}"):
-            told.setdefault(one.key, {}).setdefault(one.split, hash_scenes(one, len(one)))
-    _FILE.write_text(json.dumps({"version": SCENES_VERSION, **told}, indent=1) + "\n")
+        for some in find_sets(f"{OWN_NAMESPACE}{name}"):
+            hashes.setdefault(some.key, {}).setdefault(some.split, hash_scenes(some, len(some)))
+    _FILE.write_text(json.dumps({"version": SCENES_VERSION, **hashes}, indent=1) + "\n")
 
 
 @cache

@@ -81,19 +81,19 @@ def read_demonstrations(
         ConfigError: a recording can't be read, has no whole episode, or doesn't fit the env or the
             recordings before it.
     """
-    found = [_read_one(path, env, goal) for path in paths]
-    first = found[0]
-    for path, other in zip(paths, found, strict=True):
+    recordings = [_read_one(path, env, goal) for path in paths]
+    first = recordings[0]
+    for path, other in zip(paths, recordings, strict=True):
         for field in ("env_id", "names", "rate", "speeds"):
-            one, two = getattr(other, field), getattr(first, field)
-            if one != two:
-                what = f"{one!r}, not {two!r}" if field != "names" else "not"
+            value, wanted = getattr(other, field), getattr(first, field)
+            if value != wanted:
+                what = f"{value!r}, not {wanted!r}" if field != "names" else "not"
                 raise ConfigError(
                     f"{path}: {field} are {what} as in {paths[0]}: "
                     "give --env, or export them to data sets of their own"
                 )
-    episodes = tuple(episode for one in found for episode in one.episodes)
-    policies = ", ".join(dict.fromkeys(one.policy for one in found))
+    episodes = tuple(episode for recording in recordings for episode in recording.episodes)
+    policies = ", ".join(dict.fromkeys(recording.policy for recording in recordings))
     return replace(first, policy=policies, episodes=episodes)
 
 

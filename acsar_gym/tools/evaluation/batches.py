@@ -143,16 +143,16 @@ class _BatchRun:
         seeds: list[int | None] = [None] * self._batch.num_envs
         worlds = np.full(self._batch.num_envs, math.nan)
         for robot in robots:
-            seed, options = self._resets[self._begun]
+            seed, reset = self._resets[self._begun]
             self._which[robot] = self._begun
             self._begun += 1
             seeds[robot] = seed
-            if "world" in options:
-                worlds[robot] = self._place(int(options["world"]))
-        asked: dict[str, Any] = {"reset_mask": mask}
+            if "world" in reset:
+                worlds[robot] = self._place(int(reset["world"]))
+        options: dict[str, Any] = {"reset_mask": mask}
         if not np.isnan(worlds).all():
-            asked["world"] = worlds
-        observations, info = self._batch.reset(seed=seeds, options=asked)
+            options["world"] = worlds
+        observations, info = self._batch.reset(seed=seeds, options=options)
         self._steps[mask], self._returns[mask] = 0, 0.0
         self._note(info, mask)
         (loops,) = self._batch.batch.read("loops")

@@ -120,9 +120,10 @@ EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
 
 def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
-    rates = {name: [rate(one) for one in episodes] for name, rate in EPISODE_RATES.items()}
+    rates = {name: [rate(episode) for episode in episodes] for name, rate in EPISODE_RATES.items()}
     samples = {
-        name: [float(figure(one)) for one in episodes] for name, figure in EPISODE_FIGURES.items()
+        name: [float(figure(episode)) for episode in episodes]
+        for name, figure in EPISODE_FIGURES.items()
     }
     names = episodes[0].told if episodes else ()
     told = {name: [episode.told[name] for episode in episodes] for name in names}

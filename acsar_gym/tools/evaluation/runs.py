@@ -415,8 +415,7 @@ def drive_to_goal(
         _warn_differences(policy)
         ready()
         running = episodes.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
-        told = {"goal": goal, **how}
-        return _collect_run(env, policy, link, range(1), told, running)
+        return _collect_run(env, policy, link, range(1), {"goal": goal, **how}, running)
 
 
 def _warn_differences(policy: FilePolicy) -> None:
