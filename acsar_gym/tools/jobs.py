@@ -121,7 +121,8 @@ def _run_on_cluster(tasks: Sequence[Task], workers: int | None, address: str) ->
     with connect_cluster(address, workers) as ray:
         remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_attempt_task)
         most = workers or max(MIN_QUEUED_JOBS, 2 * int(ray.cluster_resources().get("CPU", 1)))
-        queue, running = iter(tasks), []
+        queue = iter(tasks)
+        running: list[Any] = []
         try:
             while True:
                 running += [remote.remote(t) for t in itertools.islice(queue, most - len(running))]

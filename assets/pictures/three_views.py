@@ -139,7 +139,7 @@ def drive(env: Any, policy: FilePolicy, seed: int, world: Any, see: Any = None) 
         start = inner.episode.assignment.start
         poses.append(to_world(start, inner.robot.odometry.pose))
         truths.append(truth.pose if truth else (math.nan,) * 3)
-        scans.append(scan.ranges.copy())
+        scans.append(None if scan is None else scan.ranges.copy())
         if see is not None:
             see()
         return policy(observation)

@@ -204,8 +204,7 @@ def interquartile_mean(rows: Floats) -> Floats:
     with require_extra("a benchmark", "scipy"):
         from scipy.stats import trim_mean  # noqa: PLC0415 - slow to import
 
-    means: Floats = trim_mean(rows, 0.25, axis=-1)
-    return means
+    return np.asarray(trim_mean(rows, 0.25, axis=-1))
 
 
 def resample(

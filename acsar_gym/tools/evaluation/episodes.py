@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -124,7 +124,7 @@ def run_episodes(
     skip: int = 0,
     late_share: float = MAX_LATE_SHARE,
     **options: Any,
-) -> Iterator[Episode]:
+) -> Generator[Episode, None, None]:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each in order.
 
     Many episodes of planar robots are driven as a batch, with the same results, where the policy
@@ -169,7 +169,7 @@ def run_resets(
     policy: Policy,
     resets: Resets,
     late_share: float = MAX_LATE_SHARE,
-) -> Iterator[Episode]:
+) -> Generator[Episode, None, None]:
     """As `run_episodes`, with these seeds and options."""
     from acsar_gym.tools.evaluation import batches  # noqa: PLC0415 - imports this module
 

@@ -7,7 +7,7 @@ import hashlib
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -343,8 +343,7 @@ def evaluate_policy(
     else:
         shards = _split_evaluation(policy, link, robot, seeds, how, workers, options)
         env = make_env(policy, link, robot, options)
-        finished = completed(run_shard, shards, workers=workers, address=address)
-        running = (episode for _, shard in finished for episode in shard)
+        running = _run_shards(shards, workers, address)
     _warn_differences(policy)
     with contextlib.closing(running):
         shown = _show_progress(link, running, len(seeds))
@@ -352,6 +351,16 @@ def evaluate_policy(
     done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
     done.header.update(workers=workers if address else workers or 1, address=address)
     return done
+
+
+def _run_shards(
+    shards: list[Shard], workers: int | None, address: str | None
+) -> Generator[Episode, None, None]:
+    """Yield the episodes of shards that run in parallel."""
+    finished = completed(run_shard, shards, workers=workers, address=address)
+    with contextlib.closing(finished):
+        for _, driven in finished:
+            yield from driven
 
 
 def _split_evaluation(

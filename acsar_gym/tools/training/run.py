@@ -101,9 +101,7 @@ def train(options: TrainingOptions) -> int:
             training = record.describe_training(
                 model, content[record.RUN_KEY]["commands"], plan.recipe.as_dict(), scores.clock()
             )
-            metrics = (
-                {} if scores.score is None else {"held_out": held_out.as_metrics(scores.score)}
-            )
+            metrics = held_out.as_metrics(scores.score)
             bundle = describe(training=training, metrics=metrics)
             policy, zipped = record.save_results(model, bundle, plan.out)
             print(escape_unprintable(f"written: {policy} (to drive with), {zipped} (to train on)"))

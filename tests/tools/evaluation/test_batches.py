@@ -13,8 +13,10 @@ from acsar_gym.tools.evaluation import batches, runs
 from acsar_gym.tools.evaluation.episodes import Episode, run_episodes, run_resets
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy
 
-NEARLY = ("episode_return", "path", "driven", "left", "turning", "jerk", "clearance", "energy")
-NEARLY += ("odometry_error", "cross_track", "pose", "told")
+NEARLY = (
+    *("episode_return", "path", "driven", "left", "turning", "jerk", "clearance", "energy"),
+    *("odometry_error", "cross_track", "pose", "told"),
+)
 """Fields in which both may differ by rounding; all others are equal."""
 
 
