@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.tasks.episode import Assignment, RunningEpisode
-from acsar_gym.tasks.factory import ONE_MODE_OPTIONS
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tasks.task import State, says_shortest_path
 from acsar_gym.tools.evaluation.episodes import (
@@ -26,12 +25,12 @@ from acsar_gym.tools.evaluation.episodes import (
 )
 from acsar_gym.tools.policies import Policy
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.vector.setup import MAX_WORLDS
 from acsar_gym.worlds import World
 
 MIN_EPISODES = 16  # fewer episodes are driven one by one: making a batch takes longer than it saves
 MAX_BATCH = 128  # robots of a batch, at most; one that has ended begins the next episode
-SINGLE_OPTIONS = ("faults", "render_mode", *ONE_MODE_OPTIONS)
+MAX_BATCH_WORLDS = 10_000  # worlds that a batch takes, at most
+SINGLE_OPTIONS = ("faults", "lidar", "on_fault", "record", "render_mode", "view")
 """Options of an env whose episodes are driven one by one."""
 
 
@@ -51,7 +50,7 @@ def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> b
         and ways_known
         and all(set(options) <= {"world"} for _, options in resets)
         and not any(isinstance(options.get("world"), World) for _, options in resets)
-        and len(_list_worlds(inner, resets)) <= MAX_WORLDS
+        and len(_list_worlds(inner, resets)) <= MAX_BATCH_WORLDS
     )
 
 
