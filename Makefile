@@ -19,7 +19,7 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
-.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale throughput lint firmware \
+.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale lint firmware \
   firmware-tested bench soak replug stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -77,9 +77,6 @@ test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them 
 
 bench: $(READY)  ## how fast envs, batches, wire and policies are, in a table; docs/performance.md has one
 	$(BIN)/python tests/bench.py
-
-throughput: $(READY)  ## what a second Ray node is worth; needs a machine with nothing else to do
-	$(BIN)/python tests/scale/throughput.py
 
 soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 	$(BIN)/python tests/endurance/soak.py --minutes $(SOAK_MINUTES)

@@ -1,14 +1,14 @@
-"""Parts of a benchmark with made-up episodes."""
+"""Cells of a benchmark with made-up episodes."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
+from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell, CellResult
 from acsar_gym.tools.benchmark.plan import CONDITIONS, condition_fields
 from acsar_gym.tools.benchmark.scenes import find_sets
-from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell, EpisodeRecord, Part
+from acsar_gym.tools.evaluation.episodes import Episode
 
 ENV_ID = "PointGoal-v0"
 SCENES = find_sets(f"acsar_gym/{ENV_ID}")[0]
@@ -16,28 +16,24 @@ SET = SCENES.name
 FIRST = SCENES.numbers[0]
 
 
-def episode(number: int = 0, score: float = 0.9, **changes: Any) -> EpisodeRecord:
+def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
     """An episode of the open floor; it is a success where its score isn't 0."""
-    here = FIRST + number
-    values: dict[str, Any] = {"scene": here, "seed": here, "success": score > 0.0}
-    values |= {"collision": False, "score": score, "spl": score, "soft_spl": score}
-    values |= {"time": 4.0, "steps": 40, "path": 1.5, "driven": 1.5, "shortest": 1.4}
-    values |= {"turning": 0.5, "jerk": 2.0, "energy": 3.0, "odometry_error": 0.01}
-    values |= dict.fromkeys(("clearance", "cross_track", "barn_score", "barn_score_own"), math.nan)
-    values |= {"episode_return": 4.0, "late_ticks": 0, "fault": ""}
-    return EpisodeRecord(**values | changes)
+    values: dict[str, Any] = {"seed": FIRST + number, "success": score > 0.0, "collision": False}
+    values |= {"score": score, "ended": 4.0, "length": 40, "path": 1.5, "driven": 1.5}
+    values |= {"shortest": 1.4, "left": 0.0, "turning": 0.5, "jerk": 2.0, "energy": 3.0}
+    values |= {"odometry_error": 0.01, "episode_return": 4.0}
+    return Episode(**values | changes)
 
 
 def cell(agent: str = "packaged", seed: int | None = None, **changes: str) -> Cell:
     """A nominal cell in the planar simulation."""
-    told = {"id": ENV_ID, "link": "planar", "condition": "nominal", "scenes": SET} | changes
-    return Cell(agent, seed, **told)
+    places = {"id": ENV_ID, "link": "planar", "condition": "nominal", "scenes": SET} | changes
+    return Cell(agent, seed, **places)
 
 
-def part(own: Cell | None = None, scores: Sequence[float] = (0.9, 0.8), first: int = 0) -> Part:
-    """A finished part of a cell."""
-    episodes = [episode(first + number, score) for number, score in enumerate(scores)]
-    return Part(own or cell(), first, episodes, 1.5)
+def driven(own: Cell | None = None, scores: Sequence[float] = (0.9, 0.8)) -> CellResult:
+    """A finished cell."""
+    return CellResult(own or cell(), [episode(n, score) for n, score in enumerate(scores)], 1.5)
 
 
 def plan(*conditions: str, **kinds: str) -> dict[str, Any]:

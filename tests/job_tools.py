@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from acsar_gym.errors import MissingExtraError
-from acsar_gym.jit import LOG
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,6 @@ def missing(number: int) -> int:
 def broken(number: int) -> int:
     """Fail with an error that isn't this package's."""
     return 1 // (number - number)
-
-
-def compiling(number: int) -> int:
-    """Say that something is compiled, as a batch does."""
-    LOG.warning("compiling")
-    return number
 
 
 def threads(name: str) -> str:

@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Iterator
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.render.top_view import OBSTACLE_COLOUR
 from acsar_gym.resources import ASSETS
-from acsar_gym.tools.evaluation.episodes import DrawnTrack
 from acsar_gym.worlds import Region, World
 
 Pillow = pytest.importorskip("PIL.Image")
@@ -33,14 +33,14 @@ def script() -> Iterator[ModuleType]:
     del sys.modules["three_views"]
 
 
-def track(steps: int) -> DrawnTrack:
+def track(script: ModuleType, steps: int) -> Any:
     """Straight ahead, past a LiDAR's echo at (2, 0)."""
-    poses = np.zeros((steps + 1, 3), np.float32)
+    poses = np.zeros((steps + 1, 3))
     poses[:, 0] = 0.05 * np.arange(steps + 1)
     robot = RobotConfig.of(None)
-    scans = np.full((steps + 1, robot.lidar.rays), robot.lidar.max_range, np.float32)
+    scans = np.full((steps + 1, robot.lidar.rays), robot.lidar.max_range)
     scans[:, robot.lidar.rays // 2] = 1.0
-    return DrawnTrack(poses, poses, scans, (3.0, 2.0), 0.15, 0.1, robot, WORLD)
+    return script.DrawnTrack(poses, poses, scans, (3.0, 2.0), 0.15, 0.1, robot, WORLD)
 
 
 def test_the_readme_shows_it_and_it_is_small() -> None:
@@ -57,7 +57,7 @@ def test_the_map_is_what_the_lidar_said(script: ModuleType) -> None:
     seen = script.mapped(np.zeros((0, 2)), np.array([1.0, 1.0, math.pi / 2]), angles, ranges)
     assert seen.tolist() == [[1.0, 3.0], [2.0, 1.0]], "echoes in the world; the far one isn't kept"
     assert script.mapped(seen, np.array([1.0, 1.0, math.pi / 2]), angles, ranges).shape == (2, 2)
-    driven = track(1)
+    driven = track(script, 1)
     (known,), (told,) = (list(script.from_above(driven, 1, known=k)) for k in (True, False))
     assert known.shape == told.shape == (script.SIDE, script.SIDE, 3)
     dark = [(picture == OBSTACLE_COLOUR).all(axis=2).sum() for picture in (known, told)]

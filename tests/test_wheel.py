@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sys
 import venv
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 
+from acsar_gym import jit as compiled
 from acsar_gym.recording import read
 from acsar_gym.tools import warm_up
 from acsar_gym.tools.policies import OnnxPolicy
@@ -31,8 +33,11 @@ import acsar_gym
 from acsar_gym.tools.policies import resolve
 from acsar_gym.resources import AGENTS
 assert (AGENTS / "train.py").exists()
-print(acsar_gym.__file__, resolve("point_goal"), sep="\\n")
+from acsar_gym.tools import baselines
+law = sys.modules[type(baselines.load_baseline("navfn", "acsar_gym/Barn-v1")).__module__]
+print(acsar_gym.__file__, resolve("point_goal"), law.__file__, sep="\\n")
 """
+Command = Callable[..., str]
 
 
 @pytest.fixture(scope="module")
@@ -52,49 +57,108 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (site / "dependencies.pth").write_text(
         "".join(f"{place}\n" for place in sys.path if place.endswith("site-packages"))
     )
-    # Spares the wheel a minute of compiling: code with another stamp isn't used.
-    warm_up.warm_env("point_goal")
-    for kept in (ROOT / "acsar_gym").glob("**/__pycache__/*.nb[ic]"):
-        place = site / "acsar_gym" / kept.relative_to(ROOT / "acsar_gym")
-        place.parent.mkdir(exist_ok=True)
-        shutil.copyfile(kept, place)
+    _copy_compiled_code(site / "acsar_gym")
     return interpreter
 
 
-def run(*command: str | Path, folder: Path) -> str:
-    """Run a program in the user's folder; returns what it prints."""
-    away = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        command, cwd=folder, env=away, capture_output=True, text=True, check=False, timeout=HANGS
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+def _copy_compiled_code(package: Path) -> None:
+    """Spare the wheel a minute of compiling: the checkout's sources, so its stamps, are the same.
+
+    Code with another stamp isn't used.
+    """
+    if not compiled.COMPILED:
+        return
+    warm_up.warm_env("point_goal")
+    for kept in (ROOT / "acsar_gym").glob("**/__pycache__/*.nb[ic]"):
+        place = package / kept.relative_to(ROOT / "acsar_gym")
+        place.parent.mkdir(exist_ok=True)
+        shutil.copyfile(kept, place)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The user's folder, in which all commands run."""
+    return tmp_path_factory.mktemp("user")
+
+
+@pytest.fixture(scope="module")
+def acsar_gym(python: Path, folder: Path) -> Command:
+    """`acsar_gym("evaluate", ...)` runs the wheel's own script; returns what it prints."""
+
+    def run(*arguments: str) -> str:
+        done = subprocess.run(
+            [str(python.parent / "acsar-gym"), *arguments],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=HANGS,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def trained(acsar_gym: Command, folder: Path) -> str:
+    """What 8,000 steps of training print; they leave the folder "run"."""
+    options = ["--steps", "8000", "--robots", "256", "--threads", "1", "--no-progress"]
+    return acsar_gym("train", *options, "--out", "run")
 
 
 def test_envs_step_outside_the_checkout(python: Path, tmp_path: Path) -> None:
-    for path in run(python, "-c", STEP, folder=tmp_path).splitlines():
+    done = subprocess.run(
+        [str(python), "-c", STEP],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=HANGS,
+    )
+    for path in done.stdout.splitlines():
         assert "site-packages" in path
         assert not path.startswith(str(ROOT))
 
 
-def test_a_policy_is_trained_evaluated_recorded_and_compared(python: Path, tmp_path: Path) -> None:
-    def acsar_gym(line: str) -> str:
-        return run(python.parent / "acsar-gym", *line.split(), folder=tmp_path)
-
-    said = acsar_gym("train --steps 8000 --robots 256 --threads 1 --no-progress --out run")
-    assert "written: run/policy.onnx (to drive with), run/model.zip (to train on)" in said
-    bundle = OnnxPolicy(tmp_path / "run" / "policy.onnx").bundle
+def test_a_training_leaves_a_policy_and_a_model(trained: str, folder: Path) -> None:
+    assert "written: run/policy.onnx (to drive with), run/model.zip (to train on)" in trained
+    assert (folder / "run" / "model.zip").stat().st_size > 1000
+    bundle = OnnxPolicy(folder / "run" / "policy.onnx").bundle
     assert bundle is not None
     assert bundle.training is not None
     assert (bundle.training.revision, bundle.training.steps) == ("", 8192)
-    said = acsar_gym(
-        "evaluate --policy run/policy.onnx --link planar --episodes 2 --record drives.mcap"
-    )
+    run = yaml.safe_load((folder / "run" / "config.yml").read_text("utf-8"))["run"]
+    assert (run["revision"], run["finished"]) == (None, True)
+
+
+def test_the_policy_is_evaluated_and_its_drives_recorded(
+    acsar_gym: Command, folder: Path, trained: str
+) -> None:
+    options = ["--policy", "run/policy.onnx", "--link", "planar", "--episodes", "2"]
+    said = acsar_gym("evaluate", *options, "--record", "drives.mcap")
     assert "/2 (" in said
-    assert len(read(tmp_path / "drives.mcap").episodes) == 2
-    acsar_gym("run 0.5 0 --policy point_goal --record drive.mcap")
-    assert "drive.mcap: whole; 1 episode" in acsar_gym("record info drive.mcap")
-    acsar_gym(
-        "benchmark --env point_goal --sets open/acsar --links planar --conditions nominal "
-        "--scenes 3 --agents packaged turn_drive --out bench"
-    )
+    drives = read(folder / "drives.mcap")
+    assert (len(drives.episodes), drives.cut, drives.dropped) == (2, False, 0)
+
+
+def test_a_packaged_policy_drives_in_pybullet_and_the_drive_is_recorded(acsar_gym: Command) -> None:
+    acsar_gym("run", "0.5", "0", "--policy", "point_goal", "--record", "drive.mcap")
+    assert "drive.mcap: whole; 1 episode" in acsar_gym("record", "info", "drive.mcap")
+
+
+def test_three_scenes_of_the_benchmark(acsar_gym: Command, folder: Path) -> None:
+    cell = [
+        "--env",
+        "point_goal",
+        "--sets",
+        "open/acsar",
+        "--links",
+        "planar",
+        "--conditions",
+        "nominal",
+        "--scenes",
+        "3",
+    ]
+    table = acsar_gym("benchmark", *cell, "--agents", "packaged", "turn_drive", "--out", "bench")
+    assert {"packaged", "turn_drive"} <= set(table.split())

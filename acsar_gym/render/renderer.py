@@ -1,20 +1,16 @@
-"""Shows an environment: top view or simulator's camera, as pictures, in a window, or as video."""
+"""Shows an environment: top view or simulator's camera, as pictures, or in a window."""
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 import weakref
-from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, MissingExtraError, OffScreenWarning, RenderError
+from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidar.scan import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
@@ -32,8 +28,6 @@ TOP_SIZE = (480, 480)
 """Width and height of the top view [pixels]."""
 CAMERA_SIZE = (640, 480)
 """Width and height of the camera's pictures [pixels]."""
-VIDEO_SUFFIXES = (".mp4",)
-"""Kinds of video files."""
 
 
 class Screen:
@@ -211,54 +205,3 @@ class Window:
         if self._destroy is not None:
             self._destroy()
             self._root = self._photo = self._destroy = None
-
-
-def import_moviepy() -> Any:
-    """Return moviepy's writer; MissingExtraError where it isn't installed."""
-    try:
-        with warnings.catch_warnings():  # of its dependencies' own old calls
-            warnings.simplefilter("ignore")
-            from moviepy.video.io.ffmpeg_writer import FFMPEG_VideoWriter  # noqa: PLC0415
-    except ImportError as error:
-        raise MissingExtraError("a video", "video") from error
-    return FFMPEG_VideoWriter
-
-
-def write_video(path: Path, images: Iterable[NDArray[np.uint8]], rate: float) -> None:
-    """Write pictures as an H.264 video that browsers play, with moviepy's bundled ffmpeg.
-
-    Args:
-        path: .mp4 file to write.
-        images: at least one; all of the same even width and height.
-        rate: pictures per second.
-
-    Raises:
-        ConfigError: the file can't be written, as on a full disk; what was there before stays.
-        MissingExtraError: moviepy isn't installed.
-    """
-    writer_type, pictures = import_moviepy(), iter(images)
-    try:
-        with reading.replace_file(path) as new:
-            _encode_video(writer_type, new, pictures, rate)
-    except OSError as error:
-        why = " ".join((error.strerror or str(error)).split())
-        full = "No space left on device"
-        reason = full if full[:13] in why else why[-160:]
-        raise ConfigError(f"{path}: can't be written: {reason}") from error
-
-
-def _encode_video(
-    writer_type: Any, path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float
-) -> None:
-    """Encode pictures; OSError where ffmpeg can't."""
-    first = next(pictures)
-    height, width = first.shape[:2]
-    options = {"preset": "veryfast", "ffmpeg_params": ["-movflags", "+faststart"], "threads": 1}
-    writer = writer_type(str(path), (width, height), rate, **options)
-    process = writer.proc
-    with contextlib.closing(writer):
-        writer.write_frame(first)
-        for image in pictures:
-            writer.write_frame(np.ascontiguousarray(image))
-    if process.returncode:
-        raise OSError(0, "ffmpeg couldn't finish it")

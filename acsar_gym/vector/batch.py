@@ -163,6 +163,11 @@ class Batch:
         """Copy fields of `layout.Robots`, (numbers, robots); those of wheels are four numbers."""
         return layout.read_fields(self.tables.numbers, names, slice(self.robots))
 
+    def measure_work(self) -> None:
+        """Measure the work of the motors from now on, as field `work` [J]; it takes time."""
+        self._setup = self._setup._replace(metered=True)
+        self._setups = record_of(self._setup)
+
     def seed(self, seeds: list[int | None] | None, mask: Mask) -> None:
         """Make new generators."""
         if seeds is None and self.seeded:

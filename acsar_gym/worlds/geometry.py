@@ -481,19 +481,62 @@ def segment_clearance(a: ArrayLike, b: ArrayLike, world: World) -> Floats:
     starts, ends = _validate_points(a), _validate_points(b)
     if len(starts) != len(ends):
         raise ValueError(f"{len(starts)} starts and {len(ends)} ends of pieces")
-    centres, radii = world.circles.T[:2, None], world.circles[:, 2]
-    c, d = world.segments.T[:2, None], world.segments.T[2:, None]
+    least = np.full(len(starts), np.inf)
+    _clear_segments(starts, ends, world.circles, world.segments, least)
+    return least
 
-    def measure(rows: slice) -> tuple[Floats, Floats]:
-        a, b = starts[rows].T[..., None], ends[rows].T[..., None]
-        # Two segments that don't cross are nearest at one of their four ends.
-        of_ends = np.minimum(_distances_to_lines(a, c, d), _distances_to_lines(b, c, d))
-        of_theirs = np.minimum(_distances_to_lines(c, a, b), _distances_to_lines(d, a, b))
-        cross = (_side(a, b, c) * _side(a, b, d) < 0.0) & (_side(c, d, a) * _side(c, d, b) < 0.0)
-        to_segments = np.where(cross, 0.0, np.minimum(of_ends, of_theirs))
-        return _distances_to_lines(centres, a, b) - radii, to_segments
 
-    return _least_distances(measure, len(starts), world)
+@loop
+def _clear_segments(
+    starts: Floats, ends: Floats, circles: Floats, segments: Floats, least: Floats
+) -> None:
+    """Lower `least` to the distances of lines to obstacles."""
+    for n in range(len(starts)):
+        ax, ay, bx, by = starts[n, 0], starts[n, 1], ends[n, 0], ends[n, 1]
+        for k in range(len(circles)):
+            x, y, radius = circles[k]
+            least[n] = min(least[n], distance_to_line(x, y, ax, ay, bx, by) - radius)
+        for k in range(len(segments)):
+            cx, cy, dx, dy = segments[k]
+            a_side, b_side = (
+                side_of_line(cx, cy, dx, dy, ax, ay),
+                side_of_line(cx, cy, dx, dy, bx, by),
+            )
+            c_side, d_side = (
+                side_of_line(ax, ay, bx, by, cx, cy),
+                side_of_line(ax, ay, bx, by, dx, dy),
+            )
+            if a_side * b_side < 0.0 and c_side * d_side < 0.0:
+                least[n] = min(least[n], 0.0)
+                continue
+            # Two segments that don't cross are nearest at one of their four ends.
+            of_ends = min(
+                distance_to_line(ax, ay, cx, cy, dx, dy), distance_to_line(bx, by, cx, cy, dx, dy)
+            )
+            of_theirs = min(
+                distance_to_line(cx, cy, ax, ay, bx, by), distance_to_line(dx, dy, ax, ay, bx, by)
+            )
+            least[n] = min(least[n], of_ends, of_theirs)
+
+
+@jit
+def distance_to_line(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """Distance of the point (x, y) to the straight line from a to b [m]."""
+    ex, ey, ox, oy = bx - ax, by - ay, x - ax, y - ay
+    square = ex * ex + ey * ey
+    share = min(max((ox * ex + oy * ey) / (square if square > 0.0 else 1.0), 0.0), 1.0)
+    if share < 1.0:
+        ox, oy = ox - share * ex, oy - share * ey
+    else:
+        ox, oy = x - bx, y - by
+    return math.sqrt(ox * ox + oy * oy)
+
+
+@jit
+def side_of_line(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> float:
+    """Side of the line from a to b on which a point is: 1 left, -1 right, 0 on it."""
+    product = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+    return 1.0 if product > 0.0 else -1.0 if product < 0.0 else 0.0
 
 
 def _validate_points(points: ArrayLike) -> Floats:
@@ -526,13 +569,6 @@ def _distances_to_lines(points: Floats, starts: Floats, ends: Floats) -> Floats:
     square = _dot(along, along)
     share = np.clip(_dot(offset, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
     return np.where(share < 1.0, _lengths(offset - share * along), _lengths(points - ends))
-
-
-def _side(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Side of the line from a to b on which c is: 1 left, -1 right, 0 on it."""
-    (abx, aby), (acx, acy) = b - a, c - a
-    side: Floats = np.sign(abx * acy - aby * acx)
-    return side
 
 
 def _dot(first: Floats, second: Floats) -> Floats:

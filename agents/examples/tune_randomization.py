@@ -14,7 +14,7 @@ from pathlib import Path
 
 import tyro
 
-from acsar_gym.tools.jobs.cluster import connect_cluster
+from acsar_gym.tools.jobs import connect_cluster
 from acsar_gym.tools.training.seeds import parse_seeds, run_trial
 
 

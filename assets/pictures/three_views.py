@@ -9,6 +9,8 @@ the emulated board runs in real time, so its path differs by some millimetres fr
 
 from __future__ import annotations
 
+import contextlib
+import math
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -21,6 +23,7 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links.base import camera_of
 from acsar_gym.render.canvas import INK_COLOUR
@@ -37,12 +40,12 @@ from acsar_gym.render.top_view import (
     TopView,
     TopViewFrame,
 )
+from acsar_gym.sensors.lidar import newest_scan
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import episodes, runs
-from acsar_gym.tools.evaluation.episodes import DrawnTrack
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World, files
-from acsar_gym.worlds.world import point_in_world
+from acsar_gym.worlds.world import point_in_world, to_world
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -106,49 +109,77 @@ def main(options: Options) -> None:
     write(film(camera, simulated, wired, options.every), options)
 
 
+@dataclass(frozen=True, eq=False)
+class DrawnTrack:
+    """Poses and scans of an episode at every decision, in the frame of its world."""
+
+    odometry: Floats
+    """(N, 3): x, y [m], theta [rad]."""
+    truth: Floats | None
+    """(N, 3); None on hardware."""
+    scans: Floats
+    """(N, rays): ranges of the LiDAR [m]."""
+    goal: tuple[float, float]
+    goal_radius: float
+    period: float
+    """Between two decisions [s]."""
+    robot: RobotConfig
+    world: World
+
+
+def drive(env: Any, policy: FilePolicy, seed: int, world: Any, see: Any = None) -> DrawnTrack:
+    """Drive an episode, and close the env; `see` is called at every decision."""
+    inner = env.unwrapped
+    poses: list[Any] = []
+    truths: list[Any] = []
+    scans: list[Any] = []
+
+    def noting(observation: Any) -> Any:
+        scan, truth = newest_scan(inner.sensors), inner.robot.link.truth
+        start = inner.episode.assignment.start
+        poses.append(to_world(start, inner.robot.odometry.pose))
+        truths.append(truth.pose if truth else (math.nan,) * 3)
+        scans.append(None if scan is None else scan.ranges.copy())
+        if see is not None:
+            see()
+        return policy(observation)
+
+    with contextlib.closing(env):
+        (result,) = episodes.run_episodes(env, noting, 1, seed, world=world)
+        given, tolerance = inner.episode.assignment, inner.task.goal_tolerance
+        config, period = inner.robot.config, inner.ticks_per_step * inner.robot.config.period
+    if not result.success:
+        raise SystemExit(f"the goal wasn't reached: {result}")
+    (x, y, theta), goal = given.start, point_in_world(given.start, given.goal)
+    place = replace(given.world, start=Region(x, y, 0.0, theta), goal=Region(*goal))
+    truth = None if math.isnan(truths[0][0]) else np.array(truths)
+    seen = np.array(scans, np.float64)
+    return DrawnTrack(np.array(poses), truth, seen, goal, tolerance, period, config, place)
+
+
 def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], DrawnTrack]:
     """Drive in PyBullet; returns what the camera saw, and the track in its world."""
-    env = runs.make_env(policy, "bullet", None, {"tracked": True})
+    env = runs.make_env(policy, "bullet", None, {})
     inner: Any = env.unwrapped
     pictures: list[Picture] = []
 
-    def filming(observation: Any) -> Any:
+    def film() -> None:
         camera = camera_of(inner.robot.link)
         if camera is not None and inner.episode.steps % options.every == 0:
             large = Image.fromarray(camera.image(2 * SIDE, 2 * SIDE))
             pictures.append(np.asarray(large.reduce(2)))
-        return policy(observation)
 
-    try:
-        (result,) = episodes.run_episodes(env, filming, 1, options.world, world=options.world)
-        given = inner.episode.assignment
-    finally:
-        env.close()
-    (x, y, theta), goal = given.start, point_in_world(given.start, given.goal)
-    world = replace(given.world, start=Region(x, y, 0.0, theta), goal=Region(*goal))
-    return pictures, replace(driven(result), world=world)
-
-
-def driven(result: episodes.EpisodeResult) -> DrawnTrack:
-    """The track of an episode that reached its goal."""
-    if result.track is None or not result.success:
-        raise SystemExit(f"the goal wasn't reached: {result}")
-    return result.track
+    return pictures, drive(env, policy, options.world, options.world, film)
 
 
 def over_a_port(policy: FilePolicy, simulated: DrawnTrack) -> DrawnTrack:
     """Drive from the same place in the same world, over a pseudo-terminal."""
-    world = simulated.world or World()
     with tempfile.TemporaryDirectory() as folder:
-        files.save_world(world, path := Path(folder) / "world.json")
+        files.save_world(simulated.world, path := Path(folder) / "world.json")
         with run_emulator("--body", "bullet", "--world", str(path), "--lidar") as devices:
-            options = {"tracked": True, "lidar": f"rplidar://{devices.lidar}"}
+            options = {"lidar": f"rplidar://{devices.lidar}"}
             env = runs.make_env(policy, devices.robot, None, options)
-            try:
-                (result,) = episodes.run_episodes(env, policy, 1, 0, world=world)
-            finally:
-                env.close()
-    return replace(driven(result), world=world)
+            return drive(env, policy, 0, simulated.world)
 
 
 def film(
@@ -165,8 +196,7 @@ def film(
 def from_above(track: DrawnTrack, every: int, *, known: bool = True) -> Iterator[Picture]:
     """Yield pictures of a track; the world is its own, or not known but for the LiDAR's echoes."""
     view, angles = TopView(track.robot, (SIDE, SIDE)), ray_spec(track.robot).angles()
-    seen, poses = np.zeros((0, 2)), track.odometry.astype(float)
-    scans = np.zeros((len(poses), 0)) if track.scans is None else track.scans.astype(float)
+    seen, poses, scans = np.zeros((0, 2)), track.odometry, track.scans
     for step in range(len(poses) - 1):
         if step == 0 or abs(poses[step, 2] - poses[step - 1, 2]) < CALM:
             seen = mapped(seen, poses[step], angles, scans[step])
@@ -195,7 +225,7 @@ def mapped(seen: Floats, pose: Floats, angles: Floats, ranges: Floats) -> Floats
 
 def map_of(seen: Floats, track: DrawnTrack) -> World:
     """A world of the points seen, shown as large as the track's own one."""
-    left, low, right, high = (track.world or World()).bounds
+    left, low, right, high = track.world.bounds
     middle = Region((left + right) / 2.0, (low + high) / 2.0, max(right - left, high - low) / 2.0)
     circles = np.column_stack([seen, np.full(len(seen), CELL / 2.0)])
     return World(circles=circles, start=middle, goal=Region(middle.x, middle.y))

@@ -1,4 +1,4 @@
-"""Windows and videos."""
+"""Windows."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import os
 import sys
 import weakref
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from acsar_gym.errors import ConfigError, RenderError
-from acsar_gym.render import renderer
+from acsar_gym.errors import RenderError
 from acsar_gym.render.renderer import Window
 
 HALVES = np.zeros((60, 100, 3), np.uint8)
@@ -116,30 +114,3 @@ def test_nothing_is_left_behind(how: str) -> None:
         assert root() is None
     finally:
         gc.enable()
-
-
-pytest.importorskip("moviepy")
-IMAGES = [np.full((64, 96, 3), shade, np.uint8) for shade in (0, 80, 160, 240)]
-
-
-def test_a_video_has_every_picture(tmp_path: Path) -> None:
-    from moviepy import VideoFileClip
-
-    path = tmp_path / "some.mp4"
-    renderer.write_video(path, iter(IMAGES), 10.0)
-    with VideoFileClip(str(path)) as clip:
-        assert tuple(clip.size) == (96, 64)
-        shades = [int(frame.mean()) for frame in clip.iter_frames()]
-        for pipe in (clip.reader.proc.stdout, clip.reader.proc.stderr):
-            pipe.close()  # moviepy leaves them open where ffmpeg has ended by itself
-    assert shades == pytest.approx([0, 80, 160, 240], abs=4)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "some.mp4"
-    path.symlink_to("/dev/full")
-    noise = np.random.default_rng(0).integers(0, 256, (40, 64, 96, 3), np.uint8)
-    with pytest.raises(ConfigError, match=r"some\.mp4: can't be written: .+") as caught:
-        renderer.write_video(path, iter(noise), 10.0)
-    assert "\n" not in str(caught.value)

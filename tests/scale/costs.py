@@ -26,7 +26,7 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.shards import MAX_SHARD_EPISODES
+from acsar_gym.tools.evaluation.runs import MAX_SHARD_EPISODES
 from acsar_gym.tools.training import models
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 

@@ -1,68 +1,54 @@
-"""The figures of episodes, of an agent's rows over few training seeds, and comparisons of agents.
+"""Scores of episodes, figures of an agent over few training seeds, and comparisons of agents.
 
 The mean score comes first: it counts failures, as the interquartile mean doesn't, which drops the
 worst quarter. Agents are compared with the best baseline in pairs of episodes, of the same scene
 and seed.
 
-Intervals and probabilities are after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge
-of the Statistical Precipice", NeurIPS 2021. Scores are matrices (seeds, scenes): a row for each
-trained policy of an agent, a column for each scene. An agent without training has one row.
-
-In the bootstrap seeds are resampled, and scenes too (their `task_bootstrap`), because the scenes
-are a sample of what a generator makes. A drawn seed keeps its scores in all drawn scenes: one
-trained policy drove them all, so its scores aren't independent of each other.
+Intervals are after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical
+Precipice", NeurIPS 2021. Scores are matrices (training seeds, scenes); an agent without training
+has one row. In the bootstrap seeds are resampled, and scenes too (their `task_bootstrap`), because
+the scenes are a sample of what a generator makes. A drawn seed keeps its scores in all drawn
+scenes: one trained policy drove them all, so its scores aren't independent of each other.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, require_extra, show_value, suggest_name
 from acsar_gym.tasks import Task
 from acsar_gym.tasks.factory import task_name
-from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tasks.task import info_names, says_shortest_path
-from acsar_gym.tools.benchmark.plan import BASELINE, LEARNED, NOMINAL
-from acsar_gym.tools.benchmark.store import Cell, EpisodeRecord, Part
-from acsar_gym.tools.evaluation import metrics
-from acsar_gym.tools.evaluation.episodes import EpisodeResult
-from acsar_gym.tools.evaluation.metrics import (
-    Floats,
-    Interval,
-    percentile_interval,
-    resample,
-    row_means,
-    stratified_interval,
-)
+from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, CellResult
+from acsar_gym.tools.benchmark.plan import BASELINE, NOMINAL
+from acsar_gym.tools.evaluation import metrics, provenance
+from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.metrics import Interval
 
-TAUS = tuple(np.linspace(0.0, 1.0, 21).round(2).tolist())
-"""Thresholds of performance profiles."""
-WORST_CROSS_TRACK = 0.1
-"""Mean cross-track error at which following a path scores nothing [m]."""
-Place = tuple[str, str, str, str]
-"""Id, set of scenes, link and condition, which the rows to be compared share."""
-
-
+Floats = NDArray[np.float64]
+Statistic = Callable[[Floats], Floats]
+"""Maps rows of values (..., n) to one figure a row (...)."""
+MAX_RESAMPLED = 4_000_000  # values that are resampled at once, at most; limits the memory
+WORST_CROSS_TRACK = 0.1  # mean cross-track error at which following a path scores nothing [m]
 COMPLETION_TIME, CROSS_TRACK, SUCCESS = "completion_time", "cross_track", "success"
 """Names of scores that every task has; others are names of what a task tells."""
+COMPARED_FIGURES = ("score", "success")  # fields of `Episode` by whose means agents are compared
+PLACE = ("id", "scenes", "link", "condition")  # what rows that are compared share
 
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
     """What the score of an episode depends on besides its result."""
 
-    name: str
-    """COMPLETION_TIME, CROSS_TRACK, SUCCESS, or one of the numbers that the task tells."""
-    top_speed: float
-    """Of the robot [m/s]."""
-    tolerance: float
-    """Distance to the goal that is a success [m]."""
+    name: str  # COMPLETION_TIME, CROSS_TRACK, SUCCESS, or one of the numbers that the task tells
+    top_speed: float  # of the robot [m/s]
+    tolerance: float  # distance to the goal that is a success [m]
 
     def check(self, task: Task) -> None:
         """Raise ConfigError where a task doesn't tell the number that is to be the score."""
@@ -71,35 +57,14 @@ class Scoring:
                 f"{task_name(task)}: score {COMPLETION_TIME!r}: the task has no method "
                 "shortest_path(): write one, or score 'success'"
             )
-        known = (COMPLETION_TIME, CROSS_TRACK, SUCCESS, *info_names(task))
-        if self.name not in known:
+        scores = (COMPLETION_TIME, CROSS_TRACK, SUCCESS, *info_names(task))
+        if self.name not in scores:
             raise ConfigError(
-                f"{task_name(task)}: score {show_value(self.name)}{suggest_name(self.name, known)}"
+                f"{task_name(task)}: score {show_value(self.name)}{suggest_name(self.name, scores)}"
             )
 
 
-def record_episode(result: EpisodeResult, scene: int, scoring: Scoring) -> EpisodeRecord:
-    """Flatten a result.
-
-    Args:
-        result: of the episode.
-        scene: its number.
-        scoring: how it is scored.
-    """
-    scores = dict(zip(BARN_SCORES, result.scores, strict=False))
-    own: dict[str, Any] = {
-        "scene": scene,
-        "seed": result.seed or 0,
-        "score": score_episode(result, scoring),
-        "steps": result.length,
-        "barn_score": scores.get("barn_score", math.nan),
-        "barn_score_own": scores.get("barn_score_own", math.nan),
-    }
-    same = (each.name for each in fields(EpisodeRecord) if each.name not in own)
-    return EpisodeRecord(**own, **{name: getattr(result, name) for name in same})
-
-
-def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
+def score_episode(episode: Episode, scoring: Scoring) -> float:
     """Return the score of an episode, 0 without success.
 
     COMPLETION_TIME is success weighted by completion time (Yokoyama, Ha & Batra 2021): T* / max(T,
@@ -108,57 +73,37 @@ def score_episode(result: EpisodeResult, scoring: Scoring) -> float:
     mean cross-track error / 10 cm, SUCCESS 1. Any other name is that of a number which the task
     tells at the end, such as "barn_score".
     """
-    if not result.success:
+    if not episode.success:
         return 0.0
     if scoring.name == CROSS_TRACK:
-        return max(0.0, 1.0 - result.cross_track / WORST_CROSS_TRACK)
+        return max(0.0, 1.0 - episode.cross_track / WORST_CROSS_TRACK)
     if scoring.name not in (COMPLETION_TIME, SUCCESS):
-        return result.told[scoring.name]
-    if scoring.name == SUCCESS or math.isnan(result.shortest):
+        return episode.told[scoring.name]
+    if scoring.name == SUCCESS or math.isnan(episode.shortest):
         return 1.0
-    fastest = max(result.shortest - scoring.tolerance, 0.0) / scoring.top_speed
-    return fastest / max(result.time, fastest, 1e-9)
+    fastest = max(episode.shortest - scoring.tolerance, 0.0) / scoring.top_speed
+    return fastest / max(episode.time, fastest, 1e-9)
 
 
-RECORD_FIGURES: dict[str, Callable[[Any], float]] = {
-    **{
-        name: metrics.EPISODE_RATES[name]
-        for name in ("success_rate", "collision_rate", "fault_rate")
-    },
-    **{name: each for name, each in metrics.EPISODE_FIGURES.items() if name != "length"},
-    "score": lambda e: e.score,
-    "barn_score": lambda e: e.barn_score,
-    "barn_score_own": lambda e: e.barn_score_own,
-    "late_ticks": lambda e: e.late_ticks,
-}
-"""Values of an `EpisodeRecord` whose means over episodes are given, units as in `metrics.Summary`;
-NaN where it has none."""
-
-
-def summarise_records(episodes: Sequence[EpisodeRecord]) -> dict[str, Any]:
-    """Return the mean of every figure over the episodes that have it, None where none has.
-
-    `success_interval` is Wilson's.
-    """
-    means = {
-        name: metrics.finite_mean(float(value(each)) for each in episodes)
-        for name, value in RECORD_FIGURES.items()
+def summarise_cells(episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Return the mean of every figure over the episodes that have it, NaN where none has."""
+    figures: dict[str, Callable[[Episode], float]] = {
+        **metrics.EPISODE_RATES,
+        **metrics.EPISODE_FIGURES,
+        "score": lambda e: e.score,
+        "late_ticks": lambda e: e.late_ticks,
     }
-    wins = sum(each.success for each in episodes)
+    means = {
+        name: metrics.finite_mean(float(figure(episode)) for episode in episodes)
+        for name, figure in figures.items()
+    }
+    told = {
+        name: metrics.finite_mean(episode.told[name] for episode in episodes)
+        for name in episodes[0].told
+    }
+    wins = sum(episode.success for episode in episodes)
     interval = metrics.wilson_interval(wins, len(episodes))
-    told = {"episodes": len(episodes), **means, "success_interval": interval}
-    cleaned: dict[str, Any] = metrics.replace_nonfinite(told)
-    return cleaned
-
-
-@dataclass
-class CellResult:
-    """All finished episodes of a cell, in the order of the scenes."""
-
-    cell: Cell
-    episodes: list[EpisodeRecord] = field(default_factory=list)
-    seconds: float = 0.0
-    refused: str = ""
+    return {"episodes": len(episodes), **means, "told": told, "success_interval": interval}
 
 
 @dataclass
@@ -167,164 +112,160 @@ class AgentRow:
 
     agent: str
     kind: str
-    place: Place
-    seeds: list[CellResult] = field(default_factory=list)
+    place: tuple[str, ...]  # the values of PLACE
+    cells: list[CellResult] = field(default_factory=list)
 
     @property
     def driven(self) -> list[CellResult]:
-        """The seeds that drove."""
-        return [each for each in self.seeds if each.episodes]
+        """The training seeds that drove."""
+        return [cell for cell in self.cells if cell.episodes]
 
-    @property
-    def scenes(self) -> list[int]:
-        """Numbers of the scenes that all seeds drove."""
-        driven = [{episode.scene for episode in each.episodes} for each in self.driven]
-        return sorted(set.intersection(*driven)) if driven else []
-
-    def matrix(self, figure: str, scenes: Sequence[int] | None = None) -> Floats:
-        """(seeds, scenes) of a field of `EpisodeRecord`, by default of all common scenes."""
-        columns = self.scenes if scenes is None else scenes
-        rows = []
-        for each in self.driven:
-            values = {one.scene: float(getattr(one, figure)) for one in each.episodes}
-            rows.append([values[scene] for scene in columns])
-        return np.array(rows).reshape(len(rows), len(columns))
-
-    def mean(self, figure: str) -> float:
-        """Mean of a field of `EpisodeRecord` over all seeds and scenes."""
-        return float(self.matrix(figure).mean())
+    def matrix(self, figure: str) -> Floats:
+        """(training seeds, scenes) of a field of `Episode`."""
+        return np.array(
+            [[float(getattr(episode, figure)) for episode in cell.episodes] for cell in self.driven]
+        )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures with their intervals, for JSON.
-
-        Stratified bootstrap intervals; of all but the score under nominal conditions only.
-        """
-        env_id, scenes, link, condition = self.place
-        told: dict[str, Any] = {
+        """Return the figures with their intervals, for JSON."""
+        about = {
             "agent": self.agent,
             "kind": self.kind,
-            "id": env_id,
-            "scenes": scenes,
-            "link": link,
-            "condition": condition,
-            "refused": "" if self.driven else self.seeds[0].refused,
+            **dict(zip(PLACE, self.place, strict=True)),
+            "refused": "" if self.driven else self.cells[0].refused,
         }
         if not self.driven:
-            return told
+            return about
         score, rates = self.matrix("score"), self.matrix("success").mean(axis=1)
-        intervals = {
-            "score": stratified_interval(score, row_means),
-            "score_iqm": stratified_interval(score, interquartile_mean),
-        }
-        fields = {"success_rate": "success", "spl": "spl", "barn_score_own": "barn_score_own"}
-        for name, figure in fields.items():
-            values = self.matrix(figure)
-            if condition == NOMINAL and np.isfinite(values).all():
-                intervals[name] = stratified_interval(values, row_means)
-        return told | {
-            "training_seeds": [each.cell.training_seed for each in self.driven],
-            "scene_count": score.shape[1],
-            **summarise_records([episode for each in self.driven for episode in each.episodes]),
+        statistics = {"score": row_means, "score_iqm": interquartile_mean}
+        return about | {
+            "training_seeds": [cell.cell.training_seed for cell in self.driven],
+            **summarise_cells([episode for cell in self.driven for episode in cell.episodes]),
             "success_worst_seed": float(rates.min()),
             "success_median_seed": float(np.median(rates)),
             "score_iqm": float(interquartile_mean(score.ravel())),
-            "intervals": intervals,
-            "profile": performance_profile(score),
+            "intervals": {
+                name: percentile_interval(resample(score, statistic))
+                for name, statistic in statistics.items()
+            },
         }
 
 
-def group_cells(parts: Iterable[Part]) -> list[CellResult]:
-    """Put the parts of each cell together."""
-    found: dict[Cell, CellResult] = {}
-    for part in sorted(parts, key=lambda part: part.first):
-        cell = found.setdefault(part.cell, CellResult(part.cell))
-        cell.episodes += part.episodes
-        cell.seconds += part.seconds
-        cell.refused = cell.refused or part.refused
-    return list(found.values())
+def make_result(plan: Mapping[str, Any], cells: Sequence[CellResult]) -> dict[str, Any]:
+    """Compute the content of `benchmark.json`.
+
+    Args:
+        plan: as `BenchmarkPlan.as_dict`.
+        cells: the finished ones.
+
+    Returns:
+        | key | content |
+        |---|---|
+        | `schema` | `BENCHMARK_SCHEMA` |
+        | `header` | `versions`, and the plan: `scenes`, by id and set (`robot`, `score`, |
+        | | `sha256`, ...); `agents`, by name; `conditions`, by name; `links`; `port_scenes` |
+        | `cells` | a list: the fields of `Cell`, `refused` (why it couldn't be run, else ""), |
+        | | `seconds`, `episodes`: for each field of `Episode` a list, null for NaN |
+        | `rows` | figures over all training seeds of an agent at a place, with `intervals` |
+        | `paired` | for each agent but the best baseline of a place: how much more it scores, |
+        | | and succeeds, than that baseline in the same scenes; see `compare_pair` |
+    """
+    kinds = {name: seeds[0]["kind"] for name, seeds in plan["agents"].items()}
+    grouped: dict[tuple[str, tuple[str, ...]], AgentRow] = {}
+    for cell in cells:
+        place = tuple(getattr(cell.cell, name) for name in PLACE)
+        row = AgentRow(cell.cell.agent, kinds[cell.cell.agent], place)
+        grouped.setdefault((row.agent, place), row).cells.append(cell)
+    rows = list(grouped.values())
+    header = {
+        "versions": provenance.library_versions(*provenance.DRIVING_LIBRARIES),
+        **{name: plan[name] for name in ("agents", "scenes", "conditions", "links", "port_scenes")},
+    }
+    result: dict[str, Any] = metrics.replace_nonfinite(
+        {
+            "schema": BENCHMARK_SCHEMA,
+            "header": header,
+            "cells": [cell.as_dict() for cell in cells],
+            "rows": [row.as_dict() for row in rows],
+            "paired": compare_with_best(rows),
+        }
+    )
+    return result
 
 
-def group_rows(found: Sequence[CellResult], kinds: Mapping[str, str]) -> list[AgentRow]:
-    """Group cells by agent and place; `kinds` is "learned" or "baseline" by agent."""
-    grouped: dict[tuple[str, Place], AgentRow] = {}
-    for each in found:
-        cell = each.cell
-        place = cell.id, cell.scenes, cell.link, cell.condition
-        row = AgentRow(cell.agent, kinds.get(cell.agent, LEARNED), place)
-        grouped.setdefault((cell.agent, place), row).seeds.append(each)
-    return list(grouped.values())
+def row_means(rows: Floats) -> Floats:
+    """Return the mean of each row (..., n)."""
+    means: Floats = rows.mean(axis=-1)
+    return means
 
 
 def interquartile_mean(rows: Floats) -> Floats:
-    """Return the mean of the middle half of each row (..., n), a 25 % trimmed mean."""
-    count = rows.shape[-1]
-    cut = count // 4
-    trimmed: Floats = np.sort(rows, axis=-1)[..., cut : count - cut].mean(axis=-1)
-    return trimmed
+    """Return the mean of the middle half of each row (..., n)."""
+    with require_extra("a benchmark", "scipy"):
+        from scipy.stats import trim_mean  # noqa: PLC0415 - slow to import
+
+    return np.asarray(trim_mean(rows, 0.25, axis=-1))
 
 
-def performance_profile(scores: ArrayLike, taus: Sequence[float] = TAUS) -> list[float]:
-    """Return the share of runs, over seeds and scenes, whose score is above each threshold."""
-    flat = np.asarray(scores, np.float64).ravel()
-    return [float((flat > tau).mean()) for tau in taus]
+def resample(
+    values: Floats, statistic: Statistic, *, resamples: int = metrics.BOOTSTRAP_SAMPLES
+) -> Floats:
+    """Return a statistic of bootstrap samples, (resamples,).
 
-
-def probability_of_improvement(x: ArrayLike, y: ArrayLike) -> float:
-    """Return the probability that a run of X scores more than a run of Y in the same scene.
-
-    The mean over scenes of the Mann-Whitney U statistic divided by the number of pairs; equal
-    scores count half.
+    Rows and columns are resampled with replacement, which scipy's `bootstrap` doesn't know. A drawn
+    row keeps its values in all drawn columns.
 
     Args:
-        x: (seeds of X, scenes).
-        y: (seeds of Y, scenes), of the same scenes.
+        values: (rows, columns).
+        statistic: of all resampled values together.
+        resamples: bootstrap samples.
     """
-    return float(_compare_scores(x, y).mean())
+    rng, samples = np.random.default_rng(0), []
+    chunk = max(1, MAX_RESAMPLED // values.size)
+    for first in range(0, resamples, chunk):
+        count = min(chunk, resamples - first)
+        rows, columns = (rng.integers(size, size=(count, size)) for size in values.shape)
+        drawn = values[rows[:, :, None], columns[:, None, :]]
+        samples.append(statistic(drawn.reshape(count, -1)))
+    return np.concatenate(samples)
 
 
-def _compare_scores(x: ArrayLike, y: ArrayLike) -> Floats:
-    """(seeds of X, seeds of Y, scenes): 1 where X scores more, 0.5 where both are equal."""
-    ours, others = np.asarray(x, np.float64)[:, None], np.asarray(y, np.float64)[None]
-    better: Floats = (ours > others) + 0.5 * (ours == others)
-    return better
+def percentile_interval(values: Floats) -> Interval:
+    """Return the middle 95 % of resampled values."""
+    tail = 50.0 * (1.0 - metrics.CONFIDENCE_LEVEL)
+    low, high = np.percentile(values, [tail, 100.0 - tail])
+    return float(low), float(high)
 
 
-def improvement_interval(x: Floats, y: Floats) -> Interval:
-    """Return the 95 % interval of `probability_of_improvement`.
-
-    Seeds of X and Y are resampled apart, the scenes together, as both drove the same ones.
-    """
-    rng = np.random.default_rng(0)
-    better = _compare_scores(x, y)
-    ours, others, scenes = (
-        rng.multinomial(size, np.full(size, 1.0 / size), metrics.BOOTSTRAP_SAMPLES) / size
-        for size in better.shape
-    )  # how often each was drawn, as shares
-    drawn = np.einsum("ri,rj,rk,ijk->r", ours, others, scenes, better, optimize=True)
-    return metrics.percentile_interval(drawn)
-
-
-COMPARED_FIGURES = ("score", "success")
-"""Fields of `EpisodeRecord` by whose means agents are compared."""
-
-
-def compare_with_best(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
+def compare_with_best(rows: Iterable[AgentRow]) -> list[dict[str, Any]]:
     """Compare the agents of each nominal place with its best baseline, in pairs of episodes.
 
     Each figure has its own best baseline: the one with the highest score may not be the one that
     succeeds most often. Of those that succeed equally often it is the one with the highest score.
     """
-    found = []
-    for place, group in _group_by_place(some).items():
+    places: dict[tuple[str, ...], list[AgentRow]] = {}
+    for row in rows:
+        if row.driven and row.place[3] == NOMINAL:
+            places.setdefault(row.place, []).append(row)
+    comparisons = []
+    for place, group in places.items():
+        group.sort(key=lambda row: -row.matrix("score").mean())
         baselines = [row for row in group if row.kind == BASELINE]
         for figure in COMPARED_FIGURES if baselines else ():
-            best = max(baselines, key=lambda row: row.mean(figure))
-            for row in group:
-                pair = compare_pair(row, best, figure)
-                if row is not best and pair:
-                    told = {"agent": row.agent, "kind": row.kind, "over": best.agent}
-                    found.append({**_describe_place(place), **told, "figure": figure, **pair})
-    return found
+            best = max(baselines, key=lambda row: row.matrix(figure).mean())
+            comparisons += [
+                {
+                    **dict(zip(PLACE, place, strict=True)),
+                    "agent": row.agent,
+                    "kind": row.kind,
+                    "over": best.agent,
+                    "figure": figure,
+                    **compare_pair(row, best, figure),
+                }
+                for row in group
+                if row is not best
+            ]
+    return comparisons
 
 
 def compare_pair(row: AgentRow, other: AgentRow, figure: str) -> dict[str, Any]:
@@ -338,21 +279,18 @@ def compare_pair(row: AgentRow, other: AgentRow, figure: str) -> dict[str, Any]:
     Returns:
         `values` of both, `difference`, its `interval` of 95 % by the paired bootstrap over scenes
         and training seeds, and `p`, the probability of a difference as large if there were none:
-        of the score from the same bootstrap, of success by McNemar's exact test. Nothing where they
-        drove no scene in common, as in a benchmark that isn't finished.
+        of the score from the same bootstrap, of success by McNemar's exact test.
     """
-    common = sorted({*row.scenes} & {*other.scenes})
-    if not common:
-        return {}
-    ours, others = (each.matrix(figure, common) for each in (row, other))
+    ours, others = row.matrix(figure), other.matrix(figure)
     differences = ours - others[:1]
     drawn = resample(differences, row_means)
+    scenes = differences.shape[1]
     return {
-        "scene_count": len(common),
+        "scene_count": scenes,
         "values": [float(ours.mean()), float(others.mean())],
         "difference": float(differences.mean()),
         "interval": percentile_interval(drawn),
-        "p": mcnemar_p(differences) if figure == "success" else bootstrap_p(drawn, len(common)),
+        "p": mcnemar_p(differences) if figure == "success" else bootstrap_p(drawn, scenes),
     }
 
 
@@ -367,60 +305,20 @@ def bootstrap_p(drawn: Floats, scenes: int) -> float:
 
 
 def mcnemar_p(differences: Floats) -> float:
-    """Return the p of McNemar's exact test, which counts the scenes where one alone succeeded.
+    """Return the two-sided p of McNemar's exact test of `differences` (seeds, scenes).
 
-    Args:
-        differences: (seeds, scenes): 1 where the first alone succeeded, -1 where the other one did.
-
-    Returns:
-        Two-sided p. Episodes of several training seeds in one scene aren't independent, so each
-        seed is tested on its own, and on either side the largest of their p counts.
+    They are 1 where the first alone succeeded, -1 where the other one did. Episodes of several
+    training seeds in one scene aren't independent, so each seed is tested on its own, and on either
+    side the largest of their p counts.
     """
     with require_extra("a benchmark", "scipy"):
         from scipy.stats import binomtest  # noqa: PLC0415 - slow to import
 
     sides = []
     for side in ("greater", "less"):
-        each = []
+        seeds = []
         for row in differences:
             won, lost = int((row > 0.0).sum()), int((row < 0.0).sum())
-            each.append(binomtest(won, won + lost, alternative=side).pvalue if won + lost else 1.0)
-        sides.append(max(each))
+            seeds.append(binomtest(won, won + lost, alternative=side).pvalue if won + lost else 1.0)
+        sides.append(max(seeds))
     return float(min(1.0, 2.0 * min(sides)))
-
-
-def compare_pairs(some: Iterable[AgentRow]) -> list[dict[str, Any]]:
-    """Return the probability that each learned agent improves on each other agent, by score."""
-    found = []
-    for place, group in _group_by_place(some).items():
-        for ours in (row for row in group if row.kind == LEARNED):
-            for other in (row for row in group if row is not ours):
-                common = sorted({*ours.scenes} & {*other.scenes})
-                if not common:
-                    continue
-                x, y = ours.matrix("score", common), other.matrix("score", common)
-                found.append(
-                    {
-                        **_describe_place(place),
-                        "agent": ours.agent,
-                        "over": other.agent,
-                        "probability": probability_of_improvement(x, y),
-                        "interval": improvement_interval(x, y),
-                    }
-                )
-    return found
-
-
-def _describe_place(place: Place) -> dict[str, Any]:
-    return dict(zip(("id", "scenes", "link"), place, strict=False))
-
-
-def _group_by_place(some: Iterable[AgentRow]) -> dict[Place, list[AgentRow]]:
-    """Group the rows that drove under nominal conditions by place, the best score first."""
-    found: dict[Place, list[AgentRow]] = {}
-    for row in some:
-        if row.scenes and row.place[3] == NOMINAL:
-            found.setdefault(row.place, []).append(row)
-    for group in found.values():
-        group.sort(key=lambda row: -row.mean("score"))
-    return found

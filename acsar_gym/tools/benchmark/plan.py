@@ -1,7 +1,4 @@
-"""What a benchmark is asked to do.
-
-Agents, conditions, its cells, and the jobs that they are cut into.
-"""
+"""What a benchmark is asked to do: agents, conditions, and its cells, each of which is a job."""
 
 from __future__ import annotations
 
@@ -22,17 +19,15 @@ from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.baselines import BASELINES
+from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cell_id
-from acsar_gym.tools.benchmark.store import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.evaluation.shards import PortablePolicy
+from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
 
-PACKAGED = "packaged"
-"""Name of the agent that consists of the policies which come with the package."""
+PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
 LEARNED, BASELINE = "learned", "baseline"
-MAX_NAME_LENGTH = 60
-"""Most characters of an agent's name."""
+MAX_NAME_LENGTH = 60  # most characters of an agent's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +35,9 @@ class Agent:
     """A policy that drives on one id: one training seed of a named agent."""
 
     name: str
-    kind: str
-    """ "learned" or "baseline"."""
-    env: str
-    """Id of the env, with the module that registers it where there is one."""
-    policy: Any
-    """File, function, class or name of a baseline, as `--policy` takes it; or a policy object."""
+    kind: str  # "learned" or "baseline"
+    env: str  # id of the env, with the module that registers it where there is one
+    policy: str  # file, function, class or name of a baseline, as `evaluate --policy` takes it
     training_seed: int | None = None
     sha256: str | None = None
 
@@ -57,11 +49,11 @@ class Agent:
     @property
     def about(self) -> dict[str, Any]:
         """What results say about it."""
-        named = isinstance(self.policy, str)
         return {
+            "kind": self.kind,
             "id": self.id,
             "training_seed": self.training_seed,
-            "file": Path(self.policy).name if named else type(self.policy).__name__,
+            "file": Path(self.policy).name,
             "sha256": self.sha256,
         }
 
@@ -74,11 +66,7 @@ def check_names(option: str, names: Iterable[str], known: Collection[str]) -> No
 
 
 def find_env(name: str) -> str:
-    """Return the full id of an env: "barn" is "acsar_gym/Barn-v1".
-
-    Raises:
-        ConfigError: there is none of this name.
-    """
+    """Return the full id of an env: "barn" is "acsar_gym/Barn-v1"; ConfigError if unknown."""
     env_id = full_id(name)
     if env_id.startswith(OWN_NAMESPACE) and env_id.removeprefix(OWN_NAMESPACE) not in IDS:
         known = [*IDS, *(snake_case(own.partition("-")[0]) for own in IDS)]
@@ -97,72 +85,50 @@ def choose_agents(
         ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
-
-    Raises:
-        ConfigError: a name is unknown, two agents have the same one, or the folder holds no policy.
-        PolicyError: a policy can't be used.
     """
-    given = [name for name in dict.fromkeys(names) if _is_policy(name)]
-    learned = [
+    given = [
+        name
+        for name in dict.fromkeys(names)
+        if ":" in name or Path(name).suffix in (".py", ".onnx")
+    ]
+    agents = [
         _read_agent(PACKAGED, str(file), None)
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
     ]
-    learned += [] if trained is None else trained_agents(trained, seeds, ids)
-    own = {cell_id(env_id) for env_id in ids}
-    found = [each for each in (*learned, *baseline_agents(ids)) if each.id in own]
-    known = list(dict.fromkeys([*(each.name for each in learned), *BASELINES]))
+    agents += [] if trained is None else trained_agents(trained, seeds, ids)
+    agents += [Agent(name, BASELINE, env_id, name) for name in BASELINES for env_id in ids]
+    known = list(dict.fromkeys(agent.name for agent in agents))
     check_names("--agents", [name for name in names if name not in given], known)
-    found = [each for each in found if not names or each.name in names]
-    found += [agent for name in given for agent in given_agents(name, ids)]
-    counts = Counter((each.name, each.env, each.training_seed) for each in found)
+    benchmarked = {cell_id(env_id) for env_id in ids}
+    chosen = [
+        agent for agent in agents if agent.id in benchmarked and (not names or agent.name in names)
+    ]
+    chosen += [agent for name in given for agent in given_agents(name, ids)]
+    counts = Counter((agent.name, agent.env, agent.training_seed) for agent in chosen)
     for (name, env_id, _), count in counts.items():
         if count > 1:
-            said = f"{count} of them are called {show_value(name)} on {env_id}"
-            raise ConfigError(f"--agents: {said}: rename a file, function or class")
-    return found
-
-
-def _is_policy(name: str) -> bool:
-    """Return whether a name of --agents is a file or Python code."""
-    return ":" in name or Path(name).suffix in (".py", ".onnx")
+            raise ConfigError(
+                f"--agents: {count} of them are called {show_value(name)} on {env_id}: rename a "
+                "file, function or class"
+            )
+    return chosen
 
 
 def given_agents(policy: str, ids: Sequence[str]) -> list[Agent]:
-    """Return a file, or Python code, as an agent on every id that it can be for.
-
-    Args:
-        policy: an ONNX file, or a function or class such as mine.py:act or mine.module:Planner. One
-            that names no id drives on all of these, as a baseline does.
-        ids: as `find_env` returns them.
-
-    Raises:
-        ConfigError: it is for an id that isn't among these.
-        PolicyError: it can't be used.
-    """
+    """Return a file, or Python code, as an agent on the id that it names, else on all of `ids`."""
+    path, _, function = policy.rpartition(":")
+    is_file = not path or Path(path).suffix == ".py"
+    name = Path(path or policy).stem if is_file else function
     if is_callable(policy) and not CallablePolicy(policy, ids[0]).said_id:
-        return [submitted_agent(policy, env_id) for env_id in ids]
-    agent = submitted_agent(policy)
+        return [_read_agent(name, policy, None, env_id) for env_id in ids]
+    agent = _read_agent(name, policy, None, named=ids)
     if agent.id not in map(cell_id, ids):
         raise ConfigError(f"--agents {policy}: drives on {agent.id}: name it with --env, too")
     return [agent]
 
 
-def baseline_agents(ids: Iterable[str]) -> list[Agent]:
-    """Return every baseline on every id; those that can't drive there are refused later."""
-    return [Agent(name, BASELINE, each, name) for name in BASELINES for each in ids]
-
-
 def trained_agents(folder: Path, seeds: int, ids: Iterable[str] = ()) -> list[Agent]:
-    """Find trained policies: `folder`/NAME/SEED/policy.onnx.
-
-    Args:
-        folder: as `--trained`.
-        seeds: most seeds of each name, the smallest first.
-        ids: of other packages that the user named, as `find_env` returns them.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """Find trained policies, `folder`/NAME/SEED/policy.onnx: the `seeds` smallest of each name."""
     files: dict[str, list[tuple[int, Path]]] = {}
     for file in folder.glob("*/*/policy.onnx"):
         match = re.search(r"(\d+)\D*$", file.parent.name)
@@ -180,27 +146,8 @@ def trained_agents(folder: Path, seeds: int, ids: Iterable[str] = ()) -> list[Ag
     ]
 
 
-def submitted_agent(policy: Any, env: str = "") -> Agent:
-    """Return anybody's policy as an agent.
-
-    Args:
-        policy: an ONNX file, a function or class such as mine.py:act or mine.module:Planner, or a
-            policy object.
-        env: id of the env that it drives, as `find_env` returns it; by default the one that the
-            policy names.
-
-    Raises:
-        PolicyError: it can't be used, or names an id of another package.
-    """
-    if not isinstance(policy, str):
-        return _read_agent(type(policy).__name__, policy, None, env)
-    path, _, function = policy.rpartition(":")
-    is_file = not path or Path(path).suffix == ".py"
-    return _read_agent(Path(path or policy).stem if is_file else function, policy, None, env)
-
-
 def _read_agent(
-    name: str, policy: Any, seed: int | None, env: str = "", named: Iterable[str] = ()
+    name: str, policy: str, seed: int | None, env: str = "", named: Iterable[str] = ()
 ) -> Agent:
     """Read what a policy says about itself; `named` are ids of other packages that it may name."""
     loaded = runs.load_policy(policy, trust=False, env=env)
@@ -222,37 +169,25 @@ NOMINAL = "nominal"
 class Condition:
     """What differs from the robot and the wire as configured."""
 
-    words: str
-    """What it is, for tables."""
+    words: str  # what it is, for tables
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
-    randomization: int = 0
-    """Level of `physics.randomization`; 0 for none."""
+    randomization: int = 0  # level of `physics.randomization`; 0 for none
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire; see `links.faults.Faults`."""
 
     def options(self, scenes: SceneSet, config: RobotConfig) -> dict[str, Any]:
-        """Return the env's options besides the robot; those that change nothing are left out.
-
-        Args:
-            scenes: that are driven.
-            config: of the robot under this condition.
-        """
-        found: dict[str, Any] = {"worlds": scenes.worlds}
-        if scenes.difficulty is not None:
-            found["difficulty"] = scenes.difficulty
-        if self.randomization:
-            found["randomization"] = randomization_level(config, self.randomization)
-        if self.faults:
-            found["faults"] = dict(self.faults)
-        return found
+        """Return the env's options besides the robot; None where nothing changes."""
+        level = self.randomization
+        return {
+            "worlds": scenes.worlds,
+            "difficulty": scenes.difficulty,
+            "randomization": randomization_level(config, level) if level else None,
+            "faults": dict(self.faults) or None,
+        }
 
     def impossible(self, *, simulated: bool) -> str:
-        """Say why no agent can be measured under this condition; empty if one can.
-
-        Args:
-            simulated: whether the link is a simulation in this process.
-        """
+        """Say why no agent can be measured under this condition; empty if one can."""
         if self.randomization and not simulated:
             return f"{self.words}: the emulated board's physics don't vary"
         return ""
@@ -286,39 +221,29 @@ CONDITIONS: dict[str, Condition] = {
 
 PLANAR, BULLET, PORT = "planar", "bullet", "port"
 LINK_KINDS = (*BODIES, PORT)
-CHUNK_SIZES = dict.fromkeys(BODIES, 50) | {PORT: 5}
-"""Scenes of a job, at most: what is lost when a benchmark is interrupted."""
 
 
 @dataclass(frozen=True, slots=True)
 class BenchmarkJob:
-    """Some scenes of a cell, for one process."""
+    """A cell, for one process."""
 
     cell: Cell
     policy: PortablePolicy
     """The policy, with what its file contains: another machine may not have the file."""
     scenes: SceneSet
-    first: int
-    """Place of the first scene in the set."""
-    count: int
+    count: int  # how many scenes are driven
 
 
 @dataclass(frozen=True)
 class BenchmarkPlan:
-    """Everything that a benchmark measures.
-
-    Raises ConfigError for an unknown link, or more scenes than there are.
-    """
+    """Everything that a benchmark measures; ConfigError for an unknown link or condition."""
 
     agents: tuple[Agent, ...]
-    sets: tuple[SceneSet, ...]
-    """Scenes, robots and scores, each of an agent's id."""
+    sets: tuple[SceneSet, ...]  # scenes, robots and scores, each of an agent's id
     links: tuple[str, ...] = (PLANAR, BULLET)
     conditions: tuple[str, ...] = (NOMINAL,)
-    count: int = 200
-    """Scenes of every cell; fewer where a folder holds fewer."""
-    port_count: int = 40
-    """Scenes of every cell behind the emulated port, which takes real time."""
+    count: int = 200  # scenes of every cell; fewer where a folder holds fewer
+    port_count: int = 40  # scenes of every cell behind the emulated port, which takes real time
 
     def __post_init__(self) -> None:
         check_names("--links", self.links, LINK_KINDS)
@@ -339,9 +264,9 @@ class BenchmarkPlan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for JSON; equal plans give equal results."""
-        told: dict[str, list[dict[str, Any]]] = {}
-        for each in self.agents:
-            told.setdefault(each.name, []).append({"kind": each.kind, **each.about})
+        agents: dict[str, list[dict[str, Any]]] = {}
+        for agent in self.agents:
+            agents.setdefault(agent.name, []).append(agent.about)
         scenes: dict[str, dict[str, Any]] = {}
         for some in self.sets:
             about = some.about | {"count": self.count_scenes(some)}
@@ -349,7 +274,7 @@ class BenchmarkPlan:
         return {
             "schema": BENCHMARK_SCHEMA,
             "version": acsar_gym.__version__,
-            "agents": told,
+            "agents": agents,
             "links": list(self.links),
             "conditions": {name: condition_fields(CONDITIONS[name]) for name in self.conditions},
             "scenes": scenes,
@@ -357,23 +282,20 @@ class BenchmarkPlan:
         }
 
     def jobs(self) -> Iterator[BenchmarkJob]:
-        """Yield the jobs, cells of one set and link after the other.
-
-        Raises:
-            PolicyError: a policy's file can't be read any more.
-        """
+        """Yield the jobs, cells of one set and link after the other."""
         policies = [
-            PortablePolicy.of(runs.load_policy(each.policy, trust=False, env=each.env))
-            for each in self.agents
+            PortablePolicy.of(runs.load_policy(agent.policy, trust=False, env=agent.env))
+            for agent in self.agents
         ]
-        for some, condition, link in product(self.sets, self.conditions, self.links):
-            used = self.count_scenes(some)
-            used = min(used, self.port_count) if link == PORT else used
-            chunk = CHUNK_SIZES[link]
-            for each, policy in zip(self.agents, policies, strict=True):
-                cell = Cell(each.name, each.training_seed, some.id, link, condition, some.name)
-                for first in range(0, used if each.id == some.id else 0, chunk):
-                    yield BenchmarkJob(cell, policy, some, first, min(chunk, used - first))
+        for scenes, condition, link in product(self.sets, self.conditions, self.links):
+            count = self.count_scenes(scenes)
+            count = min(count, self.port_count) if link == PORT else count
+            for agent, policy in zip(self.agents, policies, strict=True):
+                if agent.id == scenes.id:
+                    cell = Cell(
+                        agent.name, agent.training_seed, scenes.id, link, condition, scenes.name
+                    )
+                    yield BenchmarkJob(cell, policy, scenes, count)
 
 
 def condition_fields(condition: Condition) -> dict[str, Any]:

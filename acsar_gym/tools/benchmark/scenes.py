@@ -7,14 +7,7 @@ sets are worlds 100000 to 100999 of a generator, so that 1,000 of them overlap n
 worlds (1000 to 1399) nor the validation worlds (900 to 963) nor those that `acsar-gym evaluate`
 tests in by default (0 to 199, BARN 0 to 299), which were looked at while methods were chosen. On
 the open floor they are the seeds 2^33 to 2^33 + 999; trainings use seeds below 2^32, validation
-begins there.
-
-What the benchmark drives are sets of test scenes with a robot and a score, `find_sets`: those that
-`registration.SCENE_CHOICES` and `acsar_gym.register` name, and for any other id one in the worlds
-of its task. Worlds of a generator are made for the robot's footprint.
-
-The published worlds of BARN are sets of their own, read from a folder (`published_sets`). They
-don't come along, and nothing is trained on them.
+begins there. The published worlds of BARN are sets of their own, read from a folder.
 
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path where there is nothing else). Where the generator, or the footprint of the robot that
@@ -52,14 +45,11 @@ from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
-SCENES_VERSION = 1
-"""Version of all sets; counts up where any scene changes."""
-SCENES_PER_HASH = 100
-"""Scenes that share a hash."""
+SCENES_VERSION = 1  # version of all sets; counts up where any scene changes
+SCENES_PER_HASH = 100  # scenes that share a hash
 TRAIN, VALIDATION, TEST, GIVEN = "train", "validation", "test", "given"
 """Splits of generated scenes; given ones are read from a folder."""
-OWN_NAMESPACE = "acsar_gym/"
-"""Namespace of this package's ids, which tables leave out."""
+OWN_NAMESPACE = "acsar_gym/"  # namespace of this package's ids, which tables leave out
 DEFAULT_ROBOT = "acsar"
 WIDE_ROBOT_DIFFICULTY = 0.2
 """Difficulty of BARN worlds for robots wider than its own: none of the fuller fields can be made
@@ -127,11 +117,7 @@ class SceneSet:
         return WIDE_ROBOT_DIFFICULTY if wide else None
 
     def reset(self, place: int) -> tuple[int, dict[str, Any]]:
-        """Return seed and options of the reset that begins a scene.
-
-        Args:
-            place: of the scene in this set, from 0.
-        """
+        """Return seed and options of the reset that begins the scene at a place of this set."""
         number = self.numbers[place]
         return number, {"world": number} if self.source else {}
 
@@ -159,8 +145,8 @@ class SceneSet:
     @property
     def sha256(self) -> str:
         """Hash of the whole set, from those of its blocks."""
-        told = json.dumps([self.split, self.version, self.blocks])
-        return hashlib.sha256(told.encode()).hexdigest()
+        text = json.dumps([self.split, self.version, self.blocks])
+        return hashlib.sha256(text.encode()).hexdigest()
 
     @property
     def about(self) -> dict[str, Any]:
@@ -183,11 +169,7 @@ class SceneSet:
     def check(self, count: int) -> None:
         """Compare the first scenes with the recorded hashes; makes their worlds once.
 
-        Args:
-            count: number of scenes that will be used.
-
-        Raises:
-            ConfigError: there are fewer, or they are of another version.
+        Raises ConfigError where there are fewer than `count`, or they are of another version.
         """
         if not 1 <= count <= len(self):
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
@@ -217,18 +199,9 @@ class Scenes:
 
     @classmethod
     def of(cls, env_id: str, source: str) -> Scenes:
-        """Return the sets of an id.
-
-        Args:
-            env_id: without its namespace.
-            source: generator of the worlds; "" for an open floor.
-        """
-        return cls(
-            *(
-                SceneSet(env_id, split, source, split_numbers(source, split), split)
-                for split in (TRAIN, VALIDATION, TEST)
-            )
-        )
+        """Return the sets of an id, without its namespace, in worlds of a generator."""
+        splits = (TRAIN, VALIDATION, TEST)
+        return cls(*(SceneSet(env_id, s, source, split_numbers(source, s), s) for s in splits))
 
 
 def split_numbers(source: str, split: str) -> range:
@@ -284,35 +257,23 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
 def choose_sets(found: Sequence[SceneSet], names: Collection[str]) -> list[SceneSet]:
     """Choose sets by name: "clutter" is those of all its robots, "clutter/husky" one of them.
 
-    Raises:
-        ConfigError: there is none of this name.
+    Raises ConfigError where there is none of this name.
     """
-    known = list(dict.fromkeys(n for one in found for n in (one.name.partition("/")[0], one.name)))
+    own_names = [{some.name, some.name.partition("/")[0]} for some in found]
     for name in names:
-        if name not in known:
+        if not any(name in own for own in own_names):
+            known = sorted(set[str]().union(*own_names))
             raise ConfigError(f"--sets {show_value(name)}{suggest_name(name[:40], known)}")
-    return [
-        one
-        for one in found
-        if not names or one.name in names or one.name.partition("/")[0] in names
-    ]
+    return [some for some, own in zip(found, own_names, strict=True) if not names or own & {*names}]
 
 
 def default_score(env_id: str) -> str:
-    """Return the score of an id's scenes where its registration names none.
-
-    Raises:
-        ConfigError: it isn't an environment of acsar_gym.
-    """
+    """Return the score of an id's scenes where its registration names none."""
     return "completion_time" if says_shortest_path(_make_planar(env_id).task) else "success"
 
 
 def task_worlds(env_id: str) -> str:
-    """Return the generator or folder that an id's task takes its worlds from; "" for none.
-
-    Raises:
-        ConfigError: it isn't an environment of acsar_gym, or its worlds have no name.
-    """
+    """Return the generator or folder that an id's task takes its worlds from; "" for none."""
     pool = _make_planar(env_id).pool
     if pool is None:
         return ""
@@ -340,36 +301,33 @@ def _make_planar(env_id: str) -> RobotEnv:
     return env
 
 
-def published_sets(some: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
+def published_sets(sets: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
     """Return those of BARN's sets that are driven in the published worlds, in these.
 
-    Args:
-        some: sets of scenes.
-        folder: with `world_N.world` and `path_N.npy` or `path_files`.
-
-    Raises:
-        WorldError: they can't be read.
+    `folder` has `world_N.world` and `path_N.npy` or `path_files`; WorldError if not.
     """
-    found = []
-    for one in some:
-        if one.id.startswith("Barn-") and one.name in PUBLISHED_BARN:
-            numbers = range(len(read_pool(str(folder), None, one.robot)))
-            name = f"{one.name}{PUBLISHED_SUFFIX}"
-            found.append(replace(one, name=name, source=str(folder), numbers=numbers, split=GIVEN))
-    return found
+    published = []
+    for scenes in sets:
+        if scenes.id.startswith("Barn-") and scenes.name in PUBLISHED_BARN:
+            numbers = range(len(read_pool(str(folder), None, scenes.robot)))
+            name = f"{scenes.name}{PUBLISHED_SUFFIX}"
+            published.append(
+                replace(scenes, name=name, source=str(folder), numbers=numbers, split=GIVEN)
+            )
+    return published
 
 
 def record_hashes() -> None:
     """Write the hashes of all generated sets to `scenes.json`; takes some minutes."""
-    told: dict[str, Any] = {}
+    hashes: dict[str, Any] = {}
     for scenes in SCENES.values():
-        for one in (scenes.train, scenes.validation, scenes.test):
-            if len(one) <= 100_000:
-                told.setdefault(one.key, {})[one.split] = hash_scenes(one, len(one))
+        for some in (scenes.train, scenes.validation, scenes.test):
+            if len(some) <= 100_000:
+                hashes.setdefault(some.key, {})[some.split] = hash_scenes(some, len(some))
     for name in IDS:
-        for one in find_sets(f"{OWN_NAMESPACE}{name}"):
-            told.setdefault(one.key, {}).setdefault(one.split, hash_scenes(one, len(one)))
-    _FILE.write_text(json.dumps({"version": SCENES_VERSION, **told}, indent=1) + "\n")
+        for some in find_sets(f"{OWN_NAMESPACE}{name}"):
+            hashes.setdefault(some.key, {}).setdefault(some.split, hash_scenes(some, len(some)))
+    _FILE.write_text(json.dumps({"version": SCENES_VERSION, **hashes}, indent=1) + "\n")
 
 
 @cache

@@ -119,6 +119,23 @@ class ResultOptions:
         check_writable(self.json, force=self.force)
 
 
+@dataclass(frozen=True)
+class PageOptions(ResultOptions):
+    """Results in files."""
+
+    html: File = None
+    """Also write an HTML page with tables and plots."""
+
+    def check(self) -> None:
+        """Check before the work as `check_writable` does, and that a page can be made."""
+        super().check()
+        check_writable(self.html, force=self.force)
+        if self.html is not None:
+            from acsar_gym.tools.page import check_report_extra  # noqa: PLC0415
+
+            check_report_extra()
+
+
 def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:
     """Say what is about to move, and count down; any key ends it.
 

@@ -36,14 +36,7 @@ def write_dataset(
     env: str = "",
     goal: tuple[float, float] | None = None,
 ) -> tuple[Path, Demonstrations]:
-    """Make one data set of recordings.
-
-    Args:
-        paths: of the recordings.
-        to: one of DATASET_FORMATS.
-        folder: to write to; made if it isn't there.
-        env: see `read_demonstrations`.
-        goal: see `read_demonstrations`.
+    """Make one data set of recordings, in one of DATASET_FORMATS; see `read_demonstrations`.
 
     Returns:
         The folder of the data set, and what it holds.

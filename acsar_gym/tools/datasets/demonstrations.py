@@ -31,44 +31,32 @@ from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.state import Goal
 from acsar_gym.worlds import Scene
 
-DEFAULT_ENV = "point_goal"
-"""The env of drives that were recorded without one."""
-DEFAULT_RATE = 10.0
-"""The env steps per second where the recording doesn't tell [Hz]."""
+DEFAULT_ENV = "point_goal"  # the env of drives that were recorded without one
+DEFAULT_RATE = 10.0  # the env steps per second where the recording doesn't tell [Hz]
 
 
 @dataclass(frozen=True, eq=False)
 class DemonstrationEpisode:
     """One episode of n env steps."""
 
-    observations: NDArray[np.float32]
-    """(n + 1, numbers): before the first step, and after each."""
-    actions: NDArray[np.float32]
-    """(n, 2): linear and angular, in [-1, 1]."""
-    rewards: NDArray[np.float64]
-    """(n,)."""
-    terminated: bool
-    """Whether it ended by success or failure; it was cut short otherwise."""
-    seed: int | None = None
-    """Of the env's reset; None where it isn't known."""
+    observations: NDArray[np.float32]  # (n + 1, numbers): before the first step, and after each
+    actions: NDArray[np.float32]  # (n, 2): linear and angular, in [-1, 1]
+    rewards: NDArray[np.float64]  # (n,)
+    terminated: bool  # whether it ended by success or failure; it was cut short otherwise
+    seed: int | None = None  # of the env's reset; None where it isn't known
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstrations:
     """Episodes of one env, of one recording or several."""
 
-    env_id: str
-    """The id of the env; "" where an env without an id recorded them."""
-    names: tuple[str, ...]
-    """Names of the observation's numbers."""
-    rate: float
-    """Env steps per second [Hz]."""
-    robot: str
-    """Name of the robot."""
+    env_id: str  # the id of the env; "" where an env without an id recorded them
+    names: tuple[str, ...]  # names of the observation's numbers
+    rate: float  # env steps per second [Hz]
+    robot: str  # name of the robot
     speeds: tuple[float, float]
     """Linear and angular speed that an action of 1 asks for [m/s, rad/s]."""
-    policy: str
-    """File of the policy that drove, or of those; "unknown" for a person."""
+    policy: str  # file of the policy that drove, or of those; "unknown" for a person
     episodes: tuple[DemonstrationEpisode, ...]
 
     @property
@@ -93,19 +81,19 @@ def read_demonstrations(
         ConfigError: a recording can't be read, has no whole episode, or doesn't fit the env or the
             recordings before it.
     """
-    found = [_read_one(path, env, goal) for path in paths]
-    first = found[0]
-    for path, other in zip(paths, found, strict=True):
+    recordings = [_read_one(path, env, goal) for path in paths]
+    first = recordings[0]
+    for path, other in zip(paths, recordings, strict=True):
         for field in ("env_id", "names", "rate", "speeds"):
-            one, two = getattr(other, field), getattr(first, field)
-            if one != two:
-                what = f"{one!r}, not {two!r}" if field != "names" else "not"
+            value, wanted = getattr(other, field), getattr(first, field)
+            if value != wanted:
+                what = f"{value!r}, not {wanted!r}" if field != "names" else "not"
                 raise ConfigError(
                     f"{path}: {field} are {what} as in {paths[0]}: "
                     "give --env, or export them to data sets of their own"
                 )
-    episodes = tuple(episode for one in found for episode in one.episodes)
-    policies = ", ".join(dict.fromkeys(one.policy for one in found))
+    episodes = tuple(episode for recording in recordings for episode in recording.episodes)
+    policies = ", ".join(dict.fromkeys(recording.policy for recording in recordings))
     return replace(first, policy=policies, episodes=episodes)
 
 

@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.reading import replace_file
+from acsar_gym.reading import replace_file, write_atomically
 from acsar_gym.tools.datasets.demonstrations import DemonstrationEpisode, Demonstrations
 
-LEROBOT_VERSION = "v3.0"
-"""Version of the format."""
 FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 """How the format numbers its files."""
 FIRST_FILE = FILE_PATTERN.format(chunk_index=0, file_index=0)
@@ -29,14 +27,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def write_lerobot(data: Demonstrations, folder: Path, _name: str = "") -> Path:
-    """Write a data set; `LeRobotDataset(NAME, root=folder)` reads it.
-
-    Args:
-        data: the episodes.
-        folder: of the data set.
-
-    Returns:
-        The folder.
+    """Write a data set into a folder; `LeRobotDataset(NAME, root=folder)` reads it.
 
     Raises:
         ConfigError: a data set is there already.
@@ -97,8 +88,8 @@ def _describe_episode(frames: Columns, number: int, first: int, task: str) -> di
     count = len(frames["index"])
     statistics = {
         f"stats/{key}/{name}": values
-        for key, found in _summarize(frames).items()
-        for name, values in found.items()
+        for key, numbers in _summarize(frames).items()
+        for name, values in numbers.items()
     }
     return {
         "episode_index": number,
@@ -116,11 +107,11 @@ def _describe_episode(frames: Columns, number: int, first: int, task: str) -> di
 
 def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
     """Statistics of each feature, one number for each of its numbers."""
-    found = {}
+    summary = {}
     for key, values in frames.items():
         rows = values.reshape(len(values), -1).astype(np.float64)
         least, *quantiles, most = np.quantile(rows, [0.0, *QUANTILES, 1.0], axis=0)
-        found[key] = {
+        summary[key] = {
             "min": least.tolist(),
             "max": most.tolist(),
             "mean": rows.mean(axis=0).tolist(),
@@ -131,7 +122,7 @@ def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
                 for share, numbers in zip(QUANTILES, quantiles, strict=True)
             },
         }
-    return found
+    return summary
 
 
 def _make_tasks(task: str) -> tuple[dict[str, Any], dict[str, str]]:
@@ -143,8 +134,8 @@ def _make_tasks(task: str) -> tuple[dict[str, Any], dict[str, str]]:
         | {"numpy_type": numpy_kind, "metadata": None}
         for key, (kind, numpy_kind) in kinds.items()
     ]
-    told = {"index_columns": [index], "column_indexes": [], "columns": columns}
-    return {"task_index": [0], index: [task]}, {"pandas": json.dumps(told)}
+    about = {"index_columns": [index], "column_indexes": [], "columns": columns}
+    return {"task_index": [0], index: [task]}, {"pandas": json.dumps(about)}
 
 
 def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
@@ -159,7 +150,7 @@ def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
         for key, values in frames.items()
     }
     return {
-        "codebase_version": LEROBOT_VERSION,
+        "codebase_version": "v3.0",
         "robot_type": data.robot or None,
         "total_episodes": len(data.episodes),
         "total_frames": data.steps,
@@ -176,5 +167,4 @@ def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with replace_file(path) as new, new.open("w", encoding="utf-8") as file:
-        json.dump(content, file, indent=4)
+    write_atomically(path, json.dumps(content, indent=4).encode())

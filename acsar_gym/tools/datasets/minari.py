@@ -18,15 +18,10 @@ MINARI_FOLDER = "MINARI_DATASETS_PATH"
 
 
 def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
-    """Write a data set.
-
-    Args:
-        data: the episodes.
-        folder: Minari's, in which it keeps data sets.
-        name: of the data set; signs that Minari doesn't take are replaced.
+    """Write a data set into a folder in which Minari keeps them.
 
     Returns:
-        The data set's own folder.
+        The data set's own folder; signs of the name that Minari doesn't take are replaced.
 
     Raises:
         ConfigError: a data set of this name is there already.
@@ -37,17 +32,17 @@ def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
         from gymnasium.spaces import Box  # noqa: PLC0415 - only here
         from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
     buffers = []
-    for number, one in enumerate(data.episodes):
-        ended = np.zeros(len(one.actions), bool)
+    for number, episode in enumerate(data.episodes):
+        ended = np.zeros(len(episode.actions), bool)
         ended[-1] = True
         buffer = EpisodeBuffer(
             id=number,
-            seed=one.seed,
-            observations=one.observations,
-            actions=one.actions,
-            rewards=one.rewards.tolist(),
-            terminations=(ended & one.terminated).tolist(),
-            truncations=(ended & (not one.terminated)).tolist(),
+            seed=episode.seed,
+            observations=episode.observations,
+            actions=episode.actions,
+            rewards=episode.rewards.tolist(),
+            terminations=(ended & episode.terminated).tolist(),
+            truncations=(ended & (not episode.terminated)).tolist(),
         )
         buffers.append(buffer)
     name = "".join(c if c.isalnum() else "-" for c in name).strip("-") or "recording"

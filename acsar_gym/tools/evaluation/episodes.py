@@ -1,21 +1,18 @@
-"""Runs a policy for single episodes, and computes the result of each from its steps.
-
-`steps` are the infos of the reset and of every env step.
-"""
+"""The record of an episode, its figures, and episodes of a policy one after the other."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from acsar_gym import reading
@@ -26,8 +23,7 @@ from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
 from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.safety.rules import Reason
-from acsar_gym.sensors.lidar import newest_scan
-from acsar_gym.tasks.navigation import BARN_SCORES
+from acsar_gym.tasks.episode import Assignment, RunningEpisode
 from acsar_gym.tasks.task import info_names
 from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.tools.policies.policy import PolicyContext
@@ -36,109 +32,58 @@ from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
 from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
-Steps = Sequence[dict[str, Any]]
 Floats = NDArray[np.float64]
-Floats32 = NDArray[np.float32]
+Resets = Sequence[tuple[int, Mapping[str, Any]]]
+"""Seed and options of the reset of each episode."""
 MAX_LOG_BYTES = 1_000_000_000
 """Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
-MAX_LATE_SHARE = 0.01
-"""Largest share of late ticks in a valid episode."""
+MAX_LATE_SHARE = 0.01  # largest share of late ticks in a valid episode
+POSE_KEYS = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class DrawnTrack:
-    """Poses and scans of an episode at the reset and after every env step, to draw it afterwards.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Episode:
+    """Result of one episode, from odometry, the link's clock and, in simulation, ground truth.
 
-    In the frame of the world; on an open floor that of the odometry.
+    Figures that aren't known are NaN.
     """
 
-    odometry: Floats32
-    """(N, 3): x, y [m], theta [rad]."""
-    truth: Floats32 | None
-    """(N, 3); None on hardware."""
-    scans: Floats32 | None
-    """(N, rays): ranges of the LiDAR [m]; None without one."""
-    goal: tuple[float, float]
-    goal_radius: float
-    """What pictures show as the goal [m]."""
-    period: float
-    """Duration of an env step [s]."""
-    robot: RobotConfig
-    world: World | None = None
-
-
-class TrackedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Asks for a track of every episode that `run_episodes` runs in it.
-
-    Args:
-        env: an env of this package, wrapped or not.
-    """
-
-    @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]  # read only, as Gymnasium's wrappers
-        """The spec of the env, without this wrapper."""
-        return self.env.spec
-
-
-@dataclass(frozen=True, slots=True)
-class EpisodeResult:
-    """Result of one episode, from odometry, the link's clock and, in simulation, ground truth."""
-
+    seed: int | None = None  # of the reset
+    world: int | None = None
+    """Number of the world; -1 for a world or path given by the user, None on an open floor."""
     success: bool
-    collision: bool
-    """Whether a simulated robot touched an obstacle; always False on hardware."""
-    started: float
-    """Time at which the first tick began, on the link's clock [s]."""
-    ended: float
-    """Time at which the last tick ended, on the link's clock [s]."""
-    path: float
-    """Length of the path driven, by odometry [m]."""
-    pose: Pose
-    """Odometry at the end (x [m], y [m], theta [rad])."""
-    odometry_error: float
-    """Distance between odometry and ground truth at the end [m]; NaN without ground truth."""
-    ticks: int
-    late_ticks: int
-    """Ticks that ended over a millisecond late; 0 in simulation."""
+    collision: bool  # whether a simulated robot touched an obstacle; always False on hardware
+    fault: str = ""  # fault of the link or board that ended the episode; empty if there was none
+    valid: bool = True  # whether there was no fault, and no more late ticks than allowed
+    started: float = 0.0  # time at which the first tick began, on the link's clock [s]
+    ended: float = math.nan  # time at which the last tick ended, on the link's clock [s]
+    length: int = 0  # number of policy steps
+    ticks: int = 0
+    late_ticks: int = 0  # ticks that ended over a millisecond late; 0 in simulation
+    episode_return: float = math.nan  # sum of the rewards
+    path: float = math.nan  # length of the path driven, by odometry [m]
+    driven: float = math.nan  # the same by ground truth if there is one, else by odometry [m]
     shortest: float = math.nan
     """Length of the shortest path to success for the robot's footprint [m], see
     `Task.shortest_path`."""
-    left: float = math.nan
-    """The same from the final position [m]."""
-    driven: float = math.nan
-    """Length of the path driven [m], by ground truth if there is one, else by odometry."""
-    turning: float = math.nan
-    """Sum of absolute heading changes, by odometry [rad]."""
-    scores: tuple[float, ...] = ()
-    """BARN scores in the order of `tasks.navigation.BARN_SCORES`; empty for other tasks."""
-    cross_track: float = math.nan
-    """Mean cross-track error of path following [m]; NaN for other tasks."""
-    timing: EpisodeTiming | None = None
-    """Timing statistics of the link; None in simulation, which has no timing errors."""
-    fault: str = ""
-    """Fault of the link or board that ended the episode; empty if there was none."""
-    valid: bool = True
-    """Whether there was no fault, and no more late ticks than allowed."""
-    seed: int | None = None
-    """Seed of the reset."""
-    world: int | None = None
-    """Number of the world; -1 for a world or path given by the user, None on an open floor."""
-    episode_return: float = math.nan
-    """Sum of the rewards."""
-    length: int = 0
-    """Number of policy steps."""
-    clearance: float = math.nan
-    """Least distance of the footprint to an obstacle [m], by ground truth at every env step; 0 in a
-    collision, NaN without ground truth or obstacles."""
-    energy: float = math.nan
-    """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
-    P of `physics.model.motor_power`; NaN on hardware."""
+    left: float = math.nan  # the same from the final position [m]
+    turning: float = math.nan  # sum of absolute heading changes, by odometry [rad]
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
+    clearance: float = math.nan
+    """Least distance of the footprint to an obstacle [m], by ground truth at every env step; 0 in a
+    collision."""
+    energy: float = math.nan
+    """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
+    P of `physics.model.motor_power`."""
+    odometry_error: float = math.nan  # distance between odometry and ground truth at the end [m]
+    cross_track: float = math.nan  # mean cross-track error of path following [m]
+    score: float = math.nan  # of a scene of the benchmark; see `benchmark.figures.score_episode`
+    pose: Pose = (math.nan, math.nan, math.nan)  # odometry at the end (x [m], y [m], theta [rad])
     told: dict[str, float] = field(default_factory=dict)
     """What the task told in info at the end, by name: its `told`."""
-    track: DrawnTrack | None = None
-    """Poses and scans of every step, where the env is a `TrackedEnv`."""
+    timing: EpisodeTiming | None = None
+    """Timing statistics of the link; None in simulation, which has no timing errors."""
 
     @property
     def time(self) -> float:
@@ -179,10 +124,12 @@ def run_episodes(
     skip: int = 0,
     late_share: float = MAX_LATE_SHARE,
     **options: Any,
-) -> Iterator[EpisodeResult]:
-    """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each.
+) -> Generator[Episode, None, None]:
+    """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each in order.
 
-    A fault, or too many late ticks, make an episode not valid; the next reset connects again.
+    Many episodes of planar robots are driven as a batch, with the same results, where the policy
+    has no memory; see `batches`. A fault, or too many late ticks, make an episode not valid; the
+    next reset connects again.
 
     Args:
         env: an env of this package, wrapped or not.
@@ -204,21 +151,40 @@ def run_episodes(
         LinkError: the robot can't be reached.
         EmergencyStopError: its emergency stop was used.
     """
+    pool = getattr(env.unwrapped, "pool", None)
+    worlds = range(0) if pool is None else pool.numbers
+    if in_order and len(worlds) < skip + count:
+        raise ConfigError(
+            f"{skip + count} episodes in order need as many worlds, but there are {len(worlds)}"
+        )
+    resets = [
+        (seed + number, options | ({"world": worlds[skip + number]} if in_order else {}))
+        for number in range(count)
+    ]
+    return run_resets(env, policy, resets, late_share)
+
+
+def run_resets(
+    env: gymnasium.Env[Any, Any],
+    policy: Policy,
+    resets: Resets,
+    late_share: float = MAX_LATE_SHARE,
+) -> Generator[Episode, None, None]:
+    """As `run_episodes`, with these seeds and options."""
+    from acsar_gym.tools.evaluation import batches  # noqa: PLC0415 - imports this module
+
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
     inner = env.unwrapped
     if not isinstance(inner, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
-    worlds = range(0) if inner.pool is None else inner.pool.numbers
-    if in_order and len(worlds) < skip + count:
-        raise ConfigError(
-            f"{skip + count} episodes in order need as many worlds, but there are {len(worlds)}"
-        )
     if not isinstance(policy, FilePolicy) and (bind := getattr(policy, "bind", None)) is not None:
         bind(PolicyContext.of(inner))
-    for number in range(count):
-        place = {"world": worlds[skip + number]} if in_order else {}
-        yield _run_episode(env, inner, policy, seed + number, options | place, late_share)
+    if batches.can_batch(env, policy, resets):
+        yield from batches.run_batch(env, policy, resets)
+        return
+    for seed, options in resets:
+        yield _run_episode(env, inner, policy, seed, dict(options), late_share)
 
 
 def _run_episode(
@@ -228,7 +194,7 @@ def _run_episode(
     seed: int,
     options: dict[str, Any],
     late_share: float,
-) -> EpisodeResult:
+) -> Episode:
     """Run one episode, stop the robot, and compute the result."""
     robot = inner.robot
     if (meter := meter_of(robot.link)) is not None:
@@ -236,64 +202,85 @@ def _run_episode(
     observation, info = env.reset(seed=seed, options=options)
     if (begin := getattr(policy, "reset", None)) is not None:
         begin()
-    way = _ask_way(inner, info)  # measured afterwards: a robot doesn't wait
-    steps, scans, rewards, done = [info], [newest_scan(inner.sensors)], 0.0, False
+    poses, rewards, done = [[info[key] for key in POSE_KEYS]], 0.0, False
+    way = inner.episode.shortest_path(known_pose(poses[0]))  # measured later: a robot doesn't wait
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
-        steps.append(info)
-        if isinstance(env, TrackedEnv):
-            scans.append(newest_scan(inner.sensors))
+        poses.append([info[key] for key in POSE_KEYS])
         rewards += float(reward)
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         done = terminated or truncated
-    odom, true = stack_poses(steps, "odom"), stack_poses(steps, "true")
     timing, meter = robot.timing, meter_of(robot.link)
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
-    track = None
-    if isinstance(env, TrackedEnv):
-        ranges = [scan.ranges for scan in scans if scan is not None]
-        seen = np.array(ranges, np.float32) if len(ranges) == len(steps) else None
-        track = _make_track(inner, odom, true, seen)
-    return EpisodeResult(
-        success=info["is_success"] == 1.0,
-        collision=info["is_success"] != 1.0 and info["true_contact"] == 1.0,
-        started=robot.wire.began,
-        ended=robot.wire.stamp,
-        path=path_length(odom[:, :2]),
-        pose=(info["odom_x"], info["odom_y"], info["odom_theta"]),
-        odometry_error=info["odometry_error"],
-        ticks=(len(steps) - 1) * inner.ticks_per_step,
-        late_ticks=timing.lateness.late_ticks if timing else 0,
-        shortest=_measure_way(inner, *way, known=not math.isnan(true[-1, 0])),
-        left=_measure_way(inner, *_ask_way(inner, info), known=not math.isnan(true[-1, 0])),
-        driven=path_length((odom if math.isnan(true[-1, 0]) else true)[:, :2]),
-        turning=total_turning(odom),
-        jerk=mean_jerk(odom, inner.ticks_per_step * robot.config.period),
-        clearance=_least_clearance(inner, true, touched=info["true_contact"] == 1.0),
-        energy=math.nan if meter is None else meter.work,
-        scores=tuple(info[name] for name in BARN_SCORES if name in info),
-        cross_track=info.get("mean_cross_track_error", math.nan),
-        timing=timing,
+    length, track = len(poses) - 1, np.array(poses, np.float64)
+    return Episode(
+        seed=seed,
         fault=fault,
         valid=not fault and late <= late_share,
-        seed=seed,
-        world=int(info["world"]) if "world" in info else None,
+        started=robot.wire.began,
+        ended=robot.wire.stamp,
+        length=length,
+        ticks=length * inner.ticks_per_step,
+        late_ticks=timing.lateness.late_ticks if timing else 0,
         episode_return=rewards,
-        length=len(steps) - 1,
-        told={name: float(info[name]) for name in info_names(inner.task)},
-        track=track,
+        energy=math.nan if meter is None else meter.work,
+        timing=timing,
+        **measure_episode(inner, inner.episode, track, info, way),
     )
 
 
-def stack_poses(steps: Steps, frame: str) -> Floats:
-    """Return the poses (N, 3) by odometry ("odom") or ground truth ("true") [m, m, rad].
+def known_pose(poses: Sequence[float]) -> Pose:
+    """The pose by ground truth if it is known, else by odometry, of numbers named POSE_KEYS."""
+    x, y, theta = poses[:3] if math.isnan(poses[3]) else poses[3:]
+    return float(x), float(y), float(theta)
 
-    Both are in the odometry frame.
+
+def measure_episode(
+    env: RobotEnv,
+    episode: RunningEpisode,
+    track: Floats,
+    info: Mapping[str, Any],
+    way: Floats | float | None,
+) -> dict[str, Any]:
+    """Compute the fields of an `Episode` that follow from poses and info.
+
+    Args:
+        env: with task and robot.
+        episode: with its assignment, and the state at its end.
+        track: (steps + 1, 6): POSE_KEYS at the reset and after every env step.
+        info: of the last step.
+        way: the task's shortest way from the start.
     """
-    names = (f"{frame}_x", f"{frame}_y", f"{frame}_theta")
-    return np.array([[step[name] for name in names] for step in steps], np.float64)
+    assignment, config = episode.assignment, env.robot.config
+    odom, true = track[:, :3], track[:, 3:]
+    is_known, touched = not math.isnan(true[-1, 0]), info["true_contact"] == 1.0
+    first, last = known_pose(track[0]), known_pose(track[-1])
+    success, world = bool(info["is_success"] == 1.0), assignment.world
+    clearance = math.nan
+    if world is not None and world.obstacles and is_known:
+        places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
+        nearest = footprint_clearance(places, config.outline, world)
+        clearance = 0.0 if touched else max(0.0, nearest)
+    return {
+        "world": int(info["world"]) if "world" in info else None,
+        "success": success,
+        "collision": bool(touched and not success),
+        "path": path_length(odom[:, :2]),
+        "driven": path_length((true if is_known else odom)[:, :2]),
+        "shortest": measure_way(assignment, config, first, way, is_known=is_known),
+        "left": measure_way(
+            assignment, config, last, episode.shortest_path(last), is_known=is_known
+        ),
+        "turning": total_turning(odom),
+        "jerk": mean_jerk(odom, env.ticks_per_step * config.period),
+        "clearance": clearance,
+        "odometry_error": float(info["odometry_error"]),
+        "cross_track": float(info.get("mean_cross_track_error", math.nan)),
+        "pose": tuple(odom[-1].tolist()),
+        "told": {name: float(info[name]) for name in info_names(env.task)},
+    }
 
 
 def total_turning(poses: Floats) -> float:
@@ -324,41 +311,34 @@ def mean_jerk(poses: Floats, period: float) -> float:
     return float(np.abs(np.diff(speeds, 2)).mean()) / period**2
 
 
-def _ask_way(env: RobotEnv, info: dict[str, Any]) -> tuple[Pose, Floats | float | None]:
-    """Return the robot's pose, by ground truth if known, and its task's shortest way from there."""
-    frame = "odom" if math.isnan(info["true_x"]) else "true"
-    pose: Pose = (info[f"{frame}_x"], info[f"{frame}_y"], info[f"{frame}_theta"])
-    return pose, env.episode.shortest_path(pose)
+def measure_way(
+    assignment: Assignment,
+    config: RobotConfig,
+    pose: Pose,
+    way: Floats | float | None,
+    *,
+    is_known: bool,
+) -> float:
+    """Return the length of a task's way from a pose [m].
 
-
-def _measure_way(env: RobotEnv, pose: Pose, way: Floats | float | None, *, known: bool) -> float:
-    """Return the length of a way [m]; NaN where there is none, or obstacles aren't known."""
-    assignment = env.episode.assignment
+    NaN where there is none, or where the surroundings aren't known, as those of a real robot.
+    """
     if isinstance(way, float):
         return way
-    if way is None or (assignment.world is not None and not known):
-        return math.nan  # a real robot's surroundings aren't known
-    radius, world = footprint_radius(env.robot.config), assignment.world or World()
+    if way is None or (assignment.world is not None and not is_known):
+        return math.nan
+    radius, world = footprint_radius(config), assignment.world or World()
     points = [pose[:2], *((x, y) for x, y in way.tolist())]
     places = [Region(*point_in_world(assignment.start, point)) for point in points]
     return math.fsum(
-        remaining_distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
+        _distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
     )
 
 
-def _least_clearance(env: RobotEnv, true: Floats, *, touched: bool) -> float:
-    """Return the least distance of the footprint to an obstacle at any step [m].
-
-    By ground truth; 0 where the robot touched one, NaN without ground truth or obstacles.
-    """
-    assignment = env.episode.assignment
-    world = assignment.world
-    if world is None or not world.obstacles or math.isnan(true[-1, 0]):
-        return math.nan
-    if touched:
-        return 0.0
-    places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
-    return max(0.0, footprint_clearance(places, env.robot.config.outline, world))
+@lru_cache(maxsize=1024)
+def _distance(world: World, radius: float, place: Region, goal: Region) -> float:
+    """As `remaining_distance`; episodes in one world often have the same start and goal."""
+    return remaining_distance(world, radius, place, goal)
 
 
 def footprint_clearance(places: Floats, outline: Outline, world: World) -> float:
@@ -383,48 +363,22 @@ def footprint_clearance(places: Floats, outline: Outline, world: World) -> float
     return float(segment_clearance(placed.reshape(-1, 2), ends.reshape(-1, 2), world).min())
 
 
-def _make_track(env: RobotEnv, odom: Floats, true: Floats, scans: Floats32 | None) -> DrawnTrack:
-    """Put the poses of an episode into the frame of its world."""
-    assignment, config = env.episode.assignment, env.robot.config
-    odometry, truth = (
-        np.array([to_world(assignment.start, pose) for pose in poses.tolist()], np.float32)
-        for poses in (odom, true)
-    )
-    return DrawnTrack(
-        odometry=odometry,
-        truth=truth if np.isfinite(true).all() else None,
-        scans=scans,
-        goal=point_in_world(assignment.start, assignment.goal),
-        goal_radius=env.task.goal_tolerance,
-        period=env.ticks_per_step * config.period,
-        robot=config,
-        world=assignment.world,
-    )
-
-
-def odometry_errors(results: Sequence[EpisodeResult], log: Path) -> list[float]:
-    """Compute the odometry error at the end of each episode from an emulator's log.
+def odometry_errors(episodes: Iterable[Episode], log: Path) -> list[float]:
+    """Compute the odometry error at the end of each episode from an emulator's log [m].
 
     The emulated robot isn't moved back between episodes, so true poses are taken relative to the
     true pose at the reset. Link and emulator both use the machine's monotonic clock.
-
-    Args:
-        results: results of the episodes.
-        log: log file of the emulator.
-
-    Returns:
-        Distance between odometry and ground truth at the end of each episode [m].
 
     Raises:
         ConfigError: the log holds no true poses.
     """
     stamps, poses = read_true_poses(log)
     errors = []
-    for result in results:
-        newest = np.searchsorted(stamps, (result.started, result.ended), side="right") - 1
+    for episode in episodes:
+        newest = np.searchsorted(stamps, (episode.started, episode.ended), side="right") - 1
         start, end = (poses[max(0, int(number))] for number in newest)
         x, y, _ = to_odometry(start, end)
-        errors.append(math.hypot(x - result.pose[0], y - result.pose[1]))
+        errors.append(math.hypot(x - episode.pose[0], y - episode.pose[1]))
     return errors
 
 

@@ -8,28 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.errors import require_extra
-from acsar_gym.tasks.navigation import BARN_SCORES
-from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.evaluation.episodes import Episode
 
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000
 """Number of bootstrap samples. Their seed is fixed, so equal results give equal intervals."""
-MAX_RESAMPLED = 4_000_000
-"""Values that are resampled at once, at most; limits the memory."""
+MAX_RESAMPLED = 4_000_000  # values that are resampled at once, at most; limits the memory
 TOLD_PREFIX = "told."
 """Begins the names of intervals of what the task tells, which may be named like other figures."""
 
-Floats = NDArray[np.float64]
 Interval = tuple[float, float]
-Statistic = Callable[[Floats], Floats]
-"""Maps rows of values (..., n) to one figure a row (...)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,53 +35,35 @@ class Summary:
     collision_rate: float
     timeout_rate: float
     """None of the others: time-out or out of bounds. The four rates add up to 1."""
-    fault_rate: float
-    """Ended by a fault of link, board or wheels."""
+    fault_rate: float  # ended by a fault of link, board or wheels
     episode_return: float
     """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
-    length: float
-    """Policy steps per episode."""
-    time_to_goal: float
-    """Over successful episodes [s]."""
-    path: float
-    """Length of the path driven, over successful episodes, by odometry [m]."""
-    spl: float
-    """0 to 1; NaN if shortest paths aren't known, as in path following."""
+    length: float  # policy steps per episode
+    time_to_goal: float  # over successful episodes [s]
+    path: float  # length of the path driven, over successful episodes, by odometry [m]
+    spl: float  # 0 to 1; NaN if shortest paths aren't known, as in path following
     soft_spl: float
-    smoothness: float
-    """Heading change per metre driven [rad/m]; smaller is smoother."""
-    jerk: float
-    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother."""
+    smoothness: float  # heading change per metre driven [rad/m]; smaller is smoother
+    jerk: float  # mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother
     clearance: float
     """Least distance of the footprint to an obstacle in an episode, 0 in a collision [m]."""
-    energy: float
-    """Mechanical work of a simulated robot's motors, over successful episodes [J]."""
-    odometry_error: float
-    """Distance between odometry and ground truth at the end of an episode [m]."""
-    odometry_drift: float
-    """Odometry error divided by the length of the path driven."""
-    cross_track: float
-    """Mean cross-track error of path following [m]."""
+    energy: float  # mechanical work of a simulated robot's motors, over successful episodes [J]
+    odometry_error: float  # distance between odometry and ground truth at the end of an episode [m]
+    odometry_drift: float  # odometry error divided by the length of the path driven
+    cross_track: float  # mean cross-track error of path following [m]
     ticks: int
     late_ticks: int
-    missed_ticks: int
-    """Control periods that passed without a tick."""
+    missed_ticks: int  # control periods that passed without a tick
     lateness_p99: float
     """Largest 99th percentile of lateness of any episode [s]; NaN in simulation."""
-    worst_lateness: float
-    """Largest lateness of any tick [s]."""
-    worst_feedback_age: float
-    """Largest age of the feedback at a tick [s]."""
+    worst_lateness: float  # largest lateness of any tick [s]
+    worst_feedback_age: float  # largest age of the feedback at a tick [s]
     round_trip: float
     """Time from a command to its effect in the feedback, median over those of all episodes [s]."""
     round_trip_p95: float
     """95th percentile of the same [s]."""
-    round_trips: int
-    """How many were measured: each time that standing wheels are commanded to turn."""
-    invalid: int
-    """Episodes that ended with a fault or had too many late ticks."""
-    scores: dict[str, float] = field(default_factory=dict)
-    """BARN scores by name; empty for other tasks."""
+    round_trips: int  # how many were measured: each time that standing wheels are commanded to turn
+    invalid: int  # episodes that ended with a fault or had too many late ticks
     told: dict[str, float] = field(default_factory=dict)
     """What the task tells at an episode's end, by name; see `Task.told`."""
     intervals: dict[str, Interval] = field(default_factory=dict)
@@ -100,12 +76,9 @@ class Summary:
         return cleaned
 
 
-def describe_episodes(results: Sequence[EpisodeResult]) -> list[dict[str, Any]]:
-    """Return the results for JSON, one dict per episode, timing included, tracks left out."""
-    told = [asdict(replace(result, track=None)) for result in results]
-    for one in told:
-        del one["track"]
-    cleaned: list[dict[str, Any]] = replace_nonfinite(told)
+def describe_episodes(episodes: Sequence[Episode]) -> list[dict[str, Any]]:
+    """Return the episodes for JSON, one dict per episode, timing included."""
+    cleaned: list[dict[str, Any]] = replace_nonfinite([asdict(episode) for episode in episodes])
     return cleaned
 
 
@@ -118,14 +91,14 @@ def replace_nonfinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-EPISODE_RATES: dict[str, Callable[[Any], bool]] = {
+EPISODE_RATES: dict[str, Callable[[Episode], bool]] = {
     "success_rate": lambda e: e.success,
     "collision_rate": lambda e: e.collision,
     "timeout_rate": lambda e: not (e.success or e.collision or e.fault),
     "fault_rate": lambda e: bool(e.fault),
 }
-"""How an `EpisodeResult`, or a benchmark's record of it, ended."""
-EPISODE_FIGURES: dict[str, Callable[[Any], float]] = {
+"""How an episode ended."""
+EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
     "episode_return": lambda e: e.episode_return,
     "length": lambda e: e.length,
     "time_to_goal": lambda e: e.time if e.success else math.nan,
@@ -145,33 +118,30 @@ EPISODE_FIGURES: dict[str, Callable[[Any], float]] = {
 """Figures of an episode whose means are given, see `Summary`; NaN where an episode has none."""
 
 
-def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
+def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
-    rates = {name: [each(result) for result in results] for name, each in EPISODE_RATES.items()}
+    rates = {name: [rate(episode) for episode in episodes] for name, rate in EPISODE_RATES.items()}
     samples = {
-        name: [float(each(result)) for result in results] for name, each in EPISODE_FIGURES.items()
+        name: [float(figure(episode)) for episode in episodes]
+        for name, figure in EPISODE_FIGURES.items()
     }
-    scores: dict[str, list[float]] = {}
-    if results and all(result.scores for result in results):
-        for number, name in enumerate(BARN_SCORES):
-            scores[name] = [result.scores[number] for result in results]
-    names = results[0].told if results else ()
-    told = {name: [result.told[name] for result in results] for name in names}
+    names = episodes[0].told if episodes else ()
+    told = {name: [episode.told[name] for episode in episodes] for name in names}
     intervals = {name: wilson_interval(sum(hits), len(hits)) for name, hits in rates.items()}
     prefixed = {f"{TOLD_PREFIX}{name}": values for name, values in told.items()}
-    for name, values in (samples | scores | prefixed).items():
+    for name, values in (samples | prefixed).items():
         intervals[name] = bootstrap_interval(values)
     means: dict[str, Any] = {
         name: finite_mean(map(float, values)) for name, values in (rates | samples).items()
     }
-    timings = [result.timing for result in results if result.timing]
+    timings = [episode.timing for episode in episodes if episode.timing]
     latest = [timing.lateness for timing in timings]
     trips = [trip for timing in timings for trip in timing.round_trips]
     return Summary(
-        episodes=len(results),
+        episodes=len(episodes),
         **means,
-        ticks=sum(result.ticks for result in results),
-        late_ticks=sum(result.late_ticks for result in results),
+        ticks=sum(episode.ticks for episode in episodes),
+        late_ticks=sum(episode.late_ticks for episode in episodes),
         missed_ticks=sum(lateness.missed_ticks for lateness in latest),
         lateness_p99=_largest(lateness.p99 for lateness in latest),
         worst_lateness=_largest(lateness.worst for lateness in latest),
@@ -179,8 +149,7 @@ def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
         round_trip=float(np.median(trips)) if trips else math.nan,
         round_trip_p95=float(np.percentile(trips, 95.0)) if trips else math.nan,
         round_trips=len(trips),
-        invalid=sum(not result.valid for result in results),
-        scores={name: finite_mean(values) for name, values in scores.items()},
+        invalid=sum(not episode.valid for episode in episodes),
         told={name: finite_mean(values) for name, values in told.items()},
         intervals=intervals,
     )
@@ -188,8 +157,8 @@ def summarise_episodes(results: Sequence[EpisodeResult]) -> Summary:
 
 def finite_mean(values: Iterable[float]) -> float:
     """Return the mean of the finite values, or NaN."""
-    known = [value for value in values if math.isfinite(value)]
-    return math.fsum(known) / len(known) if known else math.nan
+    finite = [value for value in values if math.isfinite(value)]
+    return math.fsum(finite) / len(finite) if finite else math.nan
 
 
 def _largest(values: Iterable[float]) -> float:
@@ -216,57 +185,19 @@ def bootstrap_interval(values: Sequence[float]) -> Interval:
     Returns:
         Low and high end; NaN if there are fewer than two samples.
     """
-    known = [value for value in values if math.isfinite(value)]
-    if len(known) < 2:
+    with require_extra("an evaluation", "scipy"):
+        from scipy.stats import bootstrap  # noqa: PLC0415 - slow to import
+
+    finite = np.array([value for value in values if math.isfinite(value)])
+    if len(finite) < 2:
         return (math.nan, math.nan)
-    return stratified_interval(np.array([known]), row_means)
-
-
-def row_means(rows: Floats) -> Floats:
-    """Return the mean of each row (..., n)."""
-    means: Floats = rows.mean(axis=-1)
-    return means
-
-
-def stratified_interval(
-    values: Floats, statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES
-) -> Interval:
-    """Return the 95 % percentile interval of a statistic, by the stratified bootstrap.
-
-    Arguments are those of `resample`.
-
-    Returns:
-        Low and high end.
-    """
-    return percentile_interval(resample(values, statistic, resamples=resamples))
-
-
-def resample(values: Floats, statistic: Statistic, *, resamples: int = BOOTSTRAP_SAMPLES) -> Floats:
-    """Return a statistic of bootstrap samples, stratified by rows.
-
-    Rows and columns are resampled with replacement. A drawn row keeps its values in all drawn
-    columns.
-
-    Args:
-        values: (rows, columns).
-        statistic: of all resampled values together.
-        resamples: bootstrap samples.
-
-    Returns:
-        (resamples,): the statistic of each.
-    """
-    rng, found = np.random.default_rng(0), []
-    chunk = max(1, MAX_RESAMPLED // values.size)
-    for first in range(0, resamples, chunk):
-        count = min(chunk, resamples - first)
-        rows, columns = (rng.integers(size, size=(count, size)) for size in values.shape)
-        drawn = values[rows[:, :, None], columns[:, None, :]]
-        found.append(statistic(drawn.reshape(count, -1)))
-    return np.concatenate(found)
-
-
-def percentile_interval(values: Floats) -> Interval:
-    """Return the middle 95 % of resampled values."""
-    tail = 50.0 * (1.0 - CONFIDENCE_LEVEL)
-    low, high = np.percentile(values, [tail, 100.0 - tail])
-    return float(low), float(high)
+    interval = bootstrap(
+        (finite,),
+        np.mean,
+        confidence_level=CONFIDENCE_LEVEL,
+        n_resamples=BOOTSTRAP_SAMPLES,
+        batch=max(1, MAX_RESAMPLED // len(finite)),
+        method="percentile",
+        random_state=np.random.default_rng(0),
+    ).confidence_interval
+    return float(interval.low), float(interval.high)

@@ -22,7 +22,7 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | `address` | of the Ray cluster that they ran on; null for this machine |
 
 The JSON also has the means of `metrics.Summary` with their `intervals`, and in `per_episode` the
-fields of every `EpisodeResult`: seed, world, episode_return, length, and so on.
+fields of every `Episode`: seed, world, episode_return, length, and so on.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ from acsar_gym.worlds.pool import Pool
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "mujoco")
 """Libraries that the results of episodes depend on, where they are installed."""
-HIDDEN_ARGUMENTS = ("link", "record")
-"""Arguments of an env that say nothing about its episodes."""
+HIDDEN_ARGUMENTS = ("link", "record")  # arguments of an env that say nothing about its episodes
 
 
 def make_header(
@@ -58,17 +57,9 @@ def make_header(
     seeds: range,
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Collect everything that is needed to repeat an evaluation.
+    """Collect what is needed to repeat an evaluation, ready for JSON; see above for its keys.
 
-    Args:
-        env: the env that was used.
-        policy: the policy that was evaluated.
-        link: name of the link.
-        seeds: seeds of the episodes, at least one.
-        options: options of the resets and of the evaluation.
-
-    Returns:
-        The header, ready for JSON; the table above lists its keys.
+    `options` are those of the resets and of the evaluation.
     """
     inner: Any = env.unwrapped
     return {
@@ -86,11 +77,7 @@ def make_header(
 
 
 def library_versions(*libraries: str) -> dict[str, str]:
-    """Return the versions of this package, of what it always needs, and of installed libraries.
-
-    Args:
-        libraries: distributions whose versions matter; those that aren't installed are left out.
-    """
+    """Return the versions of this package, of what it always needs, and of installed libraries."""
     versions = {
         "acsar_gym": acsar_gym.__version__,
         "gymnasium": gymnasium.__version__,
@@ -124,7 +111,7 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
     if pool is None:
         keys = ("split", "first", "last", "difficulty", "radius", "sha256")
         return {"kind": "none", **dict.fromkeys(keys)}
-    told = {
+    about = {
         "kind": pool.kind,
         "split": pool.split or None,
         "first": pool.numbers[0],
@@ -132,15 +119,17 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
         "difficulty": pool.difficulty,
         "radius": pool.radius,
     }
-    known: list[Any] = [told, hash_source(pool.kind)]
+    content: list[Any] = [about, hash_source(pool.kind)]
     if not (pool.generated and hash_source(pool.kind)):
-        known = [
+        content = [
             [
-                *(world.circles.tolist(), world.segments.tolist()),
-                *(repr(world.start), repr(world.goal)),
+                world.circles.tolist(),
+                world.segments.tolist(),
+                repr(world.start),
+                repr(world.goal),
                 None if world.path is None else world.path.tolist(),
             ]
             for world in pool
         ]
-    text = json.dumps(known, sort_keys=True)
-    return told | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
+    text = json.dumps(content, sort_keys=True)
+    return about | {"sha256": hashlib.sha256(text.encode()).hexdigest()}

@@ -1,30 +1,28 @@
-"""Output of results: tables in the terminal, and JSON files."""
+"""Output of results: tables in the terminal, JSON files, and the page of an evaluation."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
-from rich.progress import Progress
+from rich.progress import track
 from rich.segment import Segment
 from rich.table import Table
 
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable
-from acsar_gym.tools.evaluation.metrics import TOLD_PREFIX, Summary
+from acsar_gym.tools import page
+from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.metrics import EPISODE_RATES, TOLD_PREFIX, Summary
 
 Item = TypeVar("Item")
-PROGRESS_DELAY = 2.0
-"""Duration after which a progress bar appears [s]."""
 ODOMETRY_ALARM = 0.15
 """Mean odometry error above which a table warns [m]; the default tolerance of a goal."""
 
@@ -56,36 +54,15 @@ def print_tables(*tables: Table) -> None:
         console.print(table)
 
 
-def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterator[Item]:
-    """Yield items, with a progress bar on a terminal once it takes longer than PROGRESS_DELAY.
-
-    Args:
-        what: label of the bar.
-        items: the items.
-        total: number of items.
-    """
-    begin, console = time.monotonic(), SafeConsole(stderr=True)
-    with contextlib.ExitStack() as stack:
-        bar: Progress | None = None
-        for number, item in enumerate(items, start=1):
-            yield item
-            late = time.monotonic() - begin > PROGRESS_DELAY
-            if bar is None and late and console.is_terminal:
-                bar = stack.enter_context(Progress(console=console, transient=True))
-                bar.add_task(what, total=total)
-            if bar is not None:
-                bar.update(bar.task_ids[0], completed=number)
+def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterable[Item]:
+    """Yield items, with a progress bar on a terminal."""
+    console = SafeConsole(stderr=True)
+    hidden = not console.is_terminal
+    return track(items, what, total, console=console, transient=True, disable=hidden)
 
 
 def check_writable(path: Path | None) -> None:
-    """Check before a long run that its result can be written.
-
-    Args:
-        path: file to write; None is accepted.
-
-    Raises:
-        ConfigError: it is a folder, or its folder is missing or not writable.
-    """
+    """Check before a long run that its result can be written; ConfigError if not."""
     if path is None:
         return
     if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
@@ -93,11 +70,7 @@ def check_writable(path: Path | None) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder and its parents, unless it exists.
-
-    Raises:
-        ConfigError: it can't be created.
-    """
+    """Create a folder and its parents, unless it exists; ConfigError if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
@@ -106,40 +79,36 @@ def make_folder(path: Path) -> None:
         ) from error
 
 
-def write_json(path: Path | None, data: Mapping[str, Any]) -> None:
-    """Write a JSON file; do nothing if `path` is None.
-
-    Raises:
-        ConfigError: the file can't be written.
-    """
+def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Write a JSON file, on one line if `indent` is None; do nothing if `path` is None."""
     if path is None:
         return
-    reading.write_atomically(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+    reading.write_atomically(
+        path, (json.dumps(data, indent=indent, allow_nan=False) + "\n").encode()
+    )
+
+
+def summary_cells(rows: Sequence[tuple[str, Summary]]) -> dict[str, list[str]]:
+    """Format summaries as columns of cells by name; columns without any value are left out."""
+    columns = {
+        name: [cell(summary) for _, summary in rows] for name, cell in SUMMARY_COLUMNS.items()
+    }
+    filled = {name: [c or "-" for c in cells] for name, cells in columns.items() if any(cells)}
+    return {"behind the wire": [link for link, _ in rows], **filled}
 
 
 def summary_table(
     title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
 ) -> Table:
-    """Format summaries as a table; columns without any value are left out.
-
-    Args:
-        title: title of the table.
-        rows: name of the link, and summary of the run on it.
-        notes: lines below the table.
-    """
+    """Format the summary of the runs on each link as a table, with lines below it."""
     table = Table(title=escape_text(title), title_justify="left")
-    columns = {
-        name: [cell(summary) for _, summary in rows] for name, cell in SUMMARY_COLUMNS.items()
-    }
-    told = {name: cells for name, cells in columns.items() if any(cells)}
-    table.add_column("behind the wire")
-    for name in told:
-        table.add_column(name, justify="right")
-    for number, (wire, _) in enumerate(rows):
-        table.add_row(escape_text(wire), *(cells[number] or "-" for cells in told.values()))
-    worst = max(
-        (s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)), default=0.0
-    )
+    cells = summary_cells(rows)
+    for name in cells:
+        table.add_column(name, justify="right" if table.columns else "left")
+    for row in zip(*cells.values(), strict=True):
+        table.add_row(*map(escape_text, row))
+    errors = [s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)]
+    worst = max(errors, default=0.0)
     captions = [escape_text(note) for note in notes]
     if worst > ODOMETRY_ALARM:
         captions.append(
@@ -154,18 +123,42 @@ def summary_table(
     return table
 
 
-def interval_table(title: str, summary: Summary) -> Table:
-    """Format the figures of one run with their 95 % intervals as a table."""
-    table = Table(title=escape_text(f"95 % intervals: {title}"), title_justify="left")
-    for column in ("figure", "value", "low", "high"):
-        table.add_column(column, justify="left" if column == "figure" else "right")
+def write_evaluation_page(
+    path: Path, title: str, link: str, summary: Summary, episodes: Sequence[Episode]
+) -> None:
+    """Write an evaluation as an HTML page; see `page.write_page`."""
+    page.check_report_extra()
+    from plotly import graph_objects  # noqa: PLC0415 - optional
+
+    cells = summary_cells([(link, summary)])
     told = {f"{TOLD_PREFIX}{name}": value for name, value in summary.told.items()}
-    values = {**asdict(summary), **summary.scores, **told}
-    for name, interval in summary.intervals.items():
-        figures = (values[name], *interval)
-        if math.isfinite(values[name]):
-            table.add_row(name, *("-" if math.isnan(f) else f"{f:.4g}" for f in figures))
-    return table
+    values = {**asdict(summary), **told}
+    intervals = [
+        [name, *(f"{number:.4g}" for number in (values[name], *interval))]
+        for name, interval in summary.intervals.items()
+        if math.isfinite(values[name])
+    ]
+    figure = graph_objects.Figure(
+        layout={"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
+    )
+    for name, is_ended_so in EPISODE_RATES.items():
+        chosen = [episode for episode in episodes if is_ended_so(episode)]
+        figure.add_scatter(
+            x=[episode.seed for episode in chosen],
+            y=[episode.time for episode in chosen],
+            mode="markers",
+            name=name.removesuffix("_rate"),
+        )
+    sections = [
+        page.Section("Means", "", page.Table(list(cells), [*zip(*cells.values(), strict=True)])),
+        page.Section(
+            "95 % intervals",
+            "Wilson's of rates, bootstrapped ones of means.",
+            page.Table(("figure", "value", "low", "high"), intervals),
+        ),
+        page.Section("Episodes", figures=[figure]),
+    ]
+    page.write_page(path, title, sections)
 
 
 def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
@@ -198,7 +191,7 @@ def _format_round_trip(summary: Summary) -> str:
     """Format median, 95th percentile and number of round trips."""
     if not summary.round_trips:
         return ""
-    median, longest = (1e3 * one for one in (summary.round_trip, summary.round_trip_p95))
+    median, longest = 1e3 * summary.round_trip, 1e3 * summary.round_trip_p95
     return f"{median:.0f} ms, 95 % {longest:.0f} ms, of {summary.round_trips}"
 
 
@@ -211,7 +204,9 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
     "time-out": lambda summary: _format_rate(summary.timeout_rate),
     "fault": lambda summary: _format_rate(summary.fault_rate),
     "SPL": lambda summary: _format_number(summary.spl),
-    "BARN score": lambda summary: f"{summary.scores['barn_score']:.3f}" if summary.scores else "",
+    "BARN score": lambda summary: (
+        f"{summary.told['barn_score']:.3f}" if "barn_score" in summary.told else ""
+    ),
     "time to goal": lambda summary: _format_number(summary.time_to_goal, "s"),
     "path": lambda summary: _format_number(summary.path, "m"),
     "clearance": lambda summary: _format_number(summary.clearance * 100.0, "cm"),

@@ -1,18 +1,22 @@
-"""The commands `evaluate`, `run` and `export`: run policy files on any link."""
+"""Loads policies, makes their envs, and evaluates them: `evaluate`, `run` and `export`."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
+import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from acsar_gym import reading
 from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
@@ -26,11 +30,12 @@ from acsar_gym.errors import (
     show_value,
 )
 from acsar_gym.links import Link, open_link
+from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import baselines
-from acsar_gym.tools.evaluation import episodes as evaluation
-from acsar_gym.tools.evaluation import metrics, provenance, report
-from acsar_gym.tools.evaluation.episodes import EpisodeResult, TrackedEnv
+from acsar_gym.tools.evaluation import episodes, metrics, provenance, report
+from acsar_gym.tools.evaluation.episodes import Episode
 from acsar_gym.tools.evaluation.metrics import Summary
+from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import (
     CallablePolicy,
     FilePolicy,
@@ -43,35 +48,37 @@ from acsar_gym.tools.policies import (
 from acsar_gym.tools.policies.describe import RETRAIN_HINT, describe_policy, env_policy_rate
 from acsar_gym.tools.policies.policy import PolicyContext, format_error, quote_text
 from acsar_gym.worlds import registry
+from acsar_gym.worlds.pool import read_worlds
+from acsar_gym.worlds.search import lidar_height
 
 Env = gymnasium.Env[Any, Any]
-MAX_EPISODES = 10**6
-"""Most episodes of one evaluation; all results are kept in memory."""
-SEED_LIMIT = 2**63
-"""The first seed must be below this."""
+MAX_EPISODES = 10**6  # most episodes of one evaluation; all results are kept in memory
+SEED_LIMIT = 2**63  # the first seed must be below this
+MAX_POLICY_BYTES = 200_000_000
+MAX_SHARD_EPISODES, MAX_BATCHED_EPISODES = 10, 250
+"""Most episodes of a shard: driven one by one, and as a batch."""
+SHARDS_PER_WORKER = 4  # shards per worker, at least, so that workers finish at about the same time
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class EvaluationRun:
     """Results of an evaluation, complete or ended early, and what it was run with."""
 
-    header: dict[str, Any]
-    """What is needed to repeat it; see `provenance`."""
-    worlds: str
-    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
-    results: list[EpisodeResult]
+    header: dict[str, Any]  # what is needed to repeat it; see `provenance`
+    worlds: str  # description of the worlds, such as "clutter 0 to 199 (test split)" or "none"
+    results: list[Episode]
     ended: LinkError | KeyboardInterrupt | None = None
     """What ended it before its last episode; None for an evaluation that is complete."""
 
     @property
     def faults(self) -> list[str]:
         """The faults that ended episodes."""
-        return [result.fault for result in self.results if result.fault]
+        return [episode.fault for episode in self.results if episode.fault]
 
     @property
     def late(self) -> int:
         """Number of episodes with too many late ticks."""
-        return sum(not result.valid and not result.fault for result in self.results)
+        return sum(not episode.valid and not episode.fault for episode in self.results)
 
     @property
     def ended_early(self) -> str | None:
@@ -85,14 +92,14 @@ class EvaluationRun:
         if self.faults:
             notes.append(f"Faults: {len(self.faults)} of {len(self.results)}: {self.faults[0]}")
         if self.ended is not None:
-            asked = self.header["seeds"]
-            count = asked["last"] - asked["first"] + 1
+            seeds = self.header["seeds"]
+            count = seeds["last"] - seeds["first"] + 1
             notes.append(
                 f"Ended after {len(self.results)} of {count} episodes: {self.ended_early}."
             )
         return notes
 
-    @property
+    @cached_property
     def summary(self) -> Summary:
         """Rates and means over the episodes."""
         return metrics.summarise_episodes(self.results)
@@ -150,9 +157,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         policy: the policy. Only the user, not the file, may name an env of another package.
         link: name of the link, or an open link.
         robot: preset, file or config of the robot.
-        options: other arguments of the env; None means the env's default, and a true `tracked`
-            that episodes get a track (see `episodes.TrackedEnv`). Worlds such as "clutter", and
-            those of an env that trains in a training split, become their test split;
+        options: other arguments of the env; None means the env's default. Worlds such as
+            "clutter", and those of an env that trains in a training split, become their test split;
             "clutter:train" means the training split.
 
     Raises:
@@ -162,7 +168,6 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     """
     env_id = _check_id(policy)
     given = {name: value for name, value in options.items() if value is not None}
-    tracked = given.pop("tracked", False)
     given = {"link": link, "robot": robot, **given}
     if "worlds" in given:
         given["worlds"] = registry.add_test_split(given["worlds"])
@@ -189,7 +194,7 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     except BaseException:
         env.close()
         raise
-    return TrackedEnv(env) if tracked else env
+    return env
 
 
 def _check_id(policy: FilePolicy) -> str:
@@ -220,6 +225,88 @@ def seed_range(first: int, count: int) -> range:
     return range(first, first + count)
 
 
+@dataclass(frozen=True)
+class PortablePolicy:
+    """A loaded policy, ready to be loaded again in other processes and on other machines."""
+
+    name: str  # its path or name
+    env: str  # id of the env that it was loaded for; empty for the one that its file names
+    function: str | None = field(repr=False)
+    trust: bool = field(repr=False)
+    content: bytes | None = field(repr=False)
+    """Content of its file; None for a policy that isn't a file."""
+    given: Any = field(default=None, repr=False, compare=False)
+    """The policy itself, if it is an object in Python."""
+
+    @classmethod
+    def of(cls, policy: FilePolicy) -> PortablePolicy:
+        """Read the file of a policy; a zip that is loaded already is trusted.
+
+        Raises:
+            PolicyError: its file has changed since it was loaded.
+        """
+        content = None
+        if policy.path.is_file():
+            content = reading.read_file(policy.path, MAX_POLICY_BYTES, PolicyError)
+            if policy.sha256 not in (None, hashlib.sha256(content).hexdigest()):
+                raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
+        return cls(
+            str(policy.path),
+            policy.env_id if policy.env_named else "",
+            policy.function,
+            isinstance(policy, ZipPolicy),
+            content,
+            None if policy.given is None else policy,
+        )
+
+    def load(self) -> FilePolicy:
+        """Load the policy: from its file if that is the same here, else from the content.
+
+        Raises:
+            PolicyError: it can't be loaded here.
+        """
+        return _load_portable(self) if self.given is None else self.given
+
+
+@lru_cache(maxsize=4)
+def _load_portable(sent: PortablePolicy) -> FilePolicy:
+    """Load a policy; a process needs few of them, but each for many jobs."""
+    suffix = f":{sent.function}" if sent.function else ""
+    here = None
+    with contextlib.suppress(OSError):
+        here = None if sent.content is None else Path(sent.name).read_bytes()
+    if here == sent.content:
+        return load_policy(f"{sent.name}{suffix}", trust=sent.trust, env=sent.env)
+    with tempfile.TemporaryDirectory(prefix="acsar_gym-") as folder:
+        sent_file = Path(folder) / Path(sent.name).name
+        sent_file.write_bytes(sent.content or b"")
+        return load_policy(f"{sent_file}{suffix}", trust=sent.trust, env=sent.env)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Consecutive episodes of an evaluation, for one process."""
+
+    policy: PortablePolicy
+    link: str
+    robot: RobotConfig = field(repr=False)
+    seeds: range
+    skip: int  # episodes of the evaluation before these
+    how: Mapping[str, Any] = field(repr=False)
+    options: Mapping[str, Any] = field(repr=False)
+
+
+def run_shard(shard: Shard) -> list[Episode]:
+    """Run the episodes of a shard."""
+    policy, seeds = shard.policy.load(), shard.seeds
+    with contextlib.closing(make_env(policy, shard.link, shard.robot, shard.options)) as env:
+        return list(
+            episodes.run_episodes(
+                env, policy, len(seeds), seeds.start, skip=shard.skip, **shard.how
+            )
+        )
+
+
 def evaluate_policy(
     policy: FilePolicy,
     link: str,
@@ -227,33 +314,86 @@ def evaluate_policy(
     seeds: range,
     *,
     how: Mapping[str, Any] | None = None,
-    elsewhere: Iterator[EpisodeResult] | None = None,
+    workers: int | None = None,
+    address: str | None = None,
     **options: Any,
 ) -> EvaluationRun:
     """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
 
     An emergency stop, an interrupt, and a link that can't be opened again end it after an episode;
-    the finished episodes are kept.
+    the finished episodes are kept. An episode depends on its seed alone, so in several processes
+    the results are those of one.
 
     Args:
         policy: the policy.
-        link: name of the link.
+        link: name of the link; more than one worker need a simulated one.
         robot: preset, file or config of the robot; None for the default.
         seeds: seeds of the episodes.
         how: keyword arguments of `episodes.run_episodes`.
-        elsewhere: results of these episodes, in any order, if other processes run them.
+        workers: as for `jobs.completed`.
+        address: as for `jobs.completed`.
         **options: other arguments of the env.
-
-    Raises:
-        AcsarError: see `make_env` and `episodes.run_episodes`.
-        MissingExtraError: scipy isn't installed.
     """
     with require_extra("an evaluation", "scipy"):  # before the first episode, not after the last
         import scipy  # noqa: F401, PLC0415
-    env, how, count = make_env(policy, link, robot, options), how or {}, len(seeds)
+    how = how or {}
+    if address is None and workers in (None, 1):
+        env = make_env(policy, link, robot, options)
+        running = episodes.run_episodes(env, policy, len(seeds), seeds.start, **how)
+    else:
+        shards = _split_evaluation(policy, link, robot, seeds, how, workers, options)
+        env = make_env(policy, link, robot, options)
+        running = _run_shards(shards, workers, address)
     _warn_differences(policy)
-    running = elsewhere or evaluation.run_episodes(env, policy, count, seeds.start, **how)
-    return _collect_run(env, policy, link, seeds, how, _show_progress(link, running, count))
+    with contextlib.closing(running):
+        shown = _show_progress(link, running, len(seeds))
+        done = _collect_run(env, policy, link, seeds, how, shown)
+    done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
+    done.header.update(workers=workers if address else workers or 1, address=address)
+    return done
+
+
+def _run_shards(
+    shards: list[Shard], workers: int | None, address: str | None
+) -> Generator[Episode, None, None]:
+    """Yield the episodes of shards that run in parallel."""
+    finished = completed(run_shard, shards, workers=workers, address=address)
+    with contextlib.closing(finished):
+        for _, driven in finished:
+            yield from driven
+
+
+def _split_evaluation(
+    policy: FilePolicy,
+    link: str,
+    robot: RobotSource,
+    seeds: range,
+    how: Mapping[str, Any],
+    workers: int | None,
+    options: Mapping[str, Any],
+) -> list[Shard]:
+    """Split an evaluation into shards."""
+    if link not in BODIES:
+        raise ConfigError(
+            f"--link {show_value(link)}: one process drives one robot: --workers and --address "
+            f"need --link {' or '.join(BODIES)}"
+        )
+    if options.get("record") is not None:
+        raise ConfigError("--record and --view: one process records: leave out --workers")
+    portable, config, source = dict(options), RobotConfig.of(robot), options.get("worlds")
+    worlds = None
+    if isinstance(source, str | Mapping):
+        worlds = read_worlds(source, lidar_height(config))
+    if worlds is not None:  # from files, which another machine may not have
+        portable["worlds"] = worlds
+    most = MAX_BATCHED_EPISODES if link == "planar" else MAX_SHARD_EPISODES
+    size = len(seeds) // (SHARDS_PER_WORKER * workers) if workers else most
+    size = max(1, min(most, size))
+    parts = [seeds[first : first + size] for first in range(0, len(seeds), size)]
+    sent = PortablePolicy.of(policy)
+    return [
+        Shard(sent, link, config, part, part.start - seeds.start, how, portable) for part in parts
+    ]
 
 
 def drive_to_goal(
@@ -267,10 +407,9 @@ def drive_to_goal(
 ) -> EvaluationRun:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as `evaluate_policy`.
 
-    `ready` is called before anything moves, when all that can be known of the policy is told.
-
-    With `goal_distance`, goals may be nearer or farther than those that the policy was trained for;
-    the time limit grows with the distance.
+    `ready` is called before anything moves, when all that can be known of the policy is told. With
+    `goal_distance`, goals may be nearer or farther than those of the training; the time limit grows
+    with the distance.
     """
     if options.get("goal_distance") is not None and policy.scale:
         options["distance_scale"] = policy.scale
@@ -284,9 +423,8 @@ def drive_to_goal(
         refuse_outside(policy)
         _warn_differences(policy)
         ready()
-        running = evaluation.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
-        told = {"goal": goal, **how}
-        return _collect_run(env, policy, link, range(1), told, running)
+        running = episodes.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
+        return _collect_run(env, policy, link, range(1), {"goal": goal, **how}, running)
 
 
 def _warn_differences(policy: FilePolicy) -> None:
@@ -301,10 +439,8 @@ def refuse_outside(policy: FilePolicy) -> None:
         raise PolicyError(f"{policy.path}: {'; '.join(policy.outside)}: {RETRAIN_HINT}")
 
 
-def _show_progress(
-    name: str, running: Iterator[EpisodeResult], count: int
-) -> Iterator[EpisodeResult]:
-    """Yield results, with a progress bar that shows the success rate."""
+def _show_progress(name: str, running: Iterable[Episode], count: int) -> Iterator[Episode]:
+    """Yield episodes, with a progress bar that shows the success rate."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -313,10 +449,11 @@ def _show_progress(
         TimeElapsedColumn(),
     )
     with Progress(*columns, console=report.SafeConsole()) as progress:
-        task, wins = progress.add_task(report.escape_text(name), total=count, rate="-"), 0
-        for number, result in enumerate(running, start=1):
-            yield result
-            wins += result.success
+        task = progress.add_task(report.escape_text(name), total=count, rate="-")
+        wins = 0
+        for number, episode in enumerate(running, start=1):
+            yield episode
+            wins += episode.success
             progress.update(task, advance=1, rate=f"{wins / number:.0%}")
 
 
@@ -326,30 +463,29 @@ def _collect_run(
     link: str,
     seeds: range,
     options: Mapping[str, Any],
-    running: Iterator[EpisodeResult],
+    running: Iterable[Episode],
 ) -> EvaluationRun:
-    """Collect results, with what ended them early, and the header; closes the env.
+    """Collect episodes, with what ended them early, and the header; closes the env.
 
     A link's error before the first result is raised, unless it is an emergency stop.
     """
-    results: list[EpisodeResult] = []
+    driven: list[Episode] = []
     ended: LinkError | KeyboardInterrupt | None = None
     try:
-        try:
-            for result in running:
-                results.append(result)  # noqa: PERF402 - what is there counts where the rest fails
-        except (EmergencyStopError, KeyboardInterrupt) as error:
-            ended = error
-        except LinkError as error:
-            if not results:
-                raise
-            ended = error
+        for episode in running:
+            driven.append(episode)  # noqa: PERF402 - what is there counts where the rest fails
+    except (EmergencyStopError, KeyboardInterrupt) as error:
+        ended = error
+    except LinkError as error:
+        if not driven:
+            raise
+        ended = error
     finally:
         env.close()  # before the files are hashed
     inner: Any = env.unwrapped
     header = provenance.make_header(env, policy, link, seeds, options)
     worlds = "none" if inner.pool is None else str(inner.pool)
-    return EvaluationRun(header, worlds, results, ended)
+    return EvaluationRun(header, worlds, driven, ended)
 
 
 def export_policy(
@@ -361,19 +497,7 @@ def export_policy(
     trust: bool,
     vecnormalize: str | None = None,
 ) -> None:
-    """Convert a stable-baselines3 zip to an ONNX policy.
-
-    Args:
-        model: the zip.
-        out: ONNX file to write.
-        env_id: id or short name of the env; empty for the one stored in the zip.
-        robot: preset or file of the robot; None for the default.
-        trust: whether the zip may be loaded, which can run code in it.
-        vecnormalize: file of the VecNormalize that it was trained with, or "none".
-
-    Raises:
-        PolicyError: the zip can't be used, or a VecNormalize lies beside it but none is given.
-    """
+    """Convert a stable-baselines3 zip to an ONNX policy."""
     if resolve(model).suffix == ".onnx":
         raise PolicyError(
             f"{model}: is an ONNX policy already: drive with it, as in 'acsar-gym evaluate "

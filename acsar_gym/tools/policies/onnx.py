@@ -170,6 +170,7 @@ class OnnxPolicy(FilePolicy):
         self.bundle, self.width = network.bundle, network.bundle.observation.width
         self.env_id = self.bundle.env.id
         # Arrays that are made once: faster than new ones for every decision.
+        self._session = network.session
         self._run, self._binding = network.session.run_with_iobinding, network.session.io_binding()
         self._observation = self._bind("input", "observation", (1, self.width))
         self._action = self._bind("output", "action", (1, 2))
@@ -177,6 +178,8 @@ class OnnxPolicy(FilePolicy):
             (self._bind("input", one.input, one.shape), self._bind("output", one.output, one.shape))
             for one in self.bundle.state
         ]
+        if not network.states and isinstance(network.session.get_inputs()[0].shape[0], str):
+            self.act_many = self._act_many
 
     def _bind(self, side: str, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
         """Make the array that the session reads an input from, or writes an output to."""
@@ -209,6 +212,12 @@ class OnnxPolicy(FilePolicy):
             before[...] = after
         action: NDArray[np.float32] = self._action[0].copy()
         return action
+
+    def _act_many(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Compute actions (n, 2) for observations (n, numbers)."""
+        seen = np.ascontiguousarray(observations[:, : self.width])
+        actions: NDArray[np.float32] = self._session.run(None, {"observation": seen})[0]
+        return actions
 
 
 def read_bundle(path: str | Path) -> tuple[Path, Bundle]:

@@ -79,6 +79,8 @@ class FilePolicy(ABC):
     """Name of the function, if the file is a Python file."""
     given: Any = None
     """The object itself, of a policy that is neither a file nor in a module."""
+    act_many: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None = None
+    """Maps observations (n, numbers) to actions (n, 2), where the policy has no memory."""
 
     @property
     def about(self) -> dict[str, str | None]:

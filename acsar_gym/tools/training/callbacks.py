@@ -10,9 +10,9 @@ from typing import Any
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from stable_baselines3.common.callbacks import BaseCallback
 
+from acsar_gym.tools.evaluation.metrics import Summary
 from acsar_gym.tools.training import checkpoints, held_out, models
 from acsar_gym.tools.training.checkpoints import StopRequest, TrainingState
-from acsar_gym.tools.training.held_out import HeldOutScore
 from acsar_gym.vector.env import RobotVectorEnv
 
 
@@ -56,7 +56,7 @@ class HeldOutEvaluation(RolloutCallback):
         self._batch, self._target, self.clock, self._file = batch, target, clock, file
         self._interval = max(1, steps // evaluations)
         self.rows: held_out.Rows = list(rows or [])
-        self.score: HeldOutScore | None = None
+        self.score: Summary | None = None
         self.reached = False
         self.name = held_out.success_label(batch)
 
@@ -68,7 +68,7 @@ class HeldOutEvaluation(RolloutCallback):
             if self.reached:
                 raise TargetReached
 
-    def finish(self) -> HeldOutScore:
+    def finish(self) -> Summary:
         """Return the score of the policy after its last update."""
         if self.reached and self.score is not None:
             return self.score
@@ -76,10 +76,10 @@ class HeldOutEvaluation(RolloutCallback):
         self.logger.dump(self.num_timesteps)
         return score
 
-    def _evaluate(self) -> HeldOutScore:
+    def _evaluate(self) -> Summary:
         """Evaluate the policy and log the score."""
         score = held_out.evaluate_held_out(self._batch, models.make_decider(self.model))
-        row = {name: getattr(score, name) for name in held_out.CURVE_COLUMNS[2:]}
+        row = held_out.curve_figures(score)
         for name, value in row.items():
             self.logger.record(f"eval/{name}", value)
         self.score = score
@@ -148,7 +148,7 @@ class TrainingProgress(RolloutCallback):
     def __init__(self, steps: int, scores: HeldOutEvaluation, before: int | None = None) -> None:
         super().__init__()
         self._steps, self._scores, self._not_counted = steps, scores, before
-        self._shown: HeldOutScore | None = None
+        self._shown: Summary | None = None
         self._progress = Progress(
             BarColumn(),
             TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import reading
+from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.metrics import Summary, summarise_episodes
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import registry
 from acsar_gym.worlds.pool import Pool
@@ -22,8 +23,15 @@ TARGET_ROBOTS = 512
 """Robots in an evaluation that decides whether a target is reached."""
 FIRST_HELD_OUT_SEED = 2**32
 """First seed of held-out episodes; seeds of a training are smaller."""
-CURVE_COLUMNS = ("steps", "seconds", "success_rate", "collision_rate", "mean_return", "mean_length")
-"""`seconds` since the beginning of the training, all others of the held-out episodes."""
+CURVE_FIGURES = {
+    "success_rate": "success_rate",
+    "collision_rate": "collision_rate",
+    "mean_return": "episode_return",
+    "mean_length": "length",
+}
+"""Columns of the curve that are figures of the held-out episodes, and names in a `Summary`."""
+CURVE_COLUMNS = ("steps", "seconds", *CURVE_FIGURES)
+"""`seconds` since the beginning of the training."""
 Rows = list[dict[str, float]]
 _SHOWN = {"success_rate": "success", "mean_return": "return", "collision_rate": "collisions"}
 _AXES = {"steps": "env steps", "seconds": "time [s]"}
@@ -31,48 +39,47 @@ Decide = Callable[[NDArray[np.float32]], NDArray[Any]]
 """Maps observations (n, m) to actions (n, 2); one that has a state begins at its first call."""
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOutScore:
-    """Result of an evaluation with one episode per robot."""
-
-    episodes: int
-    success_rate: float
-    collision_rate: float
-    """Share of unsuccessful episodes that ended in contact with an obstacle."""
-    mean_return: float
-    mean_length: float
-    """Mean length of an episode [steps]."""
-
-
-def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> HeldOutScore:
+def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> Summary:
     """Run the first episode of every robot to its end, always from the same seeds.
 
     The batch needs a time limit. One episode per robot avoids a bias: the first n finished
     episodes of a batch would contain too many quick ones.
 
     Returns:
-        Rates and means over the episodes.
+        Rates and means over the episodes; of their figures, returns and lengths alone.
     """
     observations, _ = batch.reset(seed=FIRST_HELD_OUT_SEED)
-    robots = batch.num_envs
-    running = np.ones(robots, np.bool_)
-    success, collision = np.zeros((2, robots), np.bool_)
-    returns, lengths = np.zeros((2, robots))
+    running = np.ones(batch.num_envs, np.bool_)
+    returns, lengths = np.zeros(batch.num_envs), np.zeros(batch.num_envs, np.int64)
+    episodes = []
     while running.any():
         observations, rewards, terminated, truncated, info = batch.step(decide(observations))
         returns += rewards * running
         lengths += running
         ended = running & (terminated | truncated)
-        success |= ended & (info["is_success"] == 1.0)
-        collision |= ended & ~success & (info["true_contact"] == 1.0)
+        for robot in np.flatnonzero(ended):
+            success = bool(info["is_success"][robot] == 1.0)
+            episodes.append(
+                Episode(
+                    seed=FIRST_HELD_OUT_SEED + int(robot),
+                    success=success,
+                    collision=bool(info["true_contact"][robot] == 1.0) and not success,
+                    length=int(lengths[robot]),
+                    episode_return=float(returns[robot]),
+                )
+            )
         running &= ~ended
-    return HeldOutScore(
-        robots,
-        float(success.mean()),
-        float(collision.mean()),
-        float(returns.mean()),
-        float(lengths.mean()),
-    )
+    return summarise_episodes(episodes)
+
+
+def curve_figures(score: Summary) -> dict[str, float]:
+    """Return the figures of held-out episodes by the names of the curve's columns."""
+    return {column: getattr(score, name) for column, name in CURVE_FIGURES.items()}
+
+
+def as_metrics(score: Summary | None) -> dict[str, dict[str, float]]:
+    """What a policy's bundle says of a score; nothing where there is none."""
+    return {"held_out": {"episodes": score.episodes, **curve_figures(score)}} if score else {}
 
 
 def success_label(batch: RobotVectorEnv) -> str:

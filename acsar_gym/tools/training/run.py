@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -98,7 +98,7 @@ def train(options: TrainingOptions) -> int:
                 print(f"interrupted at {model.num_timesteps:,} steps: saving what there is")
             commands = content[record.RUN_KEY]["commands"]
             training = record.describe_training(model, plan, commands, scores.clock())
-            metrics = {} if scores.score is None else {"held_out": asdict(scores.score)}
+            metrics = held_out.as_metrics(scores.score)
             bundle = describe(training=training, metrics=metrics)
             policy, zipped = record.save_results(model, bundle, plan.out)
             print(escape_unprintable(f"written: {policy} (to drive with), {zipped} (to train on)"))

@@ -3,8 +3,8 @@
     acsar-gym train --env obstacle_goal --seeds 0-4 --workers 2 --out runs/obstacle_goal
 
 Every seed gets a folder as of a training alone, such as runs/obstacle_goal/seed-3, with what the
-training printed in log.txt; seeds.json has the table. A seed whose process died goes on at its
-newest checkpoint on this machine, and begins again on another machine of a cluster.
+training printed in log.txt; seeds.json has the table. A seed whose machine of a cluster died begins
+again on another one.
 """
 
 from __future__ import annotations

@@ -27,7 +27,14 @@ from acsar_gym.links.faults import (
     TIME_TOLERANCE,
     line_hash,
 )
-from acsar_gym.physics.model import move_towards, round_printed, tyre_step, wheel_speed, whole_loops
+from acsar_gym.physics.model import (
+    motor_power,
+    move_towards,
+    round_printed,
+    tyre_step,
+    wheel_speed,
+    whole_loops,
+)
 from acsar_gym.protocol import MAX_SPEED
 from acsar_gym.safety.rules import (
     SafetyMemory,
@@ -331,6 +338,38 @@ def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None
         robots.theta[i] += rate * dt
 
 
+class Tyres(NamedTuple):
+    """The numbers of a `Physics` that `motor_power` needs."""
+
+    left_radius: float
+    right_radius: float
+    half_wheelbase: float
+    half_track: float
+    grip: float
+    slip_speed: float
+    kappa: float
+
+
+@jit
+def add_work(robots: Robots, count: int, period: float) -> None:
+    """Add the work of a tick, as `links.simulated.SimulatedLink`."""
+    own, wheels = robots.physics, robots.wheel_speed
+    for i in range(count):
+        sin, cos = sincos(robots.theta[i])
+        tyres = Tyres(
+            own.left_radius[i],
+            own.right_radius[i],
+            own.half_wheelbase[i],
+            own.half_track[i],
+            own.grip[i],
+            own.slip_speed[i],
+            own.kappa[i],
+        )
+        velocity = robots.vx[i], robots.vy[i], robots.rate[i]
+        speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
+        robots.work[i] += motor_power(cos, sin, velocity, speeds, (tyres,)) * period
+
+
 @jit
 def read_encoders(robots: Robots, counts: Floats, i: int, slot: int, ago: int, window: int) -> None:
     """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago."""
@@ -483,6 +522,8 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             slot = (slot + setup.loops) % slots
             if scans is not None:
                 check_contacts(robots, count, scans.around)
+            if setup.metered:
+                add_work(robots, count, setup.period)
             read_feedback(robots, counts, lines, count, slot, setup)
             if lines is not None:
                 for i in range(count):

@@ -102,6 +102,7 @@ class Episode:
     goal_distance: Number  # [m]
     odom_error: Number  # distance between the position and that by odometry [m]
     success: Number
+    work: Number  # mechanical work of the motors, where the batch is `metered` [J]
     scan_age: Number  # [s]
     scan_stale: Number
 
@@ -266,6 +267,7 @@ class Setup(NamedTuple):
     """Numbers of an observation that are the task's own; those of the sensors follow, those of map
     and LiDAR first."""
     first_ray: int  # place of the LiDAR's first number in an observation
+    metered: bool = False  # whether the work of the motors is measured
 
 
 class Spawns(NamedTuple):

@@ -1,83 +1,48 @@
-"""The statistics of Agarwal et al. 2021, against their library's tests, scipy and closed forms."""
+"""Scores, figures and comparisons of made-up cells, the table and the page."""
 
 from __future__ import annotations
 
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
-from benchmark_tools import cell, part
+from benchmark_tools import SET, cell, driven, plan
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from rich.console import Console
 from scipy import stats
 
-from acsar_gym.tools.benchmark import figures
-from acsar_gym.tools.benchmark.figures import interquartile_mean
-from acsar_gym.tools.evaluation.metrics import resample, row_means, stratified_interval
-
-X = np.array([[1.0, 2.0], [2.0, 2.0], [1.0, 1.0], [2.0, 1.0]])
-Y = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
-"""Scores (runs, tasks) of the unit tests of rliable, the paper's library."""
+from acsar_gym.tools.benchmark import figures, report
+from acsar_gym.tools.benchmark.cells import CellResult
+from acsar_gym.tools.benchmark.figures import (
+    Scoring,
+    interquartile_mean,
+    percentile_interval,
+    resample,
+    row_means,
+    score_episode,
+)
+from acsar_gym.tools.evaluation import metrics
+from acsar_gym.tools.evaluation.episodes import Episode
 
 shapes = st.tuples(st.integers(1, 5), st.integers(1, 9))
 matrices = shapes.flatmap(lambda shape: arrays(np.float64, shape, elements=st.integers(0, 4)))
 
 
-def test_published_values() -> None:
-    """As rliable's tests/rliable/metrics_test.py has them."""
-    assert interquartile_mean(X.ravel()) == 1.5
-    assert interquartile_mean(Y.ravel()) == 2.0
-    assert figures.probability_of_improvement(X, Y) == pytest.approx(1.0 / 3.0)
-
-
-@given(matrices)
-def test_the_interquartile_mean_is_a_trimmed_mean(scores: np.ndarray) -> None:
-    expected = stats.trim_mean(scores, 0.25, axis=None)
-    assert interquartile_mean(scores.ravel()) == pytest.approx(expected)
-
-
-@given(matrices, st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_the_probability_of_improvement_is_mann_whitneys(
-    x: np.ndarray, seeds: int, seed: int
-) -> None:
-    y = np.random.default_rng(seed).integers(0, 5, (seeds, x.shape[1])).astype(float)
-    expected = [
-        stats.mannwhitneyu(x[:, scene], y[:, scene]).statistic / (len(x) * seeds)
-        for scene in range(x.shape[1])
-    ]
-    found = figures.probability_of_improvement(x, y)
-    assert found == pytest.approx(np.mean(expected))
-    assert found + figures.probability_of_improvement(y, x) == pytest.approx(1.0)
-
-
-@given(matrices)
-def test_a_profile_falls_from_the_share_above_zero_to_none(scores: np.ndarray) -> None:
-    profile = figures.performance_profile(scores, (-1.0, 0.0, 1.0, 2.0, 4.0))
-    assert profile[0] == 1.0
-    assert profile[-1] == 0.0
-    assert profile == sorted(profile, reverse=True)
-    assert profile[1] == np.mean(scores > 0.0)
+def test_the_interquartile_mean_as_rliable_has_it() -> None:
+    assert interquartile_mean(np.array([1.0, 2.0, 2.0, 2.0, 1.0, 1.0, 2.0, 1.0])) == 1.5
+    assert interquartile_mean(np.array([1.0, 1.0, 2.0, 2.0, 3.0, 3.0])) == 2.0
 
 
 @given(matrices)
 def test_an_interval_lies_within_the_scores(scores: np.ndarray) -> None:
-    low, high = stratified_interval(scores, interquartile_mean, resamples=50)
+    low, high = percentile_interval(resample(scores, interquartile_mean, resamples=50))
     assert scores.min() - 1e-9 <= low <= high <= scores.max() + 1e-9
-    assert stratified_interval(scores, interquartile_mean, resamples=50) == (low, high)
-
-
-def test_seeds_that_differ_widen_the_interval_as_much_as_their_number_says() -> None:
-    """Two hundred scenes of one policy aren't two hundred policies."""
-    scores = np.repeat(np.array([[0.0], [1.0], [0.0], [1.0], [0.0], [1.0]]), 200, axis=1)
-    low, high = stratified_interval(scores, row_means)
-    assert high - low > 0.6
-
-
-def test_the_interval_of_an_improvement_holds_its_value() -> None:
-    rng = np.random.default_rng(1)
-    x, y = rng.normal(0.5, 1.0, (5, 60)), rng.normal(0.0, 1.0, (1, 60))
-    low, high = figures.improvement_interval(x, y)
-    assert 0.5 < low < figures.probability_of_improvement(x, y) < high < 1.0
-    assert figures.improvement_interval(x, np.full((1, 60), 99.0)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -110,18 +75,107 @@ def test_the_paired_p_is_that_of_a_paired_t_test_where_there_are_many_scenes() -
     assert figures.bootstrap_p(np.ones(2000), 200) == pytest.approx(2 / 2001)
 
 
-def test_pairs_are_of_the_same_scenes_though_a_benchmark_is_unfinished() -> None:
-    """The parts of two agents that finished first aren't those of the same scenes."""
-    parts = [
-        part(cell("ours"), (0.9, 0.8), first=0),
-        part(cell("ours"), (0.7, 0.0), first=4),
-        part(cell("floor"), (0.1, 0.1), first=2),
-        part(cell("floor"), (0.5, 0.5), first=4),
+KINDS = {"ours": "learned", "floor": "baseline", "other": "baseline"}
+GOOD, BAD = (0.9, 0.8, 0.95, 0.9), (0.5, 0.0, 0.4, 0.0)
+CELLS = [
+    driven(cell("ours", 0), GOOD),
+    driven(cell("ours", 1), (0.9, 0.85, 0.0, 0.9)),
+    driven(cell("floor"), BAD),
+    driven(cell("ours", 0, condition="dropped-5"), BAD),
+    CellResult(cell("other"), refused="other: needs a LiDAR"),
+]
+
+
+@pytest.fixture(scope="module")
+def result() -> dict[str, Any]:
+    made: dict[str, Any] = json.loads(json.dumps(figures.make_result(plan(**KINDS), CELLS)))
+    return made
+
+
+def row(result: dict[str, Any], agent: str, condition: str = "nominal") -> dict[str, Any]:
+    (own,) = (
+        row for row in result["rows"] if (row["agent"], row["condition"]) == (agent, condition)
+    )
+    return dict(own)
+
+
+def test_a_row_holds_all_training_seeds(result: dict[str, Any]) -> None:
+    ours = row(result, "ours")
+    assert (ours["training_seeds"], ours["episodes"]) == ([0, 1], 8)
+    assert ours["success_rate"] == 7 / 8
+    assert (ours["success_worst_seed"], ours["success_median_seed"]) == (0.75, 0.875)
+    assert ours["success_interval"] == list(metrics.wilson_interval(7, 8))
+    scores = np.array([GOOD, (0.9, 0.85, 0.0, 0.9)])
+    assert ours["score"] == pytest.approx(scores.mean())
+    assert ours["score_iqm"] == pytest.approx(interquartile_mean(scores.ravel()))
+    for name, statistic in (("score", row_means), ("score_iqm", interquartile_mean)):
+        interval = percentile_interval(resample(scores, statistic))
+        assert ours["intervals"][name] == pytest.approx(interval)
+
+
+def test_the_best_are_compared_and_a_refused_agent_has_no_figures(result: dict[str, Any]) -> None:
+    score, success = result["paired"]
+    assert (score["figure"], success["figure"]) == ("score", "success")
+    assert (score["agent"], score["over"], score["scene_count"]) == ("ours", "floor", 4)
+    assert score["values"] == pytest.approx([6.2 / 8, 0.225])
+    assert score["difference"] == pytest.approx(6.2 / 8 - 0.225)
+    assert row(result, "other")["refused"] == "other: needs a LiDAR"
+    assert "success_rate" not in row(result, "other")
+
+
+def test_each_figure_has_its_own_best_baseline() -> None:
+    """One succeeds always but slowly, one is fast but fails once."""
+    cells = [
+        driven(cell("ours"), (0.8, 0.8, 0.8, 0.0)),
+        driven(cell("slow"), (0.2, 0.2, 0.2, 0.2)),
+        driven(cell("fast"), (0.7, 0.7, 0.7, 0.0)),
     ]
-    rows = figures.group_rows(figures.group_cells(parts), {"ours": "learned", "floor": "baseline"})
-    score, success = figures.compare_with_best(rows)
-    assert score["scene_count"] == 2
-    assert score["values"] == pytest.approx([0.35, 0.5])
-    assert success["difference"] == -0.5
-    (improved,) = figures.compare_pairs(rows)
-    assert improved["probability"] == 0.5
+    made = figures.make_result(plan(ours="learned", slow="baseline", fast="baseline"), cells)
+    ours = {pair["figure"]: pair for pair in made["paired"] if pair["agent"] == "ours"}
+    assert (ours["success"]["over"], ours["success"]["difference"]) == ("slow", -0.25)
+    assert ours["score"]["over"] == "fast"
+    assert ours["score"]["difference"] == pytest.approx(0.075)
+
+
+def test_scores_of_the_ids() -> None:
+    ended = Episode(success=True, collision=False, started=1.0, ended=5.0, shortest=1.15)
+    goal = Scoring("completion_time", 0.5, 0.15)
+    assert score_episode(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
+    assert score_episode(replace(ended, ended=2.0), goal) == 1.0
+    assert score_episode(replace(ended, shortest=0.1), goal) == 0.0
+    assert score_episode(replace(ended, success=False), goal) == 0.0
+    assert score_episode(replace(ended, shortest=math.nan), goal) == 1.0
+    assert score_episode(ended, replace(goal, name="success")) == 1.0
+    follow = replace(goal, name="cross_track")
+    assert score_episode(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
+    assert score_episode(replace(ended, cross_track=0.3), follow) == 0.0
+    told = replace(ended, told={"laps": 3.0})
+    assert score_episode(told, replace(goal, name="laps")) == 3.0
+    assert score_episode(replace(told, success=False), replace(goal, name="laps")) == 0.0
+
+
+def test_the_table_says_it_all(result: dict[str, Any]) -> None:
+    console = Console(width=300)
+    with console.capture() as capture:
+        console.print(report.result_table(result))
+    text = capture.get()
+    for words in (
+        "87.5% (52.9 to 97.8), worst seed 75.0%",
+        "+37.5 points (-37.5 to +100.0) over floor, p 1.000",
+        "dropped-5",
+    ):
+        assert words in text
+    assert "nan" not in text.lower()
+    assert report.list_refusals(result) == ["other: needs a LiDAR"]
+
+
+def test_the_page_has_tables_plots_and_where_it_comes_from(
+    result: dict[str, Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("plotly")
+    path = tmp_path / "page.html"
+    report.write_benchmark_page(path, result)
+    html = path.read_text(encoding="utf-8")
+    sha256 = result["header"]["scenes"]["PointGoal-v0"][SET]["sha256"]
+    for words in ("score IQM", "other: needs a LiDAR", f"sha256 {sha256}", "Plotly.newPlot"):
+        assert words in html

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,29 +12,19 @@ from typing import Any
 import gymnasium
 import pytest
 
-from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
-from acsar_gym.tools.benchmark.figures import group_cells
-from acsar_gym.tools.benchmark.plan import CHUNK_SIZES, BenchmarkJob, BenchmarkPlan
+from acsar_gym.tools.benchmark.cells import CellResult, Store
+from acsar_gym.tools.benchmark.plan import BenchmarkJob, BenchmarkPlan
 from acsar_gym.tools.benchmark.scenes import SceneSet, find_sets
-from acsar_gym.tools.benchmark.store import Part, Store
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.worlds.pool import Pool
-from acsar_gym.worlds.search import footprint_radius, shortest_path
 
 ID = "acsar_gym/PointGoal-v0"
 SET = find_sets(ID)[0]
-BASELINES = {each.name: each for each in plan.baseline_agents([ID])}
-
-
-@pytest.fixture(autouse=True)
-def _no_env_is_kept() -> Iterator[None]:
-    yield
-    runner.close_kept_env()
+AGENTS_OF_ID = {agent.name: agent for agent in plan.choose_agents([], [ID], None, 1)}
 
 
 def set_named(name: str) -> SceneSet:
@@ -45,7 +34,7 @@ def set_named(name: str) -> SceneSet:
 
 def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
     """Two scenes of the open floor, planar."""
-    some = tuple(BASELINES[name] for name in names or ("turn_drive",))
+    some = tuple(AGENTS_OF_ID[name] for name in names or ("turn_drive",))
     return BenchmarkPlan(some, (SET,), **{"links": ("planar",), "count": 2, **changes})
 
 
@@ -54,77 +43,52 @@ def make_store(folder: Path) -> Store:
     return Store(folder)
 
 
-def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(tmp_path: Path) -> None:
-    (part,) = runner.run_plan(make_plan(), Store(tmp_path))
-    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
+@pytest.mark.parametrize("name", ["turn_drive", "packaged"])
+def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(name: str, tmp_path: Path) -> None:
+    (result,) = runner.run_plan(make_plan(name), Store(tmp_path))
+    agent = AGENTS_OF_ID[name]
+    policy = runs.load_policy(agent.policy, trust=False, env=agent.env)
     env = runs.make_env(policy, "planar", None, {})
-    results = list(run_episodes(env, policy, 2, SET.numbers[0]))
+    episodes = list(run_episodes(env, policy, 2, SET.numbers[0]))
     env.close()
-    assert [each.success for each in part.episodes] == [True, True]
-    for name in ("path", "energy"):
-        theirs = [getattr(each, name) for each in results]
-        assert [getattr(e, name) for e in part.episodes] == pytest.approx(theirs, rel=1e-5)
-    assert all(0.0 < each.score < 1.0 for each in part.episodes)
-
-
-def test_every_env_of_a_benchmark_is_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[Any] = []
-    closed: list[int] = []  # numbers, as envs close themselves when nothing names them
-    make, close = runs.make_env, RobotEnv.close
-
-    def make_and_note(*given: Any) -> Any:
-        made.append(env := make(*given))
-        return env
-
-    def close_and_note(env: RobotEnv) -> None:
-        closed.append(id(env))
-        close(env)
-
-    monkeypatch.setattr(runs, "make_env", make_and_note)
-    monkeypatch.setattr(RobotEnv, "close", close_and_note)
-    runner.run_plan(make_plan("turn_drive", "smooth"), Store(tmp_path))
-    assert len(made) == 2
-    assert all(id(env.unwrapped) in closed for env in made)
-    closed.clear()
-    policy = runs.load_policy("point_goal", trust=False)
-    with pytest.raises(PolicyError, match="rates") as error:
-        make(policy, "planar", None, {"policy_rate": 20.0})
-    assert len(closed) == 1
-    assert error.traceback  # which holds the env
+    assert [episode.success for episode in result.episodes] == [True, True]
+    for figure in ("path", "energy"):
+        theirs = [getattr(episode, figure) for episode in episodes]
+        ours = [getattr(episode, figure) for episode in result.episodes]
+        assert ours == pytest.approx(theirs, rel=1e-5)
+    assert all(0.0 < episode.score < 1.0 for episode in result.episodes)
 
 
 def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Finished parts aren't driven again, and the result is that of one run."""
-    monkeypatch.setitem(CHUNK_SIZES, "planar", 1)
-    whole = runner.run_plan(make_plan(count=3), make_store(tmp_path / "whole"))
-    drive, seen = runner.run_job, []
+    """Finished cells aren't driven again, and the result is that of one run."""
+    wanted = make_plan(conditions=("nominal", "feedback-30", "dropped-2"))
+    whole = runner.run_plan(wanted, make_store(tmp_path / "whole"))
+    drive, conditions = runner.run_job, []
 
-    def interrupted(job: BenchmarkJob) -> Part:
-        seen.append(job.first)
-        if len(seen) == 3:
+    def interrupted(job: BenchmarkJob) -> CellResult:
+        conditions.append(job.cell.condition)
+        if len(conditions) == 3:
             raise KeyboardInterrupt
         return drive(job)
 
     monkeypatch.setattr(runner, "run_job", interrupted)
     store = make_store(tmp_path / "cut")
     with pytest.raises(CancelledError, match="2 of 3") as caught:
-        runner.run_plan(make_plan(count=3), store)
+        runner.run_plan(wanted, store)
     assert caught.value.exit_code == 130
-    again = runner.run_plan(make_plan(count=3), store)
-    assert seen == [0, 1, 2, 2]
+    again = runner.run_plan(wanted, store)
+    assert conditions == ["nominal", "feedback-30", "dropped-2", "dropped-2"]
     assert untimed(again) == untimed(whole)
 
 
-def untimed(parts: list[Part]) -> str:
-    """The parts without their times."""
-    return repr([(part.cell, part.first, part.episodes) for part in parts])
+def untimed(results: list[CellResult]) -> str:
+    """The cells without their times."""
+    return repr([(result.cell, result.episodes) for result in results])
 
 
 def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
-    parts = runner.run_plan(make_plan("stanley", "turn_drive", count=1), Store(tmp_path))
-    refused, driven = group_cells(parts)
+    wanted = make_plan("pure_pursuit", "turn_drive", count=1)
+    refused, driven = runner.run_plan(wanted, Store(tmp_path))
     assert "needs a path" in refused.refused
     assert not refused.episodes
     assert len(driven.episodes) == 1
@@ -143,28 +107,18 @@ def test_a_refusal_names_no_folder_of_this_machine() -> None:
 def test_every_condition_can_be_driven(name: str) -> None:
     job = next(make_plan(conditions=(name,), count=1).jobs())
     (episode,) = runner.run_job(job).episodes
-    assert episode.scene == SET.numbers[0]
+    assert episode.seed == SET.numbers[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["clutter/husky", "clutter/jackal", "barn-fast", "barn-husky"])
 def test_other_robots_drive(name: str) -> None:
     some = set_named(name)
-    own = BenchmarkPlan(
-        tuple(plan.baseline_agents([f"acsar_gym/{some.id}"])), (some,), ("bullet",), count=1
-    )
-    job = next(job for job in own.jobs() if job.cell.agent == "dwa")
+    dwa = plan.choose_agents(["dwa"], [f"acsar_gym/{some.id}"], None, 1)
+    job = next(BenchmarkPlan(tuple(dwa), (some,), ("bullet",), count=1).jobs())
     (episode,) = runner.run_job(job).episodes
     if some.score == "barn_score":
-        assert episode.score == pytest.approx(episode.barn_score)
-
-
-def test_worlds_of_a_husky_can_be_made() -> None:
-    some = set_named("barn-husky")
-    radius = footprint_radius(some.config)
-    options = plan.CONDITIONS["nominal"].options(some, some.config)
-    world = Pool.of("barn:100000-100001", options["difficulty"], radius)[100_000]
-    assert len(shortest_path(world, radius)) >= 2
+        assert episode.score == pytest.approx(episode.told["barn_score"])
 
 
 def test_randomization_is_refused_behind_the_port() -> None:
@@ -193,7 +147,7 @@ def test_a_fault_of_this_machine_is_no_refusal(
 def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
-    own = BenchmarkPlan((plan.submitted_agent(f"{file}:act"),), (SET,), ("planar",), count=1)
+    own = BenchmarkPlan(tuple(plan.given_agents(f"{file}:act", [ID])), (SET,), ("planar",), count=1)
     store = make_store(tmp_path / "out")
     with pytest.raises(PolicyError, match="act"):
         runner.run_plan(own, store)
@@ -204,7 +158,7 @@ def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
     """Another machine has no such file."""
     file = tmp_path / "mine.onnx"
     shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
-    own = BenchmarkPlan((plan.submitted_agent(str(file)),), (SET,), ("planar",), count=1)
+    own = BenchmarkPlan(tuple(plan.given_agents(str(file), [ID])), (SET,), ("planar",), count=1)
     job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
     file.unlink()
     part = runner.run_job(job)
@@ -214,7 +168,7 @@ def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_several_processes_find_the_same(tmp_path: Path) -> None:
-    own = make_plan("turn_drive", "smooth")
+    own = make_plan("turn_drive", "packaged")
     one = runner.run_plan(own, make_store(tmp_path / "one"))
     both = runner.run_plan(own, make_store(tmp_path / "two"), workers=2)
     assert untimed(one) == untimed(both)
@@ -225,8 +179,8 @@ def test_several_processes_find_the_same(tmp_path: Path) -> None:
 def test_over_an_emulated_port(scenes: str, name: str) -> None:
     """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""
     some = set_named(scenes)
-    (own,) = (e for e in plan.baseline_agents([f"acsar_gym/{some.id}"]) if e.name == name)
-    job = next(BenchmarkPlan((own,), (some,), ("port",), port_count=1).jobs())
+    agents = plan.choose_agents([name], [f"acsar_gym/{some.id}"], None, 1)
+    job = next(BenchmarkPlan(tuple(agents), (some,), ("port",), port_count=1).jobs())
     (episode,) = runner.run_job(job).episodes
     assert episode.success
     assert episode.driven == pytest.approx(episode.path, rel=0.05)
@@ -298,10 +252,10 @@ def test_planners_of_ones_own_drive_beside_packaged_ones(
         ]
     )
     some = [each for each in found if each.name in ("Planner", "packaged") and each.env == ID]
-    parts = runner.run_plan(
+    cells = runner.run_plan(
         BenchmarkPlan(tuple(some), (SET,), ("planar",), count=2), make_store(tmp_path / "out")
     )
-    assert [(part.cell.agent, len(part.episodes)) for part in parts] == [
+    assert [(result.cell.agent, len(result.episodes)) for result in cells] == [
         ("packaged", 2),
         ("Planner", 2),
     ]

@@ -12,7 +12,7 @@ from urdf_tools import link, robot, tyre, wheel
 from zip_tools import save
 
 from acsar_gym import RobotConfig
-from acsar_gym.tools.jobs import cluster
+from acsar_gym.tools import jobs
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -130,11 +130,8 @@ ERRORS = [
     ("benchmark --env barn --sets barn-fst", 2, "did you mean 'barn-fast'?"),
     ("benchmark --scenes 1001", 2, "1,001"),
     ("benchmark --trained nowhere", 2, "NAME/SEED/policy.onnx"),
-    ("benchmark --policy nowhere.onnx", 2, "nowhere.onnx"),
-    ("benchmark --policy barn --agents dwa", 2, "--policy: "),
-    ("benchmark --combine nowhere", 2, "nowhere/plan.json: "),
-    ("benchmark --check nowhere.json", 2, "nowhere.json: "),
-    ("benchmark --table nowhere/table.md", 2, "nowhere/table.md: "),
+    ("benchmark --agents nowhere.onnx", 2, "nowhere.onnx"),
+    ("benchmark --html nowhere/page.html", 2, "nowhere/page.html: "),
     ("benchmark --out /proc/nowhere", 2, "/proc/nowhere: "),
     ("benchmark --env point_goal --agents packaged --workers 0", 2, "--workers 0"),
     ("identify", 2, "identify needs"),
@@ -212,7 +209,7 @@ def test_a_bad_value_is_one_line_and_an_exit_code(
     line: str, status: int, said: str, folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(cluster, "CLUSTER_TIMEOUT", 0.1)
+    monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.1)
     code, _, error = call(*line.split())
     assert code == status, error
     assert_one_line(error, said)

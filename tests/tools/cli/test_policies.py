@@ -14,7 +14,7 @@ from cli_tools import Call, assert_one_line
 from acsar_gym.errors import BoardSilentError, EmergencyStopError
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.evaluation.episodes import EpisodeResult
+from acsar_gym.tools.evaluation.episodes import Episode
 
 EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 
@@ -104,7 +104,7 @@ def test_invalid_episodes_have_an_exit_code(
 ) -> None:
     whole = evaluation.run_episodes
 
-    def episodes(*arguments: Any, **options: Any) -> Iterator[EpisodeResult]:
+    def episodes(*arguments: Any, **options: Any) -> Iterator[Episode]:
         for result in whole(*arguments, **options):
             yield dataclasses.replace(result, valid=False, success=success)
 

@@ -15,7 +15,7 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.evaluation.episodes import EpisodeResult, odometry_errors, run_episodes
+from acsar_gym.tools.evaluation.episodes import Episode, odometry_errors, run_episodes
 from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
 from acsar_gym.tools.evaluation.report import summary_table
 
@@ -30,7 +30,7 @@ def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
         {"t": 99.0, "pose": [0.0, 0.0, 0.0]},
     ]
     log.write_text("\n".join(map(json.dumps, events)))
-    ended = EpisodeResult(True, False, 10.0, 14.0, 1.5, (1.0, 0.0, 0.0), 0.02, 400, 0)
+    ended = Episode(success=True, collision=False, started=10.0, ended=14.0, pose=(1.0, 0.0, 0.0))
     assert odometry_errors([ended], log) == pytest.approx([0.03])
     log.write_text('{"t": 1.0, "rx": ""}\n')
     with pytest.raises(ConfigError, match="log"):
@@ -58,7 +58,7 @@ def slow(_: Any) -> Any:
     return CURVE
 
 
-def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> EpisodeResult:
+def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> Episode:
     """One short episode of a robot that has a busy machine's patience."""
     robot = RobotConfig.preset("acsar").with_(
         connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=None
@@ -71,7 +71,7 @@ def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> EpisodeResu
     return episode
 
 
-def as_json(episode: EpisodeResult) -> dict[str, Any]:
+def as_json(episode: Episode) -> dict[str, Any]:
     """The episode as strict JSON has it: without NaN."""
     (read,) = json.loads(json.dumps(describe_episodes([episode]), allow_nan=False))
     assert isinstance(read, dict)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from acsar_gym.envs import PointGoalEnv
@@ -38,3 +40,16 @@ def test_a_pipe_is_as_wide_as_columns_says(
         monkeypatch.setenv("COLUMNS", columns)
     report.print_tables(report.fact_table("facts", [("long", "word " * 100)]))
     assert max(map(len, capsys.readouterr().out.splitlines())) == width
+
+
+def test_the_page_of_an_evaluation(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    env = PointGoalEnv("planar")
+    driven = list(evaluation.run_episodes(env, OnnxPolicy("point_goal"), 2, 0))
+    env.close()
+    path = tmp_path / "page.html"
+    summary = metrics.summarise_episodes(driven)
+    report.write_evaluation_page(path, "two episodes", "planar", summary, driven)
+    html = path.read_text(encoding="utf-8")
+    assert "2/2 (100.0%)" in html
+    assert "<td>success_rate</td><td>1</td><td>0.3424</td><td>1</td>" in html

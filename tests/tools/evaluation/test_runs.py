@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import pickle
 import re
 from importlib import metadata
 from pathlib import Path
@@ -14,13 +15,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import provenance, runs
-from acsar_gym.tools.evaluation.runs import EvaluationRun
+from acsar_gym.tools.evaluation.runs import EvaluationRun, PortablePolicy
+from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.tools.policies.policy import PolicyContext
-from acsar_gym.worlds import Region, World
+from acsar_gym.worlds import Region, World, files
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 
@@ -162,3 +164,100 @@ def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
     runs.evaluate_policy(policy, "planar", None, range(2))
     told = [key for key, _ in itertools.groupby(policy.told)]
     assert told == ["bound to a step of 0.1 s", *["reset", "called"] * 2]
+
+
+ACT = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
+
+
+@pytest.fixture
+def policy(tmp_path: Path) -> FilePolicy:
+    file = tmp_path / "mine.py"
+    file.write_text(ACT, encoding="utf-8")
+    return runs.load_policy(f"{file}:act", trust=False, env="obstacle_goal")
+
+
+def both(policy: FilePolicy, count: int, **options: Any) -> list[EvaluationRun]:
+    """The same evaluation in one process and in two."""
+    seeds = range(5, 5 + count)
+    return [
+        runs.evaluate_policy(policy, "planar", None, seeds, workers=workers, **options)
+        for workers in (1, 2)
+    ]
+
+
+@pytest.mark.parametrize("started", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_two_processes_give_the_results_of_one(
+    policy: FilePolicy, monkeypatch: pytest.MonkeyPatch, started: bool
+) -> None:
+    """Where they aren't started, the jobs are pickled all the same."""
+
+    def here(function: Any, jobs: list[Any], **_: Any) -> Any:
+        return completed(function, [pickle.loads(pickle.dumps(job)) for job in jobs])  # noqa: S301
+
+    if not started:
+        monkeypatch.setattr(runs, "completed", here)
+    one, two = both(policy, 4, worlds="open", difficulty=0.3)
+    assert repr(one.results) == repr(two.results)
+    assert one.worlds == two.worlds
+    assert [done.header.pop("workers") for done in (one, two)] == [1, 2]
+    assert json.dumps(one.as_dict()) == json.dumps(two.as_dict())
+
+
+def test_worlds_of_a_file_are_sent_and_keep_their_order(
+    policy: FilePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[Any] = []
+
+    def noticed(function: Any, jobs: list[Any], **_: Any) -> Any:
+        sent.extend(jobs)
+        return completed(function, jobs)
+
+    monkeypatch.setattr(runs, "completed", noticed)
+    folder = tmp_path / "worlds"
+    folder.mkdir()
+    for number in range(3):
+        files.save_world(World(goal=Region(0.8 + 0.1 * number, 0.3)), folder / f"{number}.json")
+    one, two = both(policy, 3, worlds=str(folder), how={"in_order": True})
+    assert [result.world for result in two.results] == [0, 1, 2]
+    assert all(isinstance(world, World) for job in sent for world in job.options["worlds"])
+    assert repr(one.results) == repr(two.results)
+
+
+def test_one_robot_has_one_process(policy: FilePolicy) -> None:
+    with pytest.raises(ConfigError, match="--link"):
+        runs.evaluate_policy(policy, "socket://robot:9000", None, range(4), workers=2)
+    with pytest.raises(ConfigError, match="--record"):
+        runs.evaluate_policy(policy, "planar", None, range(4), workers=2, record=object())
+
+
+def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(
+    policy: FilePolicy,
+) -> None:
+    sent = PortablePolicy.of(policy)
+    policy.path.write_text("raise SystemExit('never run')", encoding="utf-8")
+    loaded = sent.load()
+    assert loaded.sha256 == policy.sha256
+    assert loaded.path != policy.path
+    assert (loaded.env_id, loaded.function) == (policy.env_id, "act")
+    with pytest.raises(PolicyError, match=str(policy.path)):
+        PortablePolicy.of(policy)  # it changed after it was loaded
+
+
+@pytest.mark.parametrize(
+    ("link", "count", "workers", "sizes"),
+    [
+        ("bullet", 3, 2, [1, 1, 1]),
+        ("bullet", 80, 2, [10] * 8),
+        ("bullet", 41, 2, [5] * 8 + [1]),
+        ("bullet", 25, None, [10, 10, 5]),
+        ("planar", 400, 2, [50] * 8),
+    ],
+)
+def test_shards_are_small_enough_for_every_worker(
+    link: str, count: int, workers: int | None, sizes: list[int], policy: FilePolicy
+) -> None:
+    seeds = range(100, 100 + count)
+    shards = runs._split_evaluation(policy, link, None, seeds, {}, workers, {})
+    assert [len(shard.seeds) for shard in shards] == sizes
+    assert [seed for shard in shards for seed in shard.seeds] == list(seeds)
+    assert [shard.skip for shard in shards] == [shard.seeds[0] - 100 for shard in shards]

@@ -17,9 +17,9 @@ import pytest
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools import cli
 from acsar_gym.tools.benchmark import plan
+from acsar_gym.tools.benchmark.cells import Store
 from acsar_gym.tools.benchmark.runner import run_plan
 from acsar_gym.tools.benchmark.scenes import find_sets
-from acsar_gym.tools.benchmark.store import Store
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 
@@ -174,11 +174,13 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     sys.modules.pop(name, None)
 
 
-@pytest.mark.parametrize("kind", ["module", "file", "object"])
+@pytest.mark.parametrize(
+    ("kind", "runner"),
+    [*itertools.product(["module", "file"], ["evaluate", "benchmark"]), ("object", "evaluate")],
+)
 @pytest.mark.parametrize(
     ("source", "name"), [(PLANNER, "Planner"), (PLANNER, "made"), (BASELINE, "Mine")]
 )
-@pytest.mark.parametrize("runner", ["evaluate", "benchmark"])
 def test_a_class_is_bound_once_and_reset_before_every_episode(
     source: str, name: str, kind: str, runner: str, module: str, tmp_path: Path
 ) -> None:
@@ -193,12 +195,12 @@ def test_a_class_is_bound_once_and_reset_before_every_episode(
         loaded = runs.load_policy(policy, trust=False, env="point_goal")
         runs.evaluate_policy(loaded, "planar", None, range(2))
     else:
-        agent = plan.submitted_agent(policy, "acsar_gym/PointGoal-v0")
+        (agent,) = plan.given_agents(policy, ["acsar_gym/PointGoal-v0"])
         some = find_sets("acsar_gym/PointGoal-v0")[0]
-        (part,) = run_plan(
+        (result,) = run_plan(
             plan.BenchmarkPlan((agent,), (some,), ("planar",), count=2), Store(tmp_path)
         )
-        assert len(part.episodes) == 2
+        assert len(result.episodes) == 2
     assert told_by(held) == CONTRACT
 
 

@@ -41,7 +41,7 @@ def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
     assert score.collision_rate == pytest.approx(np.mean([r.collision for r in results]))
     assert 0.0 < score.collision_rate < 1.0
     ticks = np.mean([r.ticks for r in results])
-    assert score.mean_length == pytest.approx(ticks / 10.0)
+    assert score.length == pytest.approx(ticks / 10.0)
 
 
 def test_every_robot_counts_once_and_always_the_same() -> None:
@@ -50,10 +50,10 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
     batch = PointGoalVectorEnv(16, **options, threads=1)
     scores = [held_out.evaluate_held_out(batch, towards) for _ in range(2)]
     batch.close()
-    assert scores[0] == scores[1]
+    assert repr(scores[0]) == repr(scores[1])
     assert 0.0 < scores[0].success_rate < 1.0
     assert scores[0].success_rate * 16 == round(scores[0].success_rate * 16)
-    assert scores[0].mean_length < 30.0
+    assert scores[0].length < 30.0
 
 
 @pytest.mark.parametrize(

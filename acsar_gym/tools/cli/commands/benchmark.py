@@ -1,4 +1,4 @@
-"""The command `benchmark`: agents compared over fixed scenes, and checks of submissions."""
+"""The command `benchmark`: agents compared over fixed scenes."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Annotated
 
 import tyro
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.reading import describe_origin
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import File, Force, check_writable
+from acsar_gym.tools.cli.options import PageOptions, print_results, say
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
-Folders = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FOLDER [FOLDER ...]")]
+RESULT_FILE = "benchmark.json"
 
 
 @dataclass(frozen=True)
@@ -51,86 +51,63 @@ class BenchmarkChoice:
 
 
 @dataclass(frozen=True)
-class BenchmarkOutputs:
+class BenchmarkOutputs(PageOptions):
     """Where it runs, and what it writes."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
-    """Folder of results, table and JSON."""
+    """Folder of the finished cells, and of the result as benchmark.json."""
     resume: bool = True
-    """Go on where the folder's benchmark ended; --no-resume begins anew."""
+    """Keep the finished cells of the folder's benchmark; --no-resume begins anew."""
     workers: int | None = None
     """Processes at a time; default: 1, on a cluster one per CPU."""
     address: str | None = None
     """Ray cluster: auto, local, host:port or ray://host:port."""
-    table: File = None
-    """Also write the Markdown tables to this file."""
-    json: File = None
-    """Also write the JSON to this file."""
-    html: File = None
-    """Also write an HTML report."""
-    force: Force = False
 
 
 @command("benchmark", "policies")
-def run_benchmark(
-    what: BenchmarkChoice,
-    how: BenchmarkOutputs,
-    policy: str = "",
-    combine: Folders = (),
-    check: File = None,
-) -> int:
+def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     """Compare agents over fixed scenes: success, scores and intervals.
 
-    Ctrl-C keeps what is finished; the same command goes on.
+    Ctrl-C keeps the cells that are finished; the same command drives the others.
 
     Args:
         what: ids, agents, links, scenes and conditions.
         how: folder, processes and output.
-        policy: benchmark this policy alone: an ONNX file, or a function or class such as
-            mine.py:act or mine.module:Planner.
-        combine: write tables from these folders; runs nothing.
-        check: check such a row of --policy, and run nothing.
     """
     from acsar_gym.registration import IDS  # noqa: PLC0415
-    from acsar_gym.tools.benchmark import plan, result, scenes  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import cells, figures, plan, runner, scenes  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import report as benchmark_report  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     ids = list(dict.fromkeys(plan.find_env(name) for name in what.env))
-    if check is not None:
-        print(result.check_row(check))
-        return 0
-    check_writable(how.json, how.html, force=how.force)
-    check_writable(how.table, force=how.force, mark=result.TABLE_MARK)
-    if policy and (what.agents or what.trained or combine):
-        raise ConfigError(
-            "--policy: benchmarks one policy; leave out --agents, --trained, --combine"
-        )
-    if policy and len(ids) > 1:
-        raise ConfigError("--policy: drives one --env")
+    ids = ids or [f"{scenes.OWN_NAMESPACE}{name}" for name in IDS]
+    how.check()
     report.make_folder(how.out)
-    if combine:
-        told = result.make_result(*result.combine_folders(combine))
-    else:
-        named = tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions))
-        if policy:
-            found = [plan.submitted_agent(policy, *ids)]
-            ids = [found[0].env]
-        else:
-            ids = ids or [f"{scenes.OWN_NAMESPACE}{name}" for name in IDS]
-            found = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
-        every = [some for env_id in ids for some in scenes.find_sets(env_id, what.robots)]
-        sets = scenes.choose_sets(every, what.sets)
-        if what.barn is not None:
-            sets += scenes.published_sets(sets, what.barn)
-        told = result.run_benchmark(
-            plan.BenchmarkPlan(
-                *(tuple(found), tuple(sets), what.links, named, what.scenes, what.port_scenes)
-            ),
-            how.out,
-            workers=how.workers,
-            address=how.address,
-            resume=how.resume,
-            submit=bool(policy),
-        )
-    result.write_outputs(told, how.out, how.table, how.json, how.html)
+    agents = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
+    sets = scenes.choose_sets(
+        [some for env_id in ids for some in scenes.find_sets(env_id, what.robots)], what.sets
+    )
+    if what.barn is not None:
+        sets += scenes.published_sets(sets, what.barn)
+    driven = {agent.id for agent in agents}
+    asked = plan.BenchmarkPlan(
+        tuple(agents),
+        tuple(some for some in sets if some.id in driven),
+        what.links,
+        tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions)),
+        what.scenes,
+        what.port_scenes,
+    )
+    store = cells.Store(how.out)
+    if not how.resume:
+        store.clear()
+    finished = runner.run_plan(asked, store, workers=how.workers, address=how.address)
+    result = figures.make_result(asked.as_dict(), finished)
+    for path in (how.out / RESULT_FILE, how.json):
+        report.write_json(path, {"origin": describe_origin(), **result}, indent=None)
+    if how.html is not None:
+        benchmark_report.write_benchmark_page(how.html, result)
+    print_results(benchmark_report.result_table(result))
+    for refusal in benchmark_report.list_refusals(result):
+        say(refusal)
     return 0

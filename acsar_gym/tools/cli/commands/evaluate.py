@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,12 +10,12 @@ import tyro
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LateTicksError, LinkError
-from acsar_gym.reading import check_replaceable
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
     HostOptions,
     LidarArg,
+    PageOptions,
     RecordOptions,
     ResultOptions,
     RobotArg,
@@ -28,7 +27,6 @@ from acsar_gym.tools.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.evaluation.episodes import EpisodeResult
     from acsar_gym.tools.evaluation.runs import EvaluationRun
 
 
@@ -82,34 +80,6 @@ class EpisodeOptions:
 
 
 @dataclass(frozen=True)
-class VideoOptions:
-    """Videos of episodes."""
-
-    video: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|FILE.mp4")] = None
-    """Write a video and a picture of each of the worst episodes into this folder; or all of them
-    as one video, and the pictures beside it."""
-    video_episodes: int = 10
-    """Most episodes of --video, the worst first; 0: all."""
-
-    def prepare(self, *, force: bool) -> None:
-        """Check before the episodes that --video can be written, and replaces no other file."""
-        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
-
-        if self.video is not None:
-            pictures.check_video_output(self.video)
-            check_replaceable(self.video, mark="", force=force)
-
-    def write(self, results: Sequence[EpisodeResult]) -> None:
-        """Write the worst of these episodes, and say where."""
-        from acsar_gym.tools.evaluation import pictures  # noqa: PLC0415
-
-        if self.video is not None:
-            chosen = pictures.worst_episodes(results, self.video_episodes or None)
-            for path in pictures.write_videos(chosen, self.video):
-                say(f"written: {path}")
-
-
-@dataclass(frozen=True)
 class ScaleOptions:
     """Parallel processes, and other machines."""
 
@@ -127,8 +97,7 @@ def evaluate_policy(
     host: HostOptions,
     scale: ScaleOptions,
     episodes: EpisodeOptions,
-    video: VideoOptions,
-    output: ResultOptions,
+    output: PageOptions,
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
 
@@ -139,17 +108,15 @@ def evaluate_policy(
         host: process priority and cores; whether the emergency stop may be missing.
         scale: parallel processes, and other machines.
         episodes: the episodes.
-        video: videos of the worst episodes.
-        output: results in a file.
+        output: results in files.
     """
-    from acsar_gym.tools.evaluation import runs, shards  # noqa: PLC0415
+    from acsar_gym.tools.evaluation import report, runs  # noqa: PLC0415
 
     output.check()
-    video.prepare(force=output.force)
     host.prepare(robot.link)
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
-    done = shards.evaluate_in_parallel(
+    done = runs.evaluate_policy(
         loaded,
         robot.link,
         robot.robot,
@@ -160,14 +127,12 @@ def evaluate_policy(
         worlds=worlds.place(worlds.worlds),
         difficulty=worlds.difficulty,
         lidar=robot.lidar,
-        tracked=video.video is not None,
         record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),
     )
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
-    try:
-        return _report_run(title, robot.link, done, output.json)
-    finally:
-        video.write(done.results)
+    if output.html is not None and done.results:
+        report.write_evaluation_page(output.html, title, robot.link, done.summary, done.results)
+    return _report_run(title, robot.link, done, output.json)
 
 
 @command("run", "policies", drives=True)
@@ -231,8 +196,6 @@ def _report_run(
     tables = []
     if done.results:
         tables.append(report.summary_table(title, [(link, done.summary)], done.notes))
-    if done.results and not to_goal:
-        tables.append(report.interval_table(title, done.summary))
     print_results(*tables, json=json, data=done.as_dict())
     if done.ended is not None:
         raise done.ended

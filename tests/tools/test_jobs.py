@@ -1,0 +1,129 @@
+"""Jobs in processes of this machine; tests/scale has the clusters."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from job_tools import Job, broken, missing, square, threads
+
+from acsar_gym.errors import ClusterError, JobError, MissingExtraError
+from acsar_gym.tools import jobs
+from acsar_gym.tools.jobs import completed
+
+pytestmark = pytest.mark.xdist_group(__name__)
+TESTS = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _workers_find_the_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS), str(TESTS.parent)]))
+
+
+def test_one_worker_is_this_process(tmp_path: Path) -> None:
+    assert list(completed(square, [Job(n, tmp_path) for n in range(3)])) == [(0, 0), (1, 1), (2, 4)]
+    started = {path.name.rpartition("-")[2] for path in tmp_path.glob("start-*")}
+    assert started == {str(os.getpid())}
+
+
+def test_no_jobs_start_no_process() -> None:
+    assert not list(completed(square, [], workers=2))
+    assert not list(completed(square, [], address="nowhere:1"))
+
+
+def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
+    """The first job waits for the last one, which another process runs."""
+    waiting = Job(0, tmp_path, waits=tmp_path / "end-4")
+    results = list(
+        completed(square, [waiting, *(Job(n, tmp_path) for n in range(1, 5))], workers=2)
+    )
+    assert results[-1] == (0, 0)
+    assert sorted(results) == [(n, n**2) for n in range(5)]
+
+
+def test_a_job_that_ends_its_process_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="a process that ran a job ended") as error:
+        list(completed(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_this_package_arrives_as_it_is(workers: int) -> None:
+    with pytest.raises(MissingExtraError, match=re.escape("pip install 'acsar_gym[scale]'")):
+        list(completed(missing, [1, 2], workers=workers))
+
+
+def test_another_error_names_the_job_and_the_line() -> None:
+    with pytest.raises(JobError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
+        list(completed(broken, [5, 5], workers=2))
+
+
+def test_processes_leave_each_other_the_cores() -> None:
+    assert dict(completed(threads, ["NUMBA_NUM_THREADS"] * 2, workers=2)) == {0: "1", 1: "1"}
+
+
+INTERRUPTED = """
+import sys
+from pathlib import Path
+from job_tools import Job, square
+from acsar_gym.tools.jobs import completed
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    jobs = [Job(number, folder, waits=folder / "never") for number in range(3)]
+    try:
+        list(completed(square, jobs, workers=2))
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+"""
+
+
+def test_ctrl_c_ends_all_processes_and_says_nothing(tmp_path: Path) -> None:
+    """As on a terminal, where it reaches them all."""
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED, encoding="utf-8")
+    running = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while len(started := list(tmp_path.glob("start-*"))) < 2:
+        assert running.poll() is None
+        time.sleep(0.05)
+    os.killpg(running.pid, signal.SIGINT)
+    out, error = running.communicate(timeout=60.0)
+    assert (out, error) == ("interrupted\n", "")
+    for path in started:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(path.name.rpartition("-")[2]), 0)
+
+
+@pytest.mark.parametrize("kind", ["", "ray://"])
+def test_an_address_that_doesnt_answer_is_one_error(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing listens there, or a program that isn't Ray."""
+    pytest.importorskip("ray")
+    monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        host = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ClusterError, match=f"--address '{kind}{host}': doesn't answer"):
+            list(completed(threads, [""], address=f"{kind}{host}"))
+    monkeypatch.setenv("RAY_ADDRESS", f"{kind}{host}")
+    with pytest.raises(ClusterError, match="'auto': doesn't answer: start a cluster"):
+        list(completed(threads, [""], address="auto"))
+
+
+def test_without_ray_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'acsar_gym\[scale\]'"):
+        list(completed(threads, [""], address="auto"))
