@@ -160,7 +160,7 @@ def test_the_images_install_extras_that_there_are() -> None:
     asked = set(extras.removeprefix("EXTRAS=").split(","))
     installed = [said for name, said in instructions() if name == "RUN" and "pip install" in said]
     assert [re.findall(r"\[(.+)\]", line)[0] for line in installed] == ["$EXTRAS", "all"]
-    assert {"deploy", "dashboard"} <= asked <= set(project["optional-dependencies"])
+    assert {"deploy"} <= asked <= set(project["optional-dependencies"])
 
 
 @pytest.mark.slow

@@ -239,7 +239,7 @@ sys.argv = ["acsar-gym", *sys.argv[1:]]
 try:
     app.main()
 finally:
-    found = {"torch", "ray", "dash", "pybullet", "numba"} & set(sys.modules)
+    found = {"torch", "ray", "rerun", "pybullet", "numba"} & set(sys.modules)
     print(*sorted(found), file=sys.stderr)
 """
 
