@@ -15,7 +15,7 @@ from acsar_gym.tools.evaluation.episodes import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.training.plan import TrainingOptions, require_training
-from acsar_gym.tools.warm_up import show_compilation, warm_env
+from acsar_gym.tools.warm_up import warm_env
 
 
 def run_demo(
@@ -30,13 +30,13 @@ def run_demo(
         MissingExtraError: a library is missing; checked before the training starts.
         SystemExit: a signal ended the training.
     """
-    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy"), ("numba", "fast")):
+    for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
     require_training()
     console, log = report.SafeConsole(), out / "emulator.jsonl"
     console.rule("1. train PPO on simulated robots", align="left")
-    with show_compilation(console):
+    with console.status("compiling, once after each installation: a minute"):
         warm_env("point_goal")
     policy_file = train_demo_policy(steps, out)
     policy = OnnxPolicy(policy_file)
