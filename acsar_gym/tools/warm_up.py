@@ -34,16 +34,7 @@ class WarmUp(NamedTuple):
 def warm_env(
     name: str, robot: RobotConfig | str | Path | None = None, options: Mapping[str, Any] = {}
 ) -> WarmUp:
-    """Reset and step an env and a batch of one id once.
-
-    Args:
-        name: such as "point_goal" or "mine.module:mine/Clearance-v0".
-        robot: preset or config file.
-        options: of the env, such as worlds.
-
-    Raises:
-        ConfigError: there is no such env.
-    """
+    """Reset and step an env and a batch of one id once."""
     before, begin = len(compiled.NEWLY_COMPILED), time.perf_counter()
     level = compiled.LOG.level
     compiled.LOG.setLevel(logging.ERROR)  # no warning that compiling takes a minute

@@ -82,14 +82,6 @@ def test_keys(keys: str, twist: tuple[float, float]) -> None:
     assert asked.twist(3.1) == twist
 
 
-def test_arrows_are_keys_too() -> None:
-    for arrow, letter in zip(("UP", "DOWN", "LEFT", "RIGHT"), "wsad", strict=True):
-        one, other = teleop.DriveKeys(), teleop.DriveKeys()
-        one.press(f"KEY_{arrow}", 0.0)
-        other.press(letter, 0.0)
-        assert one.twist(0.1) == other.twist(0.1) != (0.0, 0.0)
-
-
 def test_a_key_drives_until_its_time_is_over_or_it_comes_again() -> None:
     keys = teleop.DriveKeys()
     assert keys.twist(0.0) == (0.0, 0.0)

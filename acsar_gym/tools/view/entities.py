@@ -85,7 +85,8 @@ class EpisodeLogger:
             self._begun = True
             self._log_beginning(block)
         self._log_ticks(block)
-        self._log_scans(block)
+        if not self._is_other:
+            self._log_scans(block)
         self._send_text(sorted(self._list_lines(block)))
 
     def log_text(self, time: float, text: str, level: str = "INFO") -> None:

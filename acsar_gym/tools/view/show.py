@@ -20,6 +20,7 @@ from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
 from acsar_gym.recording.types import Floats
+from acsar_gym.streams import print_error
 from acsar_gym.tools.view.entities import (
     APPLICATION,
     TIMELINE,
@@ -191,6 +192,7 @@ class Show:
         self._camera: Camera | None = None
         self._partner: list[Block] = []
         self._end = self._shift = 0.0
+        self._has_ended = False
 
     def update(self) -> None:
         """Write what the recording has that wasn't written yet."""
@@ -207,6 +209,16 @@ class Show:
                 self._camera.log(block)
             if self._partner:
                 self._log_gap(block)
+        if self._tail.is_complete:
+            self._log_end()
+
+    def _log_end(self) -> None:
+        """Write how the recording has ended, once."""
+        if self._stream is not None and not self._has_ended:
+            self._has_ended = True
+            text = self._tail.describe_end()
+            level = "INFO" if text == "the recording ends" else "WARN"
+            self._logger.log_text(self._end, text, level)
 
     def _log_gap(self, block: Block) -> None:
         for name, times, distances in measure_gap(block, self._partner, self._shift):
@@ -219,12 +231,13 @@ class Show:
         self._number, self._end = block.episode, 0.0
         self._seeds.append(read_seed(block))
         key = number_seeds(self._seeds)[-1]
-        self._partner = []
+        self._partner, problem = [], ""
         try:
             if overlay is not None:
                 self._partner = overlay.find_partner(key, block)
         except ConfigError as error:
-            self.problems.append(str(error))
+            problem = str(error)
+            self.problems.append(problem)
         self._stream = stream = rr.RecordingStream(APPLICATION)
         self._connect(stream)
         self.count += 1
@@ -234,6 +247,8 @@ class Show:
         gap = bool(self._partner)
         stream.send_blueprint(make_blueprint(block, live=self._live, camera=camera, gap=gap))
         self._logger = EpisodeLogger(stream, "run", tail.config, tail.header)
+        if problem:
+            self._logger.log_text(0.0, problem, "WARN")
         self._camera = Camera(stream, tail.config, tail.header, block) if camera else None
         if overlay is not None and self._partner:
             stamps = _list_places(self._partner, "odometry")[0]
@@ -253,11 +268,8 @@ class Show:
         self._camera = self._stream = None
 
     def close(self) -> None:
-        """Write how the recording ended, and send all of it."""
-        if self._stream is not None:
-            text = self._tail.describe_end()
-            level = "INFO" if text == "the recording ends" else "WARN"
-            self._logger.log_text(self._end, text, level)
+        """Send all of a recording that isn't written any more."""
+        self._log_end()
         self.finish_episode()
         if not self.count:
             raise ConfigError(f"{self._tail.path}: holds no episode")
@@ -298,9 +310,15 @@ def show_recording(
             if viewer.url:
                 text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
                 print(escape_unprintable(text), flush=True)
+            problem = ""
             while viewer.is_open:
                 time.sleep(POLL_INTERVAL)
-                if live:
-                    show.update()
+                try:
+                    if live:
+                        show.update()
+                except ConfigError as error:  # another recorder may have begun just now
+                    if str(error) != problem:
+                        problem = str(error)
+                        print_error(f"acsar-gym: {escape_unprintable(problem)}")
         finally:
             show.finish_episode()

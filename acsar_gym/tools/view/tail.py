@@ -172,6 +172,11 @@ class RecordingTail:
             faults,
         )
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether the recording was ended in order."""
+        return self._collector.end is not None
+
     def describe_end(self) -> str:
         """Tell how a recording that isn't written any more has ended."""
         if self.damages:
