@@ -44,6 +44,7 @@ def opened(folder: Path, *arguments: str) -> Iterator[Tab]:
             assert address is not None
             with browser(folder) as tab:
                 tab.open(address[0], *SIZE)
+                tab.wait("document.querySelector('canvas.visible')", "a viewer that has started")
                 yield tab
                 assert tab.foreign == []
         finally:
