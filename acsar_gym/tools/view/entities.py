@@ -305,7 +305,7 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> 
         return None
     source, number = options.get("worlds"), block.info.get("world")
     name = parse_name(source) if isinstance(source, str) else None
-    if not (name and not name.module and isinstance(number, int)):
+    if not (block.is_simulated and name and not name.module and isinstance(number, int)):
         return None
     try:
         level = options.get("difficulty")

@@ -243,7 +243,7 @@ class Show:
         self.count += 1
         seed = "" if key[0] is None else f", seed {key[0]}"
         stream.send_recording_name(f"episode {block.episode + 1}{seed}")
-        camera = self._with_camera and bool(np.isfinite(block.truth[:, 1]).any())
+        camera = self._with_camera and block.is_simulated
         gap = bool(self._partner)
         stream.send_blueprint(make_blueprint(block, live=self._live, camera=camera, gap=gap))
         self._logger = EpisodeLogger(stream, "run", tail.config, tail.header)

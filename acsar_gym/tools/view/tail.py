@@ -66,6 +66,11 @@ class Block:
         return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether the truth is known."""
+        return bool(np.isfinite(self.truth[:, 1]).any())
+
+    @property
     def start(self) -> tuple[float, float, float]:
         """Start in the frame of the world [m, m, rad]."""
         x, y, theta = self.numbers("start", 3) or (0.0, 0.0, 0.0)
