@@ -191,7 +191,7 @@ class EpisodeLogger:
         chosen = np.concatenate([[0], 1 + np.flatnonzero(steps)])[: len(points)]
         pieces = np.stack([points[chosen[:-1]], points[chosen[1:]]], axis=1)
         colour = [self._colour("path" if entity == "path" else "truth")] * len(pieces)
-        width = [rr.Radius.ui_points(2.0 if entity == "path" else 1.0)] * len(pieces)
+        width = np.full(len(pieces), -2.0 if entity == "path" else -1.0)
         columns = rr.LineStrips3D.columns(strips=_lift(pieces), colors=colour, radii=width)
         self._send(entity, times[chosen[1:]], columns)
         if len(chosen):
@@ -222,11 +222,12 @@ class EpisodeLogger:
     def _send_points(
         self, entity: str, times: Floats, rows: list[NDArray[np.complex128]], size: float
     ) -> None:
+        """Points as complex numbers, of so many pixels: Rerun takes negative radii as such."""
         points = np.concatenate([*rows, np.zeros(0, np.complex128)])
         columns = rr.Points3D.columns(
             positions=np.stack([points.real, points.imag, np.zeros(len(points))], axis=1),
             colors=[self._colour(entity)] * len(points),
-            radii=[rr.Radius.ui_points(size)] * len(points),
+            radii=np.full(len(points), -size),
         )
         self._send(entity, times, columns.partition([len(row) for row in rows]))
 

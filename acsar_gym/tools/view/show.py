@@ -141,7 +141,8 @@ class Camera:
     ) -> None:
         from acsar_gym.physics.bodies import make_body  # noqa: PLC0415
 
-        self._stream, self._body = stream, make_body("bullet", config)
+        self._stream = stream
+        self._body: Any = make_body("bullet", config)
         self._world = find_world(header, config, block)
         goal = block.numbers("goal", 2)
         self._goal = None if goal is None else point_in_world(block.start, (goal[0], goal[1]))

@@ -56,7 +56,7 @@ def read_rrd(path: Path) -> list[dict[str, dict[str, Column]]]:
     return recordings
 
 
-def numbers(column: Column) -> list[float]:
+def numbers(column: Column) -> list[Any]:
     return [value for row in column for value in row]
 
 
