@@ -133,22 +133,6 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
 
 
-def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
-    config: RobotConfig, top: TopView
-) -> None:
-    angles = -math.pi + np.arange(64) * math.tau / 64
-    rays = (angles, np.full(64, 0.9))
-    frame = replace(FRAME, odom=(0.0, 0.0, 0.0), truth=(2.5, 0.0, 0.0), rays=rays, reach=5.0)
-    image = top.draw(frame)
-    x = 2.5 + config.lidar_x_offset
-    for angle in (*angles, math.pi - math.pi / 64):
-        place = (x + 0.7 * math.cos(angle + 0.02), 0.7 * math.sin(angle + 0.02))
-        assert colour(image, top.view, *place) not in (FLOOR_COLOUR, OBSTACLE_COLOUR)
-    assert near(image, top.view, (x - 0.9, 0.0), RAY_COLOUR)
-    goal = top.draw(replace(frame, goal=(2.2, 0.6)))
-    assert colour(goal, top.view, 2.2, 0.6) == GOAL_COLOUR, "the light doesn't hide it"
-
-
 def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
     nan = math.nan
     top.draw(

@@ -106,17 +106,6 @@ def test_buttons_act_when_pressed_and_in_their_order() -> None:
     assert asked.feed(data) == [PadEvent.STOP, PadEvent.RELEASE, PadEvent.QUIT]
 
 
-def test_after_a_release_of_the_emergency_stop_the_deadman_is_pressed_anew() -> None:
-    asked = controls()
-    asked.feed(LB + FULL)
-    asked.disarm()
-    assert asked.twist() == (0.0, 0.0)
-    asked.feed(HALF)
-    assert asked.twist() == (0.0, 0.0)
-    asked.feed(LET_GO + REST + LB + FULL)
-    assert asked.twist() == (1.0, 0.0)
-
-
 # Pads as the kernel's drivers tell them, in words of 64 bits, the highest first.
 KEYS = "7cdb000000000000 0 0 0 0"
 KEYS_WITH_TRIGGERS = "7fdb000000000000 0 0 0 0"

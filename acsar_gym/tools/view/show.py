@@ -280,7 +280,7 @@ class Show:
 
 def save_recording(path: Path, other: Path | None, target: Path, *, camera: bool) -> int:
     """Write a recording to an .rrd file; returns the number of its episodes."""
-    overlay = None if other is None else Overlay(other)
+    tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
     with tempfile.TemporaryDirectory(prefix="acsar-view-", dir=target.parent) as folder:
         parts: list[Path] = []
 
@@ -288,7 +288,7 @@ def save_recording(path: Path, other: Path | None, target: Path, *, camera: bool
             parts.append(Path(folder) / f"{len(parts)}.rrd")
             stream.save(parts[-1])
 
-        show = Show(RecordingTail(path), overlay, connect, camera=camera)
+        show = Show(tail, overlay, connect, camera=camera)
         show.update()
         show.close()
         merge_files(parts, target)
