@@ -34,7 +34,7 @@ TIME_BAR_ROW = 886
 
 
 @contextmanager
-def opened(folder: Path, *arguments: str) -> Iterator[Tab]:
+def opened(folder: Path, *arguments: str, ending: signal.Signals = signal.SIGINT) -> Iterator[Tab]:
     """The page of `acsar-gym view`, which asks nobody else and ends in order."""
     command = [sys.executable, "-m", "acsar_gym", "view", *arguments, "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -48,7 +48,7 @@ def opened(folder: Path, *arguments: str) -> Iterator[Tab]:
                 yield tab
                 assert tab.foreign == []
         finally:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(ending)
             assert process.wait(TIMEOUT) == 0
 
 
@@ -91,7 +91,7 @@ def test_two_runs_lie_over_each_other(tmp_path: Path) -> None:
     path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
     config = RobotConfig.of(None).model_copy(update={"wheel_radius": 0.06})
     other = drive(tmp_path / "other.mcap", config, ticks=250)
-    with opened(tmp_path, str(path), str(other)) as tab:
+    with opened(tmp_path, str(path), str(other), ending=signal.SIGTERM) as tab:
         wait_for(tab, tmp_path, "other", 300)
         assert count_pixels(tab, tmp_path, "path") > 100
 

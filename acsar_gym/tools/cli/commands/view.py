@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -73,6 +74,8 @@ def view_run(
         return 0
     is_device = path != Path(source.removeprefix("replay:")) and not is_bag
     live, port = options.live or is_device, options.port if options.web else None
+    for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
+        signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
         show.show_recording(path, other, port, live=live, camera=options.camera)
     return 0
