@@ -135,14 +135,14 @@ class EpisodeLogger:
             self._send_static("goal", rr.LineStrips3D(_lift([ring]), colors=COLOURS["goal"]))
         world = find_world(self._header, config, block)
         if world is not None:
-            cast = to_odometry_points(block.start)
             rings = [circle[:2] + circle[2] * CIRCLE for circle in world.circles]
             shapes = [*rings, *world.segments.reshape(-1, 2, 2)]
-            lines = _lift([cast(shape) for shape in shapes])
+            lines = _lift([to_odometry_points(block.start, shape) for shape in shapes])
             walls = rr.LineStrips3D(lines, colors=COLOURS["obstacles"])
             self._send_static("world/obstacles", walls)
             if world.path is not None:
-                route = rr.LineStrips3D(_lift([cast(world.path)]), colors=COLOURS["route"])
+                path = _lift([to_odometry_points(block.start, world.path)])
+                route = rr.LineStrips3D(path, colors=COLOURS["route"])
                 self._send_static("world/route", route)
         named = [f"{name} {block.info[name]}" for name in ("seed", "world") if name in block.info]
         self.log_text(0.0, f"begins: {', '.join(named)}" if named else "begins")
@@ -156,7 +156,7 @@ class EpisodeLogger:
         self._send("robot", times, rr.Transform3D.columns(translation=place, quaternion=turn))
         self._log_path("path", times, poses[:, :2])
         truth = block.truth[np.isfinite(block.truth[:, 1])]
-        self._log_path("truth", truth[:, 0], to_odometry_points(block.start)(truth[:, 1:3]))
+        self._log_path("truth", truth[:, 0], to_odometry_points(block.start, truth[:, 1:3]))
         for name in ("linear", "angular"):
             for kind in ("asked", "sent", "measured"):
                 values = ticks[name if kind == "measured" else f"{kind}_{name}"]
@@ -274,11 +274,12 @@ def _lift(lines: Any) -> list[Floats]:
     return [np.column_stack([line, np.zeros(len(line))]) for line in lines]
 
 
-def to_odometry_points(start: tuple[float, float, float]) -> Any:
-    """A function that takes points (n, 2) of the world's frame to that of the odometry."""
+def to_odometry_points(start: tuple[float, float, float], points: Floats) -> Floats:
+    """Points (n, 2) of the world's frame in that of the odometry, which begins at `start`."""
     x, y, theta = start
     turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
-    return lambda points: (points - (x, y)) @ turn
+    moved: Floats = (points - (x, y)) @ turn
+    return moved
 
 
 def _group_bursts(times: Floats, happened: NDArray[np.bool_]) -> list[NDArray[np.intp]]:

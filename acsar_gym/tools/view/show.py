@@ -130,7 +130,7 @@ def _list_places(blocks: Sequence[Block], name: str) -> tuple[Floats, Floats]:
         return times, np.concatenate([block.poses[:, :2] for block in blocks])
     truth = np.concatenate([block.truth for block in blocks])
     truth = truth[np.isfinite(truth[:, 1])]
-    return truth[:, 0], to_odometry_points(blocks[0].start)(truth[:, 1:3])
+    return truth[:, 0], to_odometry_points(blocks[0].start, truth[:, 1:3])
 
 
 class Camera:
@@ -167,7 +167,7 @@ class Camera:
         self._body.close()
 
 
-class Show:
+class RerunWriter:
     """Writes the episodes of a recording into recordings of Rerun, each of which `connect` gets."""
 
     def __init__(
@@ -288,9 +288,9 @@ def save_recording(path: Path, other: Path | None, target: Path, *, camera: bool
             parts.append(Path(folder) / f"{len(parts)}.rrd")
             stream.save(parts[-1])
 
-        show = Show(tail, overlay, connect, camera=camera)
-        show.update()
-        show.close()
+        writer = RerunWriter(tail, overlay, connect, camera=camera)
+        writer.update()
+        writer.close()
         merge_files(parts, target)
     return len(parts)
 
@@ -301,13 +301,13 @@ def show_recording(
     """Show a recording until the viewer is closed, or, at the page of a port, until Ctrl-C."""
     tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
     with open_viewer(port) as viewer:
-        show = Show(
+        writer = RerunWriter(
             tail, overlay, lambda s: s.connect_grpc(viewer.address), live=live, camera=camera
         )
         try:
-            show.update()
+            writer.update()
             if not live:
-                show.close()
+                writer.close()
             if viewer.url:
                 text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
                 print(escape_unprintable(text), flush=True)
@@ -316,10 +316,10 @@ def show_recording(
                 time.sleep(POLL_INTERVAL)
                 try:
                     if live:
-                        show.update()
+                        writer.update()
                 except ConfigError as error:  # another recorder may have begun just now
                     if str(error) != problem:
                         problem = str(error)
                         print_error(f"acsar-gym: {escape_unprintable(problem)}")
         finally:
-            show.finish_episode()
+            writer.finish_episode()
