@@ -69,7 +69,7 @@ firmware-tested: $(READY)
 	  $(BIN)/pytest -k 'not (planar or bullet or mujoco or replay)' $(BOARD_SUITES) \
 	    --board "$(FIRMWARE)/avr_board $$chip $(FIRMWARE)/$$chip.elf" || exit 1; done
 
-test-browser: $(READY)  ## HTML reports and dashboard in headless Chromium, which apt installs
+test-browser: $(READY)  ## HTML reports and the viewer in headless Chromium, which apt installs
 	$(BIN)/pytest tests/browser
 
 test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them killed

@@ -31,11 +31,7 @@ class OutputError(OSError):
 
 
 class CheckedStream:
-    """A text stream that tells its own errors, OutputError, from those of other files.
-
-    Args:
-        stream: has all else.
-    """
+    """A text stream that tells its own errors, OutputError, from those of other files."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -83,15 +79,7 @@ def print_error(text: str) -> None:
 
 
 def run_guarded(command: Callable[[], int]) -> int:
-    """Run a command, and end it in one way where its output can't be written.
-
-    Args:
-        command: returns its exit code.
-
-    Returns:
-        The exit code: the command's own; where its output was lost, 141 for a pipe that nobody
-        reads, else 2, after a line on standard error.
-    """
+    """Run a command; returns its exit code, or what a lost output makes of it: 141, or 2."""
     open_streams()
     before = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (CheckedStream(stream) for stream in before)

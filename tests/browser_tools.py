@@ -109,7 +109,8 @@ def browser(folder: Path) -> Iterator[Tab]:
     """Start a browser with a fresh profile in `folder`, which can't resolve any name."""
     command = [
         str(CHROMIUM),
-        *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"),
+        *("--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-angle=swiftshader"),
+        *("--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),  # Rerun's viewer needs WebGL
         *("--no-first-run", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"),
         *("--remote-debugging-port=0", f"--user-data-dir={folder / 'profile'}", "about:blank"),
     ]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import logging
 import os
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,8 +13,6 @@ from typing import Any
 
 import pytest
 from disk_tools import full_disk
-from rich.console import Console
-from serial_tools import wait_until
 
 from acsar_gym import jit as compiled
 from acsar_gym.tasks import PointGoal
@@ -170,27 +166,3 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
     assert caplog.records == []
     assert warm_up.warm_env(name, options=options).functions == 0
     assert compiled.LOG.level == logging.NOTSET
-
-
-COUNTED = """
-from acsar_gym.tools.warm_up import warm_env
-print(warm_env("point_goal").functions)
-"""
-
-
-@pytest.mark.slow
-def test_the_progress_knows_how_much_there_is_to_compile(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    command = [sys.executable, "-c", COUNTED]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert int(done.stdout) == pytest.approx(warm_up.BATCH_FUNCTIONS, rel=0.05)
-
-
-def test_compilation_shows_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = io.StringIO()
-    monkeypatch.setattr(compiled, "NEWLY_COMPILED", ["one before"])
-    with warm_up.show_compilation(Console(file=shown, force_terminal=True, width=100)):
-        assert "compiling" not in shown.getvalue()
-        compiled.NEWLY_COMPILED.extend(["kernel.step"] * 100)
-        wait_until(lambda: "s left" in shown.getvalue(), "a time that is left")
-    assert re.search(r"compiling, once after each installation.*about \d+ s left", shown.getvalue())

@@ -44,15 +44,7 @@ class Sink(Protocol):
 
 
 def check_target(path: Path, source: Path | None = None) -> None:
-    """Check that a recording may be written here; writes nothing.
-
-    Args:
-        path: of the recording.
-        source: file that is replayed meanwhile.
-
-    Raises:
-        ConfigError: its folder is missing, it is a file of another kind, or it is `source`.
-    """
+    """Check that a recording may be written here; writes nothing."""
     try:
         if path.is_dir() or not path.parent.is_dir():
             raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
@@ -105,14 +97,6 @@ class McapFile:
 
     Messages tell their episode in their field `sequence`, and the header stands at both ends: what
     is whole of a damaged file can be told apart.
-
-    Args:
-        path: of the file; an older recording that is there is kept under a number.
-        header: of the recording.
-
-    Raises:
-        ConfigError: it can't be written.
-        MissingExtraError: mcap or rosbags isn't installed.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
@@ -179,15 +163,7 @@ class McapFile:
 
 
 class SplitFile:
-    """A recording in several files: FILE.mcap, FILE-2.mcap, FILE-3.mcap and so on.
-
-    Args:
-        path: of the first one.
-        header: of the recording.
-
-    Raises:
-        ConfigError, MissingExtraError: as for `McapFile`.
-    """
+    """A recording in several files: FILE.mcap, FILE-2.mcap, FILE-3.mcap and so on."""
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         self._path, self._header = path, header
@@ -219,13 +195,7 @@ class SplitFile:
 
 
 class UnbufferedFile:
-    """A file without a buffer, which a forked process would write a second time.
-
-    Args:
-        path: of the file.
-
-    Attributes: `raw`, the file.
-    """
+    """A file without a buffer, which a forked process would write a second time."""
 
     def __init__(self, path: Path) -> None:
         self.raw = open(path, "wb", buffering=0, opener=open_exclusively)  # noqa: SIM115
@@ -243,17 +213,7 @@ class UnbufferedFile:
 
 
 class LiveView:
-    """A server on this computer that Foxglove connects to; messages go to whoever is connected.
-
-    Attributes: `url`, what viewers open.
-
-    Args:
-        port: to listen on; 0 for any free one.
-
-    Raises:
-        MissingExtraError: foxglove-sdk or rosbags isn't installed.
-        ConfigError: the server can't be started.
-    """
+    """A server on this computer that Foxglove connects to; messages go to whoever is connected."""
 
     def __init__(self, port: int = LIVE_PORT) -> None:
         with require_extra("a live view", "view"):

@@ -184,17 +184,7 @@ class Canvas:
             self._draw.ellipse(box, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
     def scale_bar(self, row: float, share: float, inset: float, *, right: bool = False) -> float:
-        """Draw a scale bar of a round length, with a label above it.
-
-        Args:
-            row: row of the bar [pixels].
-            share: largest length of the bar, as a share of the picture's width.
-            inset: distance from the left edge, or from the right one [pixels].
-            right: whether it is at the right edge.
-
-        Returns:
-            Length of the bar [pixels].
-        """
+        """Draw a scale bar of at most a share of the width; returns its length [pixels]."""
         width, scale = self.view.size[0], self.view.scale
         metres = round_length(share * width / scale)
         length = metres * scale

@@ -31,13 +31,7 @@ CAMERA_SIZE = (640, 480)
 
 
 class Screen:
-    """Records the paths driven and draws pictures on request; does nothing without a mode.
-
-    Args:
-        config: configuration of the robot.
-        mode: render mode of the env; None for no rendering.
-        view: "top", or "camera" for the simulator's camera behind the robot.
-    """
+    """Records the paths driven and draws pictures on request; does nothing without a mode."""
 
     def __init__(self, config: RobotConfig, mode: str | None, view: str) -> None:
         self._config, self._mode, self._view = config, mode, view
@@ -88,17 +82,7 @@ class Screen:
         return to_world(self._assignment.start, state.pose) if self._assignment else state.pose
 
     def picture(self, link: Link) -> Image:
-        """Draw the newest state.
-
-        Args:
-            link: link of the robot, for the camera.
-
-        Returns:
-            The picture, (height, width, 3).
-
-        Raises:
-            RenderError: this link has no camera.
-        """
+        """Draw the newest state."""
         if self._view == "top":
             return self._draw_top()
         camera = camera_of(link)
@@ -141,9 +125,6 @@ class Window:
     """Displays pictures with tkinter; it opens with the first one; to be used from one thread.
 
     Once it is closed, by `close()` or by the user, further pictures are ignored.
-
-    Args:
-        title: title of the window.
     """
 
     def __init__(self, title: str) -> None:
@@ -159,14 +140,7 @@ class Window:
         return self._closed or (self._destroy is not None and not self._destroy.alive)
 
     def show(self, image: NDArray[np.uint8]) -> None:
-        """Display a picture and handle the window's events.
-
-        Args:
-            image: shape (height, width, 3), RGB.
-
-        Raises:
-            RenderError: there is no display or no tkinter.
-        """
+        """Display a picture and handle the window's events."""
         if not self.closed:
             if self._root is None or self._photo is None:
                 self._root, self._photo = self._open()

@@ -88,15 +88,6 @@ class TopView:
 
     It is fitted to world and goal; without a world it is a square around origin and goal. It grows
     when the robot leaves it.
-
-    Args:
-        config: configuration of the robot.
-        size: width and height of the pictures [pixels].
-        up: axis that points up; None for y in a world, as on a map, and x without one.
-
-    Raises:
-        ConfigError: width or height isn't 64 to 4096 pixels.
-        MissingExtraError: Pillow isn't installed.
     """
 
     def __init__(
@@ -203,17 +194,7 @@ class TopView:
 
 
 def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> Canvas:
-    """Draw the floor with its grid, and the world's path and obstacles.
-
-    Args:
-        world: the world; None for an open floor.
-        view: the part of the plane to show.
-        floor: colour of the floor.
-        grid: colour of the grid.
-
-    Returns:
-        A new canvas.
-    """
+    """Draw the floor with its grid, and the world's path and obstacles."""
     canvas = Canvas(view, floor)
     left, low, right, high = view.bounds
     step = max(1.0, round_length(30.0 / view.scale))

@@ -67,20 +67,7 @@ def collect_worlds(
     count: int,
     most: int = MAX_AT_ONCE,
 ) -> list[World]:
-    """Read or generate worlds.
-
-    Args:
-        source: a generator such as "clutter" or "barn:0-9", or a file or folder of worlds, also
-            with what it doesn't say (see `Pool.of`).
-        level: difficulty for a generator, 0 to 1; None for its default.
-        robot: preset or file of the robot whose footprint generated worlds must let through.
-        count: number of worlds to generate, where `source` names no numbers.
-        most: largest number of worlds that is accepted.
-
-    Raises:
-        WorldError: a world can't be read or generated.
-        ConfigError: there are more than `most` worlds.
-    """
+    """Read or generate worlds."""
     config = RobotConfig.of(robot)
     worlds: list[World] | Pool | None = read_worlds(source, lidar_height(config))
     if worlds is None:
@@ -98,12 +85,7 @@ def collect_worlds(
 
 
 def describe_source(source: str, count: int) -> dict[str, str | None]:
-    """Describe where worlds come from, for a title and for JSON.
-
-    Returns:
-        `source`, such as "clutter 0 to 199 (test split)", and `split`: "train" or "test", None
-        if the worlds aren't all of one split.
-    """
+    """Describe where worlds come from, for a title and for JSON."""
     if registry.parse_known_name(source) is None:
         return {"source": source, "split": None}
     pool = Pool.of(source, count=count)
@@ -111,11 +93,7 @@ def describe_source(source: str, count: int) -> dict[str, str | None]:
 
 
 def max_drawn(columns: int, size: int, out: Path) -> int:
-    """Return how many worlds fit on a sheet, before any of them is made.
-
-    Raises:
-        ConfigError: no world fits, or `out` can't be written.
-    """
+    """Return how many worlds fit on a sheet, before any of them is made."""
     check_picture_size("size", (size, size))
     if columns < 1:
         raise ConfigError(f"columns = {show_value(columns)}: must be at least 1")
@@ -125,17 +103,7 @@ def max_drawn(columns: int, size: int, out: Path) -> int:
 
 
 def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
-    """Draw worlds side by side as maps, x right and y up, and save them as a PNG file.
-
-    Args:
-        worlds: at least one and at most `max_drawn`, in rows from the left; titled by their names.
-        columns: tiles in a row.
-        size: width and height of a tile [pixels].
-        out: PNG file to write.
-
-    Raises:
-        ConfigError: the last row of so many columns makes the sheet too large.
-    """
+    """Draw worlds side by side as maps, x right and y up, and save them as a PNG file."""
     columns = min(columns, len(worlds))
     rows = -(-len(worlds) // columns)
     if rows * columns * size**2 > MAX_SHEET_PIXELS:
@@ -167,11 +135,7 @@ def draw_tile(world: World, size: int) -> RgbImage:
 
 
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFinding]:
-    """Check whether a robot can cross each world, and measure path lengths and BARN's difficulty.
-
-    Returns:
-        One finding per world.
-    """
+    """Check whether a robot can cross each world; measure path lengths and BARN's difficulty."""
     radius = footprint_radius(RobotConfig.of(robot))
     findings = []
     for world in report.watch_progress("checking worlds", worlds, len(worlds)):
@@ -201,17 +165,6 @@ def convert_world(
     """Write one world to a file of this project's format, .json or .yaml.
 
     A file that has just this world is left as it is.
-
-    Args:
-        source: of the world.
-        out: the file.
-        level: difficulty of a generated world, 0 to 1.
-        robot: preset or config file.
-        force: replace another file.
-
-    Raises:
-        WorldError: the world can't be read or generated.
-        ConfigError: there are several worlds, or `out` can't be written, or is another file.
     """
     report.check_writable(out)
     world = collect_worlds(source, level, robot, 1, 1)[0]

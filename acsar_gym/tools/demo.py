@@ -15,28 +15,20 @@ from acsar_gym.tools.evaluation.episodes import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.training.plan import TrainingOptions, require_training
-from acsar_gym.tools.warm_up import show_compilation, warm_env
+from acsar_gym.tools.warm_up import warm_env
 
 
 def run_demo(
     steps: int, episodes: int, serial_episodes: int, out: Path
 ) -> list[tuple[str, EvaluationRun]]:
-    """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal.
-
-    Returns:
-        Name of the link and results of the run on it, one row each.
-
-    Raises:
-        MissingExtraError: a library is missing; checked before the training starts.
-        SystemExit: a signal ended the training.
-    """
+    """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal."""
     for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
     require_training()
     console, log = report.SafeConsole(), out / "emulator.jsonl"
     console.rule("1. train PPO on simulated robots", align="left")
-    with show_compilation(console):
+    with console.status("compiling, once after each installation: a minute"):
         warm_env("point_goal")
     policy_file = train_demo_policy(steps, out)
     policy = OnnxPolicy(policy_file)
@@ -53,14 +45,7 @@ def run_demo(
 
 
 def train_demo_policy(steps: int, out: Path) -> Path:
-    """Train in this process.
-
-    Returns:
-        Path of the ONNX file.
-
-    Raises:
-        SystemExit: a signal ended the training.
-    """
+    """Train in this process."""
     from acsar_gym.tools.training import run as training  # noqa: PLC0415 - imports torch
 
     code = training.train(TrainingOptions(steps=steps, out=out))

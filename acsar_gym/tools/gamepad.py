@@ -72,11 +72,6 @@ class Controls:
     The robot drives while LB is held. LB counts from when it is pressed, not where it is held
     already as the pad is opened or after events were lost; and stick and triggers count once all
     were at rest since then: no start but from neutral.
-
-    Args:
-        axes: the left stick's horizontal axis and the triggers, by code.
-        backward: code of the left trigger, an axis or a button.
-        forward: code of the right one.
     """
 
     def __init__(self, axes: dict[int, Axis], backward: int, forward: int) -> None:
@@ -137,14 +132,7 @@ class Controls:
 
 
 class Gamepad:
-    """A gamepad that may come and go. Its twist is zero while it is away.
-
-    Args:
-        device: its event device, best a name of /dev/input/by-id; "" for the first one found.
-
-    Raises:
-        CommandError: there is none, it can't be read, or it is no gamepad.
-    """
+    """A gamepad that may come and go. Its twist is zero while it is away."""
 
     def __init__(self, device: str = "") -> None:
         if sys.platform != "linux":
@@ -247,9 +235,6 @@ def find_triggers(about: Path) -> tuple[int, int] | None:
     The specification has them as ABS_HAT2Y and ABS_HAT2X or as buttons. Drivers of pads of today
     have them elsewhere: xpad and hid-playstation as ABS_Z and ABS_RZ, beside a right stick on
     ABS_RX; Xbox pads by Bluetooth as ABS_BRAKE and ABS_GAS, with a right stick on ABS_Z.
-
-    Returns:
-        Their codes; None where it isn't a gamepad, or has none.
     """
     keys, axes = (_parse_bits(about / "capabilities" / kind) for kind in ("key", "abs"))
     if not {BTN_TL, BTN_EAST, BTN_START, BTN_SELECT} <= keys or ABS_X not in axes:

@@ -44,18 +44,7 @@ SPEED_KEYS = {str(tenth % 10): tenth / 10.0 for tenth in range(1, 11)}
 
 
 def drive_twist(robot: Robot, linear: float, angular: float, duration: float | None) -> None:
-    """Drive with a constant twist.
-
-    Args:
-        robot: an open robot.
-        linear: linear velocity [m/s].
-        angular: angular velocity [rad/s].
-        duration: time [s]; None until interrupted.
-
-    Raises:
-        CommandError: a velocity isn't finite.
-        LinkError: the robot was stopped, or its link failed.
-    """
+    """Drive with a constant twist."""
     if not (
         math.isfinite(linear) and math.isfinite(angular) and 0.0 <= (duration or 0.0) < math.inf
     ):
@@ -109,14 +98,6 @@ def drive_gamepad(robot: Robot, device: str = "") -> None:
     """Drive with a gamepad, until its Back button or Ctrl-C.
 
     Where the pad is lost, the robot is held at zero until it is back and LB is pressed anew.
-
-    Args:
-        robot: the robot.
-        device: the pad's event device; "" for the first one found.
-
-    Raises:
-        CommandError: there is no gamepad, or it can't be read.
-        LinkError: the robot's link failed.
     """
     config = robot.config
     with Gamepad(device) as pad, robot:

@@ -8,31 +8,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image as Pillow
-from top_view_tools import COURT, FRAME
+from top_view_tools import FRAME
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.render.canvas import View
 from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
-    DECK_COLOUR,
     FLOOR_COLOUR,
     GOAL_COLOUR,
-    GRID_COLOUR,
     OBSTACLE_COLOUR,
     ODOM_COLOUR,
     RAY_COLOUR,
     SEEN_COLOURS,
-    SMALL_ROBOT,
-    TRUTH_COLOUR,
     TYRE_COLOUR,
     RgbImage,
     TopView,
     TopViewFrame,
     save_picture,
 )
-from acsar_gym.tools.atlas import draw_tile
-from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds import Pose
 
 
 def colour(image: RgbImage, view: View, x: float, y: float) -> tuple[int, ...]:
@@ -104,50 +99,6 @@ def test_the_robot_has_wheels_and_a_heading(
     assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE_COLOUR
 
 
-def test_a_polygon_is_drawn_as_it_is(config: RobotConfig) -> None:
-    notched = config.with_(
-        footprint=[(0.4, 0.3), (-0.2, 0.3), (-0.2, -0.3), (0.4, -0.3), (0.1, 0.0)]
-    )
-    top, pose = TopView(notched, (960, 960)), (0.5, -0.4, 0.7)
-    image = top.draw(TopViewFrame(odom=pose))
-    for x, y in ((0.36, 0.28), (-0.18, 0.2), (0.3, -0.28)):
-        assert colour(image, top.view, *placed(pose, x, y)) == DECK_COLOUR
-    for x, y in ((0.3, 0.0), (0.42, 0.2), (-0.24, 0.0)):
-        assert colour(image, top.view, *placed(pose, x, y)) == FLOOR_COLOUR
-
-
-def test_a_world_looks_the_same_wherever_it_lies(config: RobotConfig) -> None:
-    x, y = 16.0, -8.0
-    moved = World(
-        COURT.circles + np.array([x, y, 0.0]),
-        COURT.segments + np.array([x, y, x, y]),
-        Region(x, y, 0.0, 0.0),
-        Region(x + 4.0, y + 0.25, 0.25),
-        name="court",
-    )
-    frame = replace(FRAME, world=moved, odom=(x, y, 0.0), goal=(x + 4.0, y + 0.25))
-    assert TopView(config).draw(frame).tobytes() == TopView(config).draw(FRAME).tobytes()
-    assert draw_tile(moved, 200).tobytes() == draw_tile(COURT, 200).tobytes()
-
-
-def test_the_same_frame_is_the_same_picture(config: RobotConfig, top: TopView) -> None:
-    frame = replace(
-        FRAME,
-        odom=(1.0, 0.2, 0.3),
-        truth=(1.1, 0.1, 0.2),
-        odom_path=[(0.0, 0.0), (1.0, 0.2)],
-        true_path=[(0.0, 0.0), (1.1, 0.1)],
-        rays=(np.linspace(-1.0, 1.0, 9), np.full(9, 0.8)),
-        caption="t 1.0 s",
-    )
-    first = top.draw(frame)
-    assert first.tobytes() == top.draw(frame).tobytes() == TopView(config).draw(frame).tobytes()
-    for change in ({"caption": ""}, {"rays": None}, {"true_path": ()}, {"odom_path": ()}):
-        assert first.tobytes() != top.draw(replace(frame, **change)).tobytes()
-    first[:] = 0
-    assert top.draw(frame).any(), "a picture is the caller's own"
-
-
 def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopView) -> None:
     pose = (1.0, 0.0, 0.4)
     alone = top.draw(replace(FRAME, odom=pose))
@@ -165,24 +116,6 @@ def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopVie
     assert turned.tobytes() != alone.tobytes()
 
 
-def test_paths_are_drawn_in_their_colours(top: TopView) -> None:
-    odom_path, true_path = [(0.0, 0.0), (1.0, 1.5)], [(0.0, 0.0), (1.0, -1.5)]
-    image = top.draw(replace(FRAME, odom_path=odom_path, true_path=true_path))
-    assert near(image, top.view, (0.8, 1.2), ODOM_COLOUR)
-    assert colour(image, top.view, 0.8, -1.2) == TRUTH_COLOUR
-    assert not near(image, top.view, (0.8, -1.2), ODOM_COLOUR)
-
-
-def test_the_worlds_path_is_dashed(top: TopView) -> None:
-    way = np.array([[0.0, 0.0], [0.0, 1.5], [3.5, 1.5]])
-    image = top.draw(replace(FRAME, world=replace(COURT, path=way)))
-    along = np.linspace(0.3, 3.4, 400)
-    inked = [colour(image, top.view, x, 1.5) not in (FLOOR_COLOUR, GRID_COLOUR) for x in along]
-    assert 0.3 < np.mean(inked) < 0.7
-    assert any(inked[:40])
-    assert any(inked[-40:])
-
-
 def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView) -> None:
     pose, offset = (1.3, 0.0, math.pi / 2), config.lidar_x_offset
     angles = np.array([-0.6, -0.2, 0.2, 0.6])
@@ -198,22 +131,6 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     assert colour(image, top.view, *at(0.0, 1.0)) == SEEN_COLOURS[0]
     for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
-
-
-def test_a_full_turn_has_no_gap_and_truth_carries_the_lidar(
-    config: RobotConfig, top: TopView
-) -> None:
-    angles = -math.pi + np.arange(64) * math.tau / 64
-    rays = (angles, np.full(64, 0.9))
-    frame = replace(FRAME, odom=(0.0, 0.0, 0.0), truth=(2.5, 0.0, 0.0), rays=rays, reach=5.0)
-    image = top.draw(frame)
-    x = 2.5 + config.lidar_x_offset
-    for angle in (*angles, math.pi - math.pi / 64):
-        place = (x + 0.7 * math.cos(angle + 0.02), 0.7 * math.sin(angle + 0.02))
-        assert colour(image, top.view, *place) not in (FLOOR_COLOUR, OBSTACLE_COLOUR)
-    assert near(image, top.view, (x - 0.9, 0.0), RAY_COLOUR)
-    goal = top.draw(replace(frame, goal=(2.2, 0.6)))
-    assert colour(goal, top.view, 2.2, 0.6) == GOAL_COLOUR, "the light doesn't hide it"
 
 
 def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
@@ -250,14 +167,6 @@ def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
     top.draw(replace(frame, goal=(0.5, 0.0)))
     assert top.layers == layers + 1
     assert top.draw(frame).tobytes() == first
-
-
-def test_tiny_robots_are_ringed(config: RobotConfig) -> None:
-    top = TopView(config, (200, 200))
-    image = top.draw(TopViewFrame(goal=(40.0, 0.0)))
-    ring = SMALL_ROBOT / top.view.scale
-    for x, y in ((ring, 0.0), (-ring, 0.0), (0.0, ring), (0.0, -ring)):
-        assert near(image, top.view, (x, y), CHASSIS_COLOUR)
 
 
 @pytest.mark.parametrize("size", [(480,), (63, 480), (480, 5000), (480.5, 480), 480, "ab", None])

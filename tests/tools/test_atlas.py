@@ -53,21 +53,6 @@ def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:
     assert 0.0 < one["closest_obstacle"] < 3.0
 
 
-@pytest.mark.parametrize(
-    ("source", "name", "split"),
-    [
-        ("clutter:train", "clutter 1000 to 1399 (train split)", "train"),
-        ("clutter", "clutter 0 to 11 (test split)", "test"),
-        ("clutter:150-250", "clutter 150 to 250", None),
-        ("my/worlds", "my/worlds", None),
-    ],
-)
-def test_checked_worlds_are_named_with_their_split(
-    source: str, name: str, split: str | None
-) -> None:
-    assert atlas.describe_source(source, 12) == {"source": name, "split": split}
-
-
 def test_a_world_that_cannot_be_crossed_fails_the_check(tmp_path: Path) -> None:
     path = tmp_path / "blocked.json"
     world = generators.generate_world("barn", 0)

@@ -106,28 +106,6 @@ def test_buttons_act_when_pressed_and_in_their_order() -> None:
     assert asked.feed(data) == [PadEvent.STOP, PadEvent.RELEASE, PadEvent.QUIT]
 
 
-def test_an_emergency_stop_is_heard_without_the_deadman() -> None:
-    assert controls().feed(event(EV_KEY, BTN_EAST, 1)) == [PadEvent.STOP]
-
-
-def test_after_a_release_of_the_emergency_stop_the_deadman_is_pressed_anew() -> None:
-    asked = controls()
-    asked.feed(LB + FULL)
-    asked.disarm()
-    assert asked.twist() == (0.0, 0.0)
-    asked.feed(HALF)
-    assert asked.twist() == (0.0, 0.0)
-    asked.feed(LET_GO + REST + LB + FULL)
-    assert asked.twist() == (1.0, 0.0)
-
-
-def test_triggers_that_are_buttons() -> None:
-    axes = {ABS_X: Axis(128, 0, 255), BTN_TL2: Axis(0, 0, 1), BTN_TR2: Axis(0, 0, 1)}
-    asked = Controls(axes, BTN_TL2, BTN_TR2)
-    asked.feed(LB + event(EV_KEY, BTN_TR2, 1) + event(EV_ABS, ABS_X, 255))
-    assert asked.twist() == (1.0, -1.0)
-
-
 # Pads as the kernel's drivers tell them, in words of 64 bits, the highest first.
 KEYS = "7cdb000000000000 0 0 0 0"
 KEYS_WITH_TRIGGERS = "7fdb000000000000 0 0 0 0"
@@ -202,12 +180,6 @@ def test_a_pad_is_lost_and_comes_back(pad: EmulatedPad, monkeypatch: pytest.Monk
             pad.deliver(REST + LB + HALF)
             assert opened.poll() == []
             assert opened.twist() == pytest.approx((0.476, 0.0), abs=1e-3)
-
-
-def test_closing_twice_is_closing_once(pad: EmulatedPad) -> None:
-    opened = Gamepad(str(pad.path))
-    opened.close()
-    opened.close()
 
 
 def test_no_pad_and_no_gamepad_are_one_line(

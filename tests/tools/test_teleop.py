@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 from gamepad_tools import EmulatedPad, event
 from serial_tools import (
@@ -80,14 +79,6 @@ def test_keys(keys: str, twist: tuple[float, float]) -> None:
     for key in keys:
         asked.press(key, 3.0)
     assert asked.twist(3.1) == twist
-
-
-def test_arrows_are_keys_too() -> None:
-    for arrow, letter in zip(("UP", "DOWN", "LEFT", "RIGHT"), "wsad", strict=True):
-        one, other = teleop.DriveKeys(), teleop.DriveKeys()
-        one.press(f"KEY_{arrow}", 0.0)
-        other.press(letter, 0.0)
-        assert one.twist(0.1) == other.twist(0.1) != (0.0, 0.0)
 
 
 def test_a_key_drives_until_its_time_is_over_or_it_comes_again() -> None:
@@ -329,38 +320,6 @@ def test_a_recorded_drive_stops_in_the_tick_in_which_the_deadman_is_let_go_or_th
         assert (episode.sent[begin:end] == 0.0).all() == (twist == (0.0, 0.0))
         assert episode.sent[end - 1].tolist() == pytest.approx(twist)
     assert len(episode.asked) == 400
-
-
-def test_driving_with_a_gamepad_whose_cable_is_pulled(
-    pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile, config: RobotConfig, tmp_path: Path
-) -> None:
-    path = tmp_path / "drive.mcap"
-    options = ("--link", emulator.device, "--robot", str(robot_file()), "--record", str(path))
-    fastest = on_the_wire(config, config.max_linear, 0.0)
-    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
-        wait_until(lambda: "feedback" in screen.look(), "the status line")
-        assert "hold LB" in screen.look()
-        ways: tuple[Callable[[], None], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
-        for stop in ways:
-            pad.send(LB + FULL)
-            wait_until(lambda: fastest in emulator.commands()[-10:], "full speed")
-            stop()
-            wait_until(emulator.is_stopped, "zero as the newest command")
-            stood = len(emulator.commands())
-            wait_for_commands(emulator, stood + 20)
-            assert set(emulator.commands()[stood:]) == {ZERO}
-        wait_until(lambda: "lost" in screen.look(), "the message")
-        pad.plug()
-        wait_until(lambda: "press LB to drive on" in screen.look(), "a pad that is back")
-        pad.send(LB + FULL)
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        pad.send(QUIT)
-        assert screen.wait() == 0
-        assert screen.look().count("lost") == 1
-        assert "Traceback" not in screen.look()
-    wait_until(emulator.is_stopped, "zero as the last command")
-    asked = np.concatenate([episode.asked for episode in read(path).episodes])
-    assert np.unique(asked, axis=0).tolist() == [[0.0, 0.0], [config.max_linear, 0.0]]
 
 
 def test_after_an_emergency_stop_start_releases_it_and_the_deadman_is_pressed_anew(

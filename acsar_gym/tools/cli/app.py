@@ -60,9 +60,6 @@ def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.
     """Print a script with which a shell completes commands and options at TAB.
 
     For bash: acsar-gym completion bash > ~/.local/share/bash-completion/completions/acsar-gym
-
-    Args:
-        shell: which shell.
     """
     from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
 
@@ -72,15 +69,7 @@ def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.
 
 
 def parse_command(words: list[str], **others: Any) -> Any:
-    """Run the command of a command line.
-
-    Args:
-        words: the command line.
-        **others: functions instead of those of `COMMANDS`, by the command's name.
-
-    Raises:
-        ConfigError: there is no such command.
-    """
+    """Run the command of a command line."""
     sections = get_args(CommandSection)
     found: dict[str, Any] = {}
     groups: dict[str, dict[str, Any]] = {}

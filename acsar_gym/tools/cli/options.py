@@ -49,14 +49,7 @@ class WorldFileOptions:
     GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH come next, then those beside the world."""
 
     def place(self, worlds: str | None) -> Any:
-        """Return what an env takes as `worlds=`: the name alone, or with these options.
-
-        Args:
-            worlds: kind, file or folder; None for an env's own.
-
-        Raises:
-            ConfigError: these options are given without a name.
-        """
+        """Return what an env takes as `worlds=`: the name alone, or with these options."""
         from acsar_gym.worlds.pool import place_worlds  # noqa: PLC0415
 
         return place_worlds(worlds, self.start, self.goal, self.models)
@@ -83,18 +76,7 @@ def print_results(
 def check_writable(
     *paths: Path | None, robot: Path | None = None, force: bool = False, mark: str | None = None
 ) -> None:
-    """Check before the work that results can be written, and replace nothing that others wrote.
-
-    Args:
-        *paths: files; None is accepted.
-        robot: file of a robot, which is edited in place; None is accepted.
-        force: whether files may be replaced that another command or person wrote.
-        mark: text at the beginning of files that the command wrote, where it isn't the usual one;
-            "" where it can't know them again.
-
-    Raises:
-        ConfigError: one of them can't be written.
-    """
+    """Check before the work that results can be written, and replace nothing that others wrote."""
     from acsar_gym.config import RobotConfig, saving  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
@@ -137,18 +119,7 @@ class PageOptions(ResultOptions):
 
 
 def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> None:
-    """Say what is about to move, and count down; any key ends it.
-
-    Args:
-        what: what will move, and what the user should have done, such as "the wheels of
-            /dev/ttyUSB0 will turn: lift the robot".
-        seconds: length of the countdown [s].
-        yes: don't wait and don't ask, for scripts.
-
-    Raises:
-        CancelledError: a key was pressed; nothing has moved.
-        ConfigError: standard input is no terminal, so nobody could press a key.
-    """
+    """Say what is about to move, and count down; any key ends it."""
     if yes:
         return
     if not sys.stdin.isatty():
@@ -217,19 +188,7 @@ class RecordOptions:
     """Show it live to Foxglove, on this computer only; prints the address."""
 
     def recorder(self, command: str, **about: Any) -> Recorder | None:
-        """Make the recorder that is asked for.
-
-        Args:
-            command: what records.
-            **about: what the header says besides, ready for JSON.
-
-        Returns:
-            A recorder, which the robot or env that it is given to closes; None if nothing is asked
-            for.
-
-        Raises:
-            ConfigError, MissingExtraError: it can't record or show.
-        """
+        """Make the recorder that is asked for."""
         if self.split and self.record is None:
             raise ConfigError("--split: needs --record FILE")
         if self.record is None and not self.view:
@@ -266,14 +225,7 @@ class BagOptions:
 
 
 def check_not_given(options: Iterable[tuple[str, Any]]) -> None:
-    """Check options that are only for driving, where recordings are read.
-
-    Args:
-        options: name, and a value that is false unless it was given.
-
-    Raises:
-        ConfigError: for the first that was given.
-    """
+    """Check options that are only for driving, where recordings are read."""
     for option, value in options:
         if value:
             raise ConfigError(f"{option} is for driving a robot; recordings are only read")
@@ -308,15 +260,7 @@ class HostOptions:
     """Drive real wheels even where 'acsar-gym estop' couldn't stop them."""
 
     def prepare(self, drives: str | None = None) -> None:
-        """Set priority and cores, and check that a real robot can be stopped.
-
-        Args:
-            drives: link whose wheels will turn; None where none will.
-
-        Raises:
-            ConfigError: the priority or cores aren't allowed.
-            LinkError: `acsar-gym estop` couldn't stop the robot, and that isn't allowed.
-        """
+        """Set priority and cores, and check that a real robot can be stopped."""
         from acsar_gym.guard.estop import StopListener  # noqa: PLC0415
         from acsar_gym.links.factory import is_device  # noqa: PLC0415
         from acsar_gym.tools.commission import host  # noqa: PLC0415

@@ -1,1 +1,1 @@
-"""The dashboard: a page on loopback that shows a recording, also while it is being written."""
+"""Recordings and live drives in Rerun's viewer."""

@@ -1,15 +1,15 @@
-"""Reads a recording, and what is added to it while it is being written."""
+"""Reads a recording block by block, also while it is being written."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Sized
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -20,7 +20,6 @@ from acsar_gym.recording.messages import (
     DIAGNOSTICS,
     EXCHANGES,
     SCANS,
-    STEP_COLUMNS,
     STEPS,
     TICK_COLUMNS,
     TICKS,
@@ -30,342 +29,191 @@ from acsar_gym.recording.messages import (
 from acsar_gym.recording.stream import FileCut, RecordStream
 from acsar_gym.recording.types import Floats, WireLog
 
-WRITING_TIMEOUT = 10.0
-"""A file that hasn't grown for so long when it is opened isn't being written [s]."""
-TAIL_TOPICS = TICKS, EXCHANGES, STEPS, SCANS, WIRE_SENT, DIAGNOSTICS
-FAULT_STATUS = b"acsar: fault"
+VIEWED_TOPICS = TICKS, EXCHANGES, STEPS, SCANS, WIRE_SENT, DIAGNOSTICS
+FAULT_STATUS = "acsar: fault"
 """Name of the status that tells what ended an episode."""
-TICK_PLACES = {name: place for place, name in enumerate(TICK_COLUMNS)}
-"""Columns of `GrowingEpisode.ticks` by name; times are since the reset."""
-MAX_COORDINATE = 1e6
-"""Largest coordinate of goal and start, either sign [m]."""
-DRAINED_BYTES = 20_000_000
-"""So many bytes are read at once."""
-INITIAL_ROWS = 16
-"""Rows of a table for which there is room at first."""
+BLOCK_BYTES = 20_000_000
+"""About so many bytes of a recording are in memory at once."""
 
 
-class GrowingTable:
-    """A table that grows; adding rows takes the same time however many there are.
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What was read of one episode at once. Times are since its reset [s].
 
-    Args:
-        width: numbers in a row.
-        kind: of the numbers.
+    Attributes: `episode`, its number from 0; `info`, seed, goal, start and world, as far as they
+    are known; `ticks`, (n,) each, the columns of `messages.TICK_COLUMNS`; `truth`, (m, 5) time, x
+    [m], y [m], theta [rad] in the frame of the world, and contact, NaN on hardware; `sent`, (k, 5)
+    time and wheel speeds of each command on the wire [rad/s]; `scan_times`, (s,), and `ranges`,
+    (s, rays) [m]; `steps`, rows of `messages.STEP_COLUMNS`; `faults`, (time, text).
     """
 
-    def __init__(self, width: int, kind: Any = np.float64) -> None:
-        self._data = np.zeros((INITIAL_ROWS, width), kind)
-        self._size = 0
+    episode: int
+    info: Mapping[str, Any]
+    ticks: Mapping[str, Floats]
+    truth: Floats
+    sent: Floats
+    scan_times: Floats
+    ranges: Floats
+    steps: Floats
+    faults: list[tuple[float, str]]
 
-    def __len__(self) -> int:
-        return self._size
-
-    @property
-    def rows(self) -> NDArray[Any]:
-        """All rows, (n, width); they stay as they are while others are added."""
-        return self._data[: self._size]
-
-    def add(self, rows: NDArray[Any], clock: int | None = None) -> None:
-        """Add rows, (k, width), whose column `clock` holds ascending times.
-
-        Raises:
-            ConfigError: the times are no numbers, or go backwards.
-        """
-        if clock is not None:
-            stamps = np.r_[self.rows[-1:, clock], rows[:, clock]]
-            if not (np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all()):
-                raise ConfigError("is damaged: its times go backwards")
-        size = self._size + len(rows)
-        if size > len(self._data):
-            room = max(size, 2 * len(self._data)), self._data.shape[1]
-            grown = np.zeros(room, self._data.dtype)
-            grown[: self._size] = self.rows
-            self._data = grown
-        self._data[self._size : size] = rows
-        self._size = size
-
-
-class GrowingEpisode:
-    """What was recorded from a reset to the next one. Times are since the reset [s].
-
-    Attributes: `ticks` and `steps`, the columns of `messages.TICK_COLUMNS` and `STEP_COLUMNS`;
-    `truth`, (m, 5) time, x [m], y [m], theta [rad] in the frame of the world, and whether there was
-    contact, NaN on hardware; `sent`, (k, 5) time and the wheel
-    speeds of each command on the wire [rad/s]; `scans`, (s, 1) times; `ranges`, (s, rays) [m],
-    None without a LiDAR; `faults`, (time, text).
-
-    Args:
-        parts: what was read of it; it is emptied here.
-        config: of the robot.
-    """
-
-    def __init__(self, parts: EpisodeParts, config: RobotConfig) -> None:
-        self.info = parts.info
-        self.ticks = GrowingTable(len(TICK_COLUMNS))
-        self.steps = GrowingTable(len(STEP_COLUMNS))
-        self.truth = GrowingTable(5)
-        self.sent = GrowingTable(5)
-        self.scans = GrowingTable(1)
-        self.ranges: GrowingTable | None = None
-        self.faults: list[tuple[float, str]] = []
-        self._parts = parts
-        self._config = config
-
-    def drain(self) -> bool:
-        """Take what was read since the last call; returns whether there was anything.
-
-        Raises:
-            ConfigError: the recording is damaged.
-        """
-        before = self._count_rows()
-        self.ticks.add(self._take_table(TICKS), TICK_PLACES["stamp"])
-        self.steps.add(self._take_table(STEPS), STEP_COLUMNS.index("stamp"))
-        self.truth.add(self._take_table(EXCHANGES)[:, [1, 5, 6, 7, 10]], 0)
-        stamps, sent = self._take_list(WIRE_SENT)
-        log = WireLog(stamps, tuple(sent), np.zeros(0), ())
-        stamps, speeds = log.commands(self._config)
-        self.sent.add(np.column_stack([np.maximum.accumulate(stamps), speeds]))
-        for data in self._take_list(SCANS)[1]:
-            row = np.frombuffer(data, "<f8")
-            rays = len(row) - 2
-            if self.ranges is None and rays > 0:
-                self.ranges = GrowingTable(rays, np.float32)
-            if self.ranges is None or self.ranges.rows.shape[1] != rays:
-                raise ConfigError("is damaged: scans of several lengths")
-            self.scans.add(row[None, 1:2] - self._parts.start, 0)
-            self.ranges.add(row[None, 2:].astype(np.float32))
-        for stamp, data in zip(*self._take_list(DIAGNOSTICS), strict=True):
-            if FAULT_STATUS in data:
-                self.faults.append((float(stamp), _parse_fault(data)))
-        return self._count_rows() != before
-
-    def _count_rows(self) -> list[int]:
-        tables: list[Sized] = [
-            self.ticks,
-            self.truth,
-            self.sent,
-            self.scans,
-            self.faults,
-            self.steps,
-        ]
-        return [len(table) for table in tables]
-
-    def _take_table(self, topic: Topic) -> Floats:
-        """The rows of a table since the last call; their column `stamp` is since the reset."""
-        rows = self._parts.take_table(topic).copy()
-        rows[:, topic.columns.index("stamp")] -= self._parts.start
-        return rows
-
-    def _take_list(self, topic: Topic) -> tuple[Floats, list[bytes]]:
-        """Times since the reset [s], and messages, since the last call."""
-        times, data = self._parts.take_list(topic)
-        stamps = np.array([time - self._parts.offset for time in times], np.float64) / 1e9
-        return stamps - self._parts.start, data
-
-    @property
-    def end(self) -> float:
-        """Time of the newest tick or command [s]."""
-        newest = [self.column("stamp")[-1:], self.sent.rows[-1:, 0]]
-        return float(np.max(np.concatenate(newest), initial=0.0))
+    def numbers(self, name: str, count: int) -> tuple[float, ...] | None:
+        """So many numbers of `info`; None where they aren't there, or no numbers."""
+        try:
+            numbers = tuple(map(float, self.info[name]))
+        except (KeyError, TypeError, ValueError, OverflowError):
+            return None
+        return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
 
     @property
     def is_simulated(self) -> bool:
         """Whether the truth is known."""
-        return bool(len(self.truth)) and bool(np.isfinite(self.truth.rows[-1]).all())
-
-    @property
-    def goal(self) -> tuple[float, float] | None:
-        """Goal in the odometry frame [m]; None where none is known."""
-        found = _parse_numbers(self.info.get("goal"), 2)
-        return None if found is None else (found[0], found[1])
+        return bool(np.isfinite(self.truth[:, 1]).any())
 
     @property
     def start(self) -> tuple[float, float, float]:
         """Start in the frame of the world [m, m, rad]."""
-        x, y, theta = _parse_numbers(self.info.get("start"), 3) or (0.0, 0.0, 0.0)
+        x, y, theta = self.numbers("start", 3) or (0.0, 0.0, 0.0)
         return x, y, theta
-
-    def column(self, name: str) -> Floats:
-        """A column of the ticks, (n,)."""
-        found: Floats = self.ticks.rows[:, TICK_PLACES[name]]
-        return found
 
     @property
     def poses(self) -> Floats:
         """Poses by odometry at each tick, (n, 3): x [m], y [m], theta [rad]."""
-        found: Floats = self.ticks.rows[:, TICK_PLACES["x"] : TICK_PLACES["theta"] + 1]
-        return found
-
-    @property
-    def measured(self) -> Floats:
-        """Newest wheel speeds at each tick, (n, 4) [rad/s]."""
-        first = TICK_PLACES["speed_a"]
-        found: Floats = self.ticks.rows[:, first : first + 4]
-        return found
-
-    def pose(self, time: float) -> tuple[float, float, float]:
-        """Pose by odometry at a time [s], that of the newest tick; zero before the first one."""
-        place = self.place(time)
-        x, y, theta = self.poses[place].tolist() if place >= 0 else (0.0, 0.0, 0.0)
-        return x, y, theta
-
-    def place(self, time: float) -> int:
-        """Number of the newest tick at a time [s]; -1 before the first one."""
-        return int(np.searchsorted(self.column("stamp"), time + 1e-9, "right")) - 1
-
-    def count_truth(self, time: float) -> int:
-        """How many true poses there are until a time [s]."""
-        return int(np.searchsorted(self.truth.rows[:, 0], time + 1e-9, "right"))
-
-    def asked(self, ticks: slice) -> Floats:
-        """Wheel speeds that were asked for in some ticks, (n, 4) [rad/s]; NaN where none were."""
-        rows = self.ticks.rows[ticks]
-        linear, angular = (rows[:, TICK_PLACES[f"asked_{name}"]] for name in ("linear", "angular"))
-        left_radius, right_radius = self._config.wheel_radii
-        turn = angular * self._config.effective_separation / 2.0
-        right, left = (linear + turn) / right_radius, (linear - turn) / left_radius
-        return np.stack([right, left, left, right], axis=1)
-
-
-def _parse_numbers(value: Any, count: int) -> tuple[float, ...] | None:
-    """So many numbers of moderate size; None for anything else that a file may say."""
-    try:
-        found = tuple(map(float, value))
-    except (TypeError, ValueError, OverflowError):
-        return None
-    moderate = all(abs(one) < MAX_COORDINATE for one in found)
-    return found if len(found) == count and moderate else None
-
-
-def _parse_fault(data: bytes) -> str:
-    """The error in a diagnostic message."""
-    try:
-        found: Any = messages.load_typestore().deserialize_cdr(data, DIAGNOSTICS.kind)
-        return str(next(s.message for s in found.status if s.name == FAULT_STATUS.decode()))
-    except Exception:  # noqa: BLE001 - a damaged file can make it raise anything
-        return "an error that can't be read"
+        return np.stack([self.ticks[name] for name in ("x", "y", "theta")], axis=1)
 
 
 class RecordingTail:
     """A recording that may still be growing.
 
-    A recorder that begins again under the same name replaces the file: then this begins again, too.
-
-    Attributes: `path`; `episodes`; `config`, of the robot; `header`, of the recording; `damages`, a
-    line for each damaged place, which was left out.
-
-    Args:
-        path: the file.
-
-    Raises:
-        ConfigError: the file can't be read, isn't a recording, or is damaged.
+    A recorder that begins again under the same name replaces the file: then this begins again, too,
+    and `run` is one more. ConfigError where it can't be read, or isn't a recording.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.run = 0
         self._file: tuple[int, int] | None = None
-        self._restart()
-        self.poll()
+        self._begin()
+        with open_file(path, None) as file:
+            for _ in self._read(file, only_header=True):
+                pass
+        self._begin()
 
-    def _restart(self) -> None:
-        self._collector = EpisodeCollector(TAIL_TOPICS)
-        self._place, self._size, self._damage = 0, -1, ""
+    def _begin(self) -> None:
+        self._collector = EpisodeCollector(VIEWED_TOPICS)
+        self._place = self._size = self._newest = 0
         self.damages: list[str] = []
-        self.episodes: list[GrowingEpisode] = []
-        self.config = RobotConfig()
-        self.header: dict[str, Any] = {}
 
-    def poll(self) -> bool:
-        """Read what was added; returns whether there is anything new.
-
-        A file that isn't there, or whose beginning isn't written yet, may come: then the next call
-        reads it. Damage stays until another file takes its place.
-
-        Raises:
-            ConfigError: as for the constructor.
-        """
+    def read(self) -> Iterator[Block]:
+        """Yield what was added since the last call, in blocks."""
         with open_file(self.path, None) as file:
             status = os.fstat(file.fileno())
-            same = status.st_dev, status.st_ino
-            is_other = self._file not in (None, same)
-            if is_other or status.st_size < self._size:
-                self._restart()
-            elif self._damage:
-                raise ConfigError(self._damage)
-            elif status.st_size == self._size and self.header:
-                return False
-            self._file, self._size = same, status.st_size
-            try:
-                return self._read(file) or is_other
-            except ConfigError as error:
-                self._damage = str(error) if self.header else ""
-                raise
+            identity = status.st_dev, status.st_ino
+            if self._file not in (None, identity) or status.st_size < self._size:
+                self._begin()
+                self.run += 1
+            self._file, self._size = identity, status.st_size
+            yield from self._read(file)
 
-    def _read(self, file: Any) -> bool:
-        """Read complete records from where the last call has ended; whether there was anything."""
+    def _read(self, file: Any, *, only_header: bool = False) -> Iterator[Block]:
         collector = self._collector
-        records, changed = RecordStream(file, collector.topics), False
-        records.place = self._place or records.place
+        stream = RecordStream(file, collector.topics)
+        stream.place = self._place or stream.place
         try:
-            for opcode, content in records:
+            for opcode, content in stream:
                 collector.take(opcode, content)
-                if collector.kept > DRAINED_BYTES and collector.header is not None:
-                    changed |= self._drain()
-        except FileCut as cut:  # the rest of the record isn't written yet
+                if only_header and collector.header is not None:
+                    break
+                if collector.kept > BLOCK_BYTES:
+                    yield from self._take_blocks()
+        except FileCut as cut:
             if cut.damaged:
-                raise ConfigError("is damaged: what follows is no record") from cut
-        self._place = records.place
-        self.damages += records.damages
+                raise ConfigError(f"{self.path}: is damaged: what follows is no record") from cut
+        self._place = stream.place
+        self.damages += stream.damages
         if collector.header is None:
-            raise ConfigError("isn't a recording of acsar_gym")
-        return self._drain() or changed or self.is_complete
+            raise ConfigError(f"{self.path}: isn't a recording of acsar_gym")
+        self.header = collector.header
+        self.config = RobotConfig.model_validate(collector.header["config"])
+        yield from self._take_blocks()
 
-    def _drain(self) -> bool:
-        """Hand what was read over to the episodes; whether there was anything."""
-        collector = self._collector
-        collector.kept = 0
-        if not self.header and collector.header is not None:
-            self.config = RobotConfig.model_validate(collector.header["config"])
-            self.header = collector.header
-        known = len(self.episodes)
-        self.episodes += [GrowingEpisode(one, self.config) for one in collector.parts[known:]]
-        changed = [episode.drain() for episode in self.episodes[max(known - 1, 0) :]]
-        return any(changed) or len(self.episodes) > known
+    def _take_blocks(self) -> Iterator[Block]:
+        self._collector.kept = 0
+        all_parts = self._collector.parts
+        for number in range(self._newest, len(all_parts)):
+            block = self._make_block(number, all_parts[number])
+            if block is not None:
+                yield block
+        self._newest = max(len(all_parts) - 1, 0)
+
+    def _make_block(self, number: int, parts: EpisodeParts) -> Block | None:
+        """What was read of an episode since the last time; None for nothing."""
+        take_table = partial(_take_table, parts)
+        ticks, exchanges, steps = (take_table(topic) for topic in (TICKS, EXCHANGES, STEPS))
+        sent_times, sent = _take_list(parts, WIRE_SENT)
+        scans = [np.frombuffer(data, "<f8") for data in _take_list(parts, SCANS)[1]]
+        diagnostics = zip(*_take_list(parts, DIAGNOSTICS), strict=True)
+        faults = [
+            (float(time), _parse_fault(data))
+            for time, data in diagnostics
+            if FAULT_STATUS.encode() in data
+        ]
+        if not (len(ticks) or len(exchanges) or len(sent) or scans or faults or len(steps)):
+            return None
+        if len({len(scan) for scan in scans}) > 1:
+            raise ConfigError(f"{self.path}: is damaged: scans of several lengths")
+        log = WireLog(sent_times, tuple(sent), np.zeros(0), ())
+        times, speeds = log.commands(self.config)
+        rows = np.array(scans, np.float64) if scans else np.zeros((0, 2))
+        return Block(
+            number,
+            parts.info,
+            dict(zip(TICK_COLUMNS, ticks.T, strict=True)),
+            exchanges[:, [1, 5, 6, 7, 10]],
+            np.column_stack([times, speeds]),
+            rows[:, 1] - parts.start,
+            rows[:, 2:],
+            steps,
+            faults,
+        )
 
     @property
     def is_complete(self) -> bool:
         """Whether the recording was ended in order."""
         return self._collector.end is not None
 
-    @property
-    def dropped(self) -> int:
-        """Events that were dropped because the writer couldn't keep up; 0 where it isn't told."""
-        found = (self._collector.end or {}).get("dropped")
-        return found if isinstance(found, int) else 0
+    def describe_end(self) -> str:
+        """Tell how a recording that isn't written any more has ended."""
+        if self.damages:
+            return f"the recording ends; left out, damaged: {', '.join(self.damages[:2])}"
+        if self._collector.end is None:
+            return "the recording's end is missing"
+        dropped = self._collector.end.get("dropped")
+        lost = f"; {dropped:,} events were dropped" if isinstance(dropped, int) and dropped else ""
+        return f"the recording ends{lost}"
 
-    @property
-    def age(self) -> float:
-        """Time since the file has grown [s]."""
-        try:
-            return max(0.0, time.time() - self.path.stat().st_mtime)
-        except OSError:
-            return float("inf")
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it wasn't ended, and the process that records runs on this computer."""
-        if self.is_complete or not self.process:
-            return False
-        try:
-            os.kill(self.process, 0)
-        except PermissionError:
-            return True
-        except (OSError, OverflowError):
-            return False
-        return True
+def _take_table(parts: EpisodeParts, topic: Topic) -> Floats:
+    """The rows of a table since the last call; their column `stamp` is since the reset."""
+    rows = parts.take_table(topic).copy()
+    stamps = rows[:, topic.columns.index("stamp")]
+    stamps -= parts.start
+    if not (np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all()):
+        raise ConfigError("is damaged: its times go backwards")
+    return rows
 
-    @property
-    def process(self) -> int:
-        """Id of the process that records; 0 where it isn't known."""
-        found = self.header.get("process")
-        return found if isinstance(found, int) and 0 < found < 2**31 else 0
+
+def _take_list(parts: EpisodeParts, topic: Topic) -> tuple[Floats, list[bytes]]:
+    """Times since the reset [s], and messages, since the last call."""
+    times, data = parts.take_list(topic)
+    stamps = np.array([time - parts.offset for time in times], np.float64) / 1e9
+    return stamps - parts.start, data
+
+
+def _parse_fault(data: bytes) -> str:
+    """The error in a diagnostic message."""
+    try:
+        message: Any = messages.load_typestore().deserialize_cdr(data, DIAGNOSTICS.kind)
+        return str(next(s.message for s in message.status if s.name == FAULT_STATUS))
+    except Exception:  # noqa: BLE001 - a damaged file can make it raise anything
+        return "an error that can't be read"

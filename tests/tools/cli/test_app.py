@@ -186,6 +186,22 @@ def test_a_drive_goes_on_in_new_files_and_parts_are_cut_out(call: Call, tmp_path
     assert_one_line(error, "--split: needs --record FILE")
 
 
+def test_a_recording_becomes_a_file_for_rerun(call: Call, tmp_path: Path) -> None:
+    tape, out = drive(tmp_path / "tape.mcap", RobotConfig.of(None)), tmp_path / "tape.rrd"
+    for _ in range(2):  # replaces what it wrote itself
+        code, said, error = call("view", tape, "--save", out)
+        assert (code, error) == (0, "")
+        assert said.startswith(f"{out}: 1 episode, ")
+    out.write_text("mine", encoding="utf-8")
+    code, _, error = call("view", tape, "--save", out)
+    assert code == 2
+    assert_one_line(error, f"{out}: ")
+    for wrong in (("planar",), (tape, tmp_path / "none.mcap"), (tmp_path / "none.mcap",)):
+        code, _, error = call("view", *wrong, "--save", tmp_path / "new.rrd")
+        assert code == 2
+        assert_one_line(error, str(wrong[-1]))
+
+
 def test_bags_are_read_where_recordings_are(call: Call, tmp_path: Path) -> None:
     tape = drive(tmp_path / "tape.mcap", RobotConfig.preset("acsar"), 600)
     topics = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
@@ -239,7 +255,7 @@ sys.argv = ["acsar-gym", *sys.argv[1:]]
 try:
     app.main()
 finally:
-    found = {"torch", "ray", "dash", "pybullet", "numba"} & set(sys.modules)
+    found = {"torch", "ray", "rerun", "pybullet", "numba"} & set(sys.modules)
     print(*sorted(found), file=sys.stderr)
 """
 

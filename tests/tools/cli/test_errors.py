@@ -112,7 +112,7 @@ ERRORS = [
     ("drive --link planar --linear nan", 2, "--linear"),
     (f"drive --link {MISSING} --linear 0.1", 3, f"{MISSING}: "),
     ("view nothing.mcap", 2, "nothing.mcap: "),
-    ("view nothing.mcap --against one.mcap", 2, "nothing.mcap: "),
+    ("view nothing.mcap one.mcap", 2, "nothing.mcap: "),
     ("view /dev/ttyNONE", 3, "/dev/ttyNONE: "),
     ("view bullet", 2, "bullet "),
     ("record info notes.txt", 2, "notes.txt: "),

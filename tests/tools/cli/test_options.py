@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import pty
 import subprocess
@@ -11,8 +10,8 @@ import sys
 import pytest
 from serial_tools import TIMEOUT
 
-from acsar_gym.errors import CancelledError, ConfigError
-from acsar_gym.tools.cli.options import ask_user, countdown
+from acsar_gym.errors import ConfigError
+from acsar_gym.tools.cli.options import countdown
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -60,10 +59,3 @@ def test_any_key_cancels(key: bytes) -> None:
 def test_without_a_terminal_it_names_the_option() -> None:
     with pytest.raises(ConfigError, match="add --yes"):
         countdown("the wheels turn", 0.0)
-
-
-def test_a_question_takes_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("bn\n"))
-    assert ask_user("which wheel? ") == "bn"
-    with pytest.raises(CancelledError):
-        ask_user("and now? ")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 from cli_tools import Call, assert_one_line
-from serial_tools import cli
 
 from acsar_gym.tools.training import seeds
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
@@ -106,17 +105,6 @@ def test_a_policy_drives_from_that_start(room: tuple[str, ...], call: Call, tmp_
     header = json.loads(out.read_text())["header"]
     assert header["env"]["kwargs"]["worlds"]["start"] == PLACED[1]
     assert header["worlds"]["kind"] == room[0]
-
-
-def test_a_board_is_emulated_at_that_start(room: tuple[str, ...], tmp_path: Path) -> None:
-    log = tmp_path / "log.jsonl"
-    options = ("--duration", "0.2", "--log", log, "--lidar")
-    done = cli("emulate", "--world", *room, *PLACED, *options)
-    assert (done.returncode, done.stderr) == (0, "")
-    poses = [
-        line["pose"] for line in map(json.loads, log.read_text().splitlines()) if "pose" in line
-    ]
-    assert poses[0] == pytest.approx([-1.0, -1.0, 0.5])
 
 
 @pytest.mark.parametrize("option", ["--start", "--goal", "--models"])

@@ -29,13 +29,7 @@ COMMANDS: dict[str, Command] = {}
 
 
 def command(name: str, section: CommandSection, *, drives: bool = False) -> Callable[[F], F]:
-    """Mark a function as a command.
-
-    Args:
-        name: such as "drive"; or "worlds show", in a group whose help is the module's docstring.
-        section: where in the list of commands it stands.
-        drives: whether it drives a robot.
-    """
+    """Mark a function as a command."""
 
     def register(function: F) -> F:
         COMMANDS[name] = Command(function, section, drives)

@@ -1,47 +1,81 @@
-"""The command `view`: a run in a browser."""
+"""The command `view`: a run in Rerun's viewer."""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from acsar_gym.errors import require_extra
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import BagOptions, File, RobotArg, say
+from acsar_gym.tools.cli.options import BagOptions, File, Force, RobotArg, check_writable, say
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|LINK")]
+Other = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")]
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """What is shown, and where."""
+
+    live: bool = False
+    """Follow a recording that is being written; that of a device always is."""
+    camera: bool = False
+    """In simulation, draw what PyBullet's camera behind the robot sees, once a second."""
+    web: bool = False
+    """Open it in a browser, at a page on this computer only, instead of a window."""
+    port: int = 8050
+    """Port of the page, whose data has the next one; 0 takes any free ones."""
+    save: File = None
+    """Write an .rrd file instead of opening a viewer."""
+    force: Force = False
 
 
 @command("view", "recordings")
 def view_run(
     source: Source,
     bag: BagOptions,
-    against: File = None,
-    port: int = 8050,
+    options: ViewOptions,
+    other: Other = None,
     robot: RobotArg = None,
 ) -> int:
-    """Show a run as a page in a browser, recorded or while it is driven; with a stop button.
+    """Show a run in Rerun's viewer, recorded or while it is driven; or two over each other.
 
     Args:
-        source: a recording, also while it is being written, or a ROS 2 bag; or the device of a
-            robot that a program on this computer drives with --record FILE.
+        source: a recording, or a ROS 2 bag; or the device of a robot that a program on this
+            computer drives with --record FILE.
         bag: of ROS 2.
-        against: another recording that is drawn over it, such as the simulation of the same goals;
+        options: what is shown, and where.
+        other: another recording that is drawn over it, such as the simulation of the same goals;
             episodes are paired by seed and goal.
-        port: port of the page, on this computer only; 0 takes any free one.
         robot: ROS 2 bags: preset or file of the robot that it is of.
     """
     from acsar_gym.recording.bags import is_recording  # noqa: PLC0415
-    from acsar_gym.tools.view.server import find_recording, serve_page  # noqa: PLC0415
 
+    os.environ.setdefault("RUST_LOG", "off")  # Rerun would tell that its viewer was closed
+    with require_extra("the viewer", "view"):
+        from acsar_gym.tools.view import show  # noqa: PLC0415
+
+    check_writable(options.save, force=options.force, mark="RRF")
     bag_or_file = Path(source)
-    is_bag = bag_or_file.exists() and not is_recording(bag_or_file)
-    path = bag.open(bag_or_file, robot) if is_bag else find_recording(source)
-    if against is not None and path.exists():
-        against = bag.open(against, robot)
-    with serve_page(path, port, against) as server, contextlib.suppress(KeyboardInterrupt):
-        say(f"{path}: open http://127.0.0.1:{server.port} in a browser; Ctrl-C ends it")
-        server.serve_forever()
+    is_readable = bag_or_file.is_file() or bag_or_file.is_dir()
+    is_bag = is_readable and not is_recording(bag_or_file)
+    path = bag.open(bag_or_file, robot) if is_bag else show.find_recording(source)
+    if other is not None and path.exists():
+        other = bag.open(other, robot)
+    if options.save is not None:
+        count = show.save_recording(path, other, options.save, camera=options.camera)
+        say(f"{options.save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
+        return 0
+    is_device = path != Path(source.removeprefix("replay:")) and not is_bag
+    live, port = options.live or is_device, options.port if options.web else None
+    for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
+        signal.signal(number, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        show.show_recording(path, other, port, live=live, camera=options.camera)
     return 0
