@@ -578,5 +578,4 @@ class MapSensor(Sensor):
         Returns:
             (n, 2), in the odometry frame [m].
         """
-        centres: Floats = (cells + 0.5 - CELL_SHIFT) * self.cell_side
-        return centres
+        return (cells.astype(np.float64) + 0.5 - CELL_SHIFT) * self.cell_side
