@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from acsar_gym import jit as compiled
 from acsar_gym.recording import read
 from acsar_gym.tools import warm_up
 from acsar_gym.tools.policies import OnnxPolicy
@@ -66,8 +65,6 @@ def _copy_compiled_code(package: Path) -> None:
 
     Code with another stamp isn't used.
     """
-    if not compiled.COMPILED:
-        return
     warm_up.warm_env("point_goal")
     for kept in (ROOT / "acsar_gym").glob("**/__pycache__/*.nb[ic]"):
         place = package / kept.relative_to(ROOT / "acsar_gym")
