@@ -386,7 +386,8 @@ def _split_evaluation(
         worlds = read_worlds(source, lidar_height(config))
     if worlds is not None:  # from files, which another machine may not have
         portable["worlds"] = worlds
-    most = MAX_BATCHED_EPISODES if link == "planar" else MAX_SHARD_EPISODES
+    batched = link == "planar" and policy.act_many is not None
+    most = MAX_BATCHED_EPISODES if batched else MAX_SHARD_EPISODES
     size = len(seeds) // (SHARDS_PER_WORKER * workers) if workers else most
     size = max(1, min(most, size))
     parts = [seeds[first : first + size] for first in range(0, len(seeds), size)]

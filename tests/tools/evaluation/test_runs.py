@@ -244,20 +244,21 @@ def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(
 
 
 @pytest.mark.parametrize(
-    ("link", "count", "workers", "sizes"),
+    ("name", "count", "workers", "sizes"),
     [
-        ("bullet", 3, 2, [1, 1, 1]),
-        ("bullet", 80, 2, [10] * 8),
-        ("bullet", 41, 2, [5] * 8 + [1]),
-        ("bullet", 25, None, [10, 10, 5]),
-        ("planar", 400, 2, [50] * 8),
+        ("turn_drive", 3, 2, [1, 1, 1]),
+        ("turn_drive", 80, 2, [10] * 8),
+        ("turn_drive", 41, 2, [5] * 8 + [1]),
+        ("turn_drive", 25, None, [10, 10, 5]),
+        ("point_goal", 400, 2, [50] * 8),  # is driven as a batch
     ],
 )
 def test_shards_are_small_enough_for_every_worker(
-    link: str, count: int, workers: int | None, sizes: list[int], policy: FilePolicy
+    name: str, count: int, workers: int | None, sizes: list[int]
 ) -> None:
+    policy = runs.load_policy(name, trust=False, env="point_goal")
     seeds = range(100, 100 + count)
-    shards = runs._split_evaluation(policy, link, None, seeds, {}, workers, {})
+    shards = runs._split_evaluation(policy, "planar", None, seeds, {}, workers, {})
     assert [len(shard.seeds) for shard in shards] == sizes
     assert [seed for shard in shards for seed in shard.seeds] == list(seeds)
     assert [shard.skip for shard in shards] == [shard.seeds[0] - 100 for shard in shards]
