@@ -8,7 +8,7 @@ from typing import Any
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell, CellResult
 from acsar_gym.tools.benchmark.plan import CONDITIONS, condition_fields
 from acsar_gym.tools.benchmark.scenes import find_sets
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 
 ENV_ID = "PointGoal-v0"
 SCENES = find_sets(f"acsar_gym/{ENV_ID}")[0]

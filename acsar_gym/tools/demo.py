@@ -11,7 +11,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import MissingExtraError
 from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import report, runs
-from acsar_gym.tools.evaluation.episodes import odometry_errors
+from acsar_gym.tools.evaluation.episode import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.training.plan import TrainingOptions, require_training

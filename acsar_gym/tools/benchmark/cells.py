@@ -20,7 +20,7 @@ from typing import Any
 
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 
 BENCHMARK_SCHEMA = 3  # version of these files
 MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB

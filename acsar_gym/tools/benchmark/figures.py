@@ -28,7 +28,7 @@ from acsar_gym.tasks.task import info_names, says_shortest_path
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, CellResult
 from acsar_gym.tools.benchmark.plan import BASELINE, NOMINAL
 from acsar_gym.tools.evaluation import metrics, provenance
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import Interval
 
 Floats = NDArray[np.float64]

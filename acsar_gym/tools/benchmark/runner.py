@@ -39,7 +39,12 @@ from acsar_gym.tools.benchmark.figures import Scoring, score_episode
 from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
 from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import episodes, report, runs
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import (
+    Episode,
+    footprint_clearance,
+    odometry_errors,
+    read_true_poses,
+)
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, files
@@ -173,17 +178,17 @@ def add_emulator_truth(
     result: Episode, episode: RunningEpisode, config: RobotConfig, log: Path
 ) -> Episode:
     """Complete a result with what the emulator's log knows."""
-    stamps, poses = episodes.read_true_poses(log)
+    stamps, poses = read_true_poses(log)
     first, last = np.searchsorted(stamps, (result.started, result.ended), side="right")
     track = np.array(poses[max(0, first - 1) : last])
     length = path_length(np.concatenate([track[:-1:POSE_STRIDE], track[-1:]])[:, :2])
-    (error,) = episodes.odometry_errors([result], log)
+    (error,) = odometry_errors([result], log)
     result = replace(result, driven=length, odometry_error=error)
     assignment = episode.assignment
     world = assignment.world
     if world is None or not world.obstacles:
         return result
-    clearance = episodes.footprint_clearance(track, config.outline, world)
+    clearance = footprint_clearance(track, config.outline, world)
     touched = clearance < PORT_TOUCH_DISTANCE
     shortest = left = math.nan
     if isinstance(episode.task, GoalTask) and says_shortest_path(episode.task):

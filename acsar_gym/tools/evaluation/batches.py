@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.tasks.episode import Assignment, RunningEpisode
 from acsar_gym.tasks.goal import GoalTask
-from acsar_gym.tasks.task import State, says_shortest_path
-from acsar_gym.tools.evaluation.episodes import (
+from acsar_gym.tasks.state import State
+from acsar_gym.tasks.task import says_shortest_path
+from acsar_gym.tools.evaluation.episode import (
     POSE_KEYS,
     Episode,
     Resets,

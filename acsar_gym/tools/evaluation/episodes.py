@@ -1,117 +1,30 @@
-"""The record of an episode, its figures, and episodes of a policy one after the other."""
+"""Episodes of a policy, one after the other or as a batch."""
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
-from collections.abc import Generator, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Generator
 from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
-from acsar_gym import reading
-from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import Outline
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
-from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tasks.episode import Assignment, RunningEpisode
-from acsar_gym.tasks.task import info_names
+from acsar_gym.tools.evaluation import batches
+from acsar_gym.tools.evaluation.episode import (
+    POSE_KEYS,
+    Episode,
+    Resets,
+    known_pose,
+    measure_episode,
+)
 from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.tools.policies.policy import PolicyContext
-from acsar_gym.worlds import Pose, Region, World
-from acsar_gym.worlds.geometry import point_clearance, segment_clearance
-from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
-from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
-Floats = NDArray[np.float64]
-Resets = Sequence[tuple[int, Mapping[str, Any]]]
-"""Seed and options of the reset of each episode."""
-MAX_LOG_BYTES = 1_000_000_000
-"""Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
 MAX_LATE_SHARE = 0.01  # largest share of late ticks in a valid episode
-POSE_KEYS = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Episode:
-    """Result of one episode, from odometry, the link's clock and, in simulation, ground truth.
-
-    Figures that aren't known are NaN.
-    """
-
-    seed: int | None = None  # of the reset
-    world: int | None = None
-    """Number of the world; -1 for a world or path given by the user, None on an open floor."""
-    success: bool
-    collision: bool  # whether a simulated robot touched an obstacle; always False on hardware
-    fault: str = ""  # fault of the link or board that ended the episode; empty if there was none
-    valid: bool = True  # whether there was no fault, and no more late ticks than allowed
-    started: float = 0.0  # time at which the first tick began, on the link's clock [s]
-    ended: float = math.nan  # time at which the last tick ended, on the link's clock [s]
-    length: int = 0  # number of policy steps
-    ticks: int = 0
-    late_ticks: int = 0  # ticks that ended over a millisecond late; 0 in simulation
-    episode_return: float = math.nan  # sum of the rewards
-    path: float = math.nan  # length of the path driven, by odometry [m]
-    driven: float = math.nan  # the same by ground truth if there is one, else by odometry [m]
-    shortest: float = math.nan
-    """Length of the shortest path to success for the robot's footprint [m], see
-    `Task.shortest_path`."""
-    left: float = math.nan  # the same from the final position [m]
-    turning: float = math.nan  # sum of absolute heading changes, by odometry [rad]
-    jerk: float = math.nan
-    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
-    clearance: float = math.nan
-    """Least distance of the footprint to an obstacle [m], by ground truth at every env step; 0 in a
-    collision."""
-    energy: float = math.nan
-    """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
-    P of `physics.model.motor_power`."""
-    odometry_error: float = math.nan  # distance between odometry and ground truth at the end [m]
-    cross_track: float = math.nan  # mean cross-track error of path following [m]
-    score: float = math.nan  # of a scene of the benchmark; see `benchmark.figures.score_episode`
-    pose: Pose = (math.nan, math.nan, math.nan)  # odometry at the end (x [m], y [m], theta [rad])
-    told: dict[str, float] = field(default_factory=dict)
-    """What the task told in info at the end, by name: its `told`."""
-    timing: EpisodeTiming | None = None
-    """Timing statistics of the link; None in simulation, which has no timing errors."""
-
-    @property
-    def time(self) -> float:
-        """Duration of the episode [s]."""
-        return self.ended - self.started
-
-    @property
-    def spl(self) -> float:
-        """Success weighted by path length, 0 to 1: success * shortest / max(driven, shortest)."""
-        return float(self.success) * self._path_share
-
-    @property
-    def soft_spl(self) -> float:
-        """SPL with the progress max(0, 1 - left / shortest) in place of success, 0 to 1."""
-        return max(0.0, 1.0 - _divide(self.left, self.shortest)) * self._path_share
-
-    @property
-    def _path_share(self) -> float:
-        """The shortest path as a share of the one driven, at most 1."""
-        if math.isnan(self.shortest):
-            return math.nan
-        driven = self.path if math.isnan(self.driven) else self.driven
-        return _divide(self.shortest, max(driven, self.shortest))
-
-
-def _divide(part: float, whole: float) -> float:
-    """Divide; 1 if `whole` isn't positive."""
-    return part / whole if whole > 0.0 else 1.0
 
 
 def run_episodes(
@@ -171,8 +84,6 @@ def run_resets(
     late_share: float = MAX_LATE_SHARE,
 ) -> Generator[Episode, None, None]:
     """As `run_episodes`, with these seeds and options."""
-    from acsar_gym.tools.evaluation import batches  # noqa: PLC0415 - imports this module
-
     if not 0.0 <= late_share <= 1.0:
         raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
     inner = env.unwrapped
@@ -229,172 +140,3 @@ def _run_episode(
         timing=timing,
         **measure_episode(inner, inner.episode, track, info, way),
     )
-
-
-def known_pose(poses: Sequence[float]) -> Pose:
-    """The pose by ground truth if it is known, else by odometry, of numbers named POSE_KEYS."""
-    x, y, theta = poses[:3] if math.isnan(poses[3]) else poses[3:]
-    return float(x), float(y), float(theta)
-
-
-def measure_episode(
-    env: RobotEnv,
-    episode: RunningEpisode,
-    track: Floats,
-    info: Mapping[str, Any],
-    way: Floats | float | None,
-) -> dict[str, Any]:
-    """Compute the fields of an `Episode` that follow from poses and info.
-
-    Args:
-        env: with task and robot.
-        episode: with its assignment, and the state at its end.
-        track: (steps + 1, 6): POSE_KEYS at the reset and after every env step.
-        info: of the last step.
-        way: the task's shortest way from the start.
-    """
-    assignment, config = episode.assignment, env.robot.config
-    odom, true = track[:, :3], track[:, 3:]
-    is_known, touched = not math.isnan(true[-1, 0]), info["true_contact"] == 1.0
-    first, last = known_pose(track[0]), known_pose(track[-1])
-    success, world = bool(info["is_success"] == 1.0), assignment.world
-    clearance = math.nan
-    if world is not None and world.obstacles and is_known:
-        places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
-        nearest = footprint_clearance(places, config.outline, world)
-        clearance = 0.0 if touched else max(0.0, nearest)
-    return {
-        "world": int(info["world"]) if "world" in info else None,
-        "success": success,
-        "collision": bool(touched and not success),
-        "path": path_length(odom[:, :2]),
-        "driven": path_length((true if is_known else odom)[:, :2]),
-        "shortest": measure_way(assignment, config, first, way, is_known=is_known),
-        "left": measure_way(
-            assignment, config, last, episode.shortest_path(last), is_known=is_known
-        ),
-        "turning": total_turning(odom),
-        "jerk": mean_jerk(odom, env.ticks_per_step * config.period),
-        "clearance": clearance,
-        "odometry_error": float(info["odometry_error"]),
-        "cross_track": float(info.get("mean_cross_track_error", math.nan)),
-        "pose": tuple(odom[-1].tolist()),
-        "told": {name: float(info[name]) for name in info_names(env.task)},
-    }
-
-
-def total_turning(poses: Floats) -> float:
-    """Return the sum of absolute heading changes of poses (N, 3) [rad]."""
-    return float(np.abs(np.diff(np.unwrap(poses[:, 2]))).sum())
-
-
-def mean_jerk(poses: Floats, period: float) -> float:
-    """Compute the mean absolute jerk of the speed driven.
-
-    The average of |d^2 v / dt^2|, as in the metrics of Francis et al. 2023 (Principles and
-    Guidelines for Evaluating Social Robot Navigation), by second differences of the speed. The
-    speed of a step is its displacement along the mean heading, over the period.
-
-    Args:
-        poses: (N, 3), one for each env step.
-        period: duration of an env step [s].
-
-    Returns:
-        The jerk [m/s^3]; NaN for episodes of fewer than three steps.
-    """
-    if len(poses) < 4:
-        return math.nan
-    x, y, theta = poses.T
-    theta = np.unwrap(theta)
-    middle = (theta[1:] + theta[:-1]) / 2.0
-    speeds = (np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)) / period
-    return float(np.abs(np.diff(speeds, 2)).mean()) / period**2
-
-
-def measure_way(
-    assignment: Assignment,
-    config: RobotConfig,
-    pose: Pose,
-    way: Floats | float | None,
-    *,
-    is_known: bool,
-) -> float:
-    """Return the length of a task's way from a pose [m].
-
-    NaN where there is none, or where the surroundings aren't known, as those of a real robot.
-    """
-    if isinstance(way, float):
-        return way
-    if way is None or (assignment.world is not None and not is_known):
-        return math.nan
-    radius, world = footprint_radius(config), assignment.world or World()
-    points = [pose[:2], *((x, y) for x, y in way.tolist())]
-    places = [Region(*point_in_world(assignment.start, point)) for point in points]
-    return math.fsum(
-        _distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
-    )
-
-
-@lru_cache(maxsize=1024)
-def _distance(world: World, radius: float, place: Region, goal: Region) -> float:
-    """As `remaining_distance`; episodes in one world often have the same start and goal."""
-    return remaining_distance(world, radius, place, goal)
-
-
-def footprint_clearance(places: Floats, outline: Outline, world: World) -> float:
-    """Compute the least distance of a footprint, at any of several poses, to any obstacle.
-
-    Args:
-        places: poses of the base in the frame of the world, (N, 3) [m, m, rad].
-        outline: corners of the footprint in the base frame [m].
-        world: with the obstacles.
-
-    Returns:
-        The distance of the footprint's sides [m]: negative inside a circle, inf without obstacles.
-    """
-    corners = np.array(outline)
-    outer, centres = float(np.hypot(*corners.T).max()), point_clearance(places[:, :2], world)
-    near = places[centres <= centres.min() + outer]  # elsewhere the footprint is farther away
-    x, y, theta = near.T[..., None]
-    cos, sin = np.cos(theta), np.sin(theta)
-    ahead, left = corners.T
-    placed = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
-    ends = np.roll(placed, -1, axis=1)
-    return float(segment_clearance(placed.reshape(-1, 2), ends.reshape(-1, 2), world).min())
-
-
-def odometry_errors(episodes: Iterable[Episode], log: Path) -> list[float]:
-    """Compute the odometry error at the end of each episode from an emulator's log [m].
-
-    The emulated robot isn't moved back between episodes, so true poses are taken relative to the
-    true pose at the reset. Link and emulator both use the machine's monotonic clock.
-
-    Raises:
-        ConfigError: the log holds no true poses.
-    """
-    stamps, poses = read_true_poses(log)
-    errors = []
-    for episode in episodes:
-        newest = np.searchsorted(stamps, (episode.started, episode.ended), side="right") - 1
-        start, end = (poses[max(0, int(number))] for number in newest)
-        x, y, _ = to_odometry(start, end)
-        errors.append(math.hypot(x - episode.pose[0], y - episode.pose[1]))
-    return errors
-
-
-def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
-    """Read the times [s] and true poses from an emulator's log, whose last line may be cut.
-
-    Raises:
-        ConfigError: it can't be read, or holds no true poses.
-    """
-    lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
-    try:
-        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
-        truths = [(float(event["t"]), event["pose"]) for event in events if "pose" in event]
-        poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
-    except (ValueError, TypeError, LookupError) as error:
-        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from error
-    if not poses:
-        raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
-    return [stamp for stamp, _ in truths], poses

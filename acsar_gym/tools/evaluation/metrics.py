@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.errors import require_extra
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000

@@ -19,7 +19,7 @@ from rich.table import Table
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools import page
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import EPISODE_RATES, TOLD_PREFIX, Summary
 
 Item = TypeVar("Item")

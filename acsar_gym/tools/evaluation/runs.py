@@ -33,7 +33,7 @@ from acsar_gym.links import Link, open_link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import baselines
 from acsar_gym.tools.evaluation import episodes, metrics, provenance, report
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import Summary
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import (

@@ -178,7 +178,7 @@ class OnnxPolicy(FilePolicy):
             (self._bind("input", one.input, one.shape), self._bind("output", one.output, one.shape))
             for one in self.bundle.state
         ]
-        if not network.states and isinstance(network.session.get_inputs()[0].shape[0], str):
+        if not self.bundle.state and isinstance(network.session.get_inputs()[0].shape[0], str):
             self.act_many = self._act_many
 
     def _bind(self, side: str, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:

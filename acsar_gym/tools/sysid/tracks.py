@@ -13,7 +13,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.odometry import Odometry
 from acsar_gym.recording.twin_replay import remove_jitter, replay_commands
 from acsar_gym.recording.types import Episode, Recording, WireLog
-from acsar_gym.tools.evaluation.episodes import read_true_poses
+from acsar_gym.tools.evaluation.episode import read_true_poses
 from acsar_gym.tools.sysid.delays import Floats, measure_delays
 from acsar_gym.worlds.world import to_odometry
 

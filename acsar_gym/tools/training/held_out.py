@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import reading
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import Summary, summarise_episodes
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import registry

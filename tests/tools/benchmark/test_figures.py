@@ -28,7 +28,7 @@ from acsar_gym.tools.benchmark.figures import (
     score_episode,
 )
 from acsar_gym.tools.evaluation import metrics
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 
 shapes = st.tuples(st.integers(1, 5), st.integers(1, 9))
 matrices = shapes.flatmap(lambda shape: arrays(np.float64, shape, elements=st.integers(0, 4)))

@@ -14,7 +14,7 @@ from cli_tools import Call, assert_one_line
 from acsar_gym.errors import BoardSilentError, EmergencyStopError
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.evaluation.episodes import Episode
+from acsar_gym.tools.evaluation.episode import Episode
 
 EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 

@@ -10,7 +10,8 @@ import pytest
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation import batches, runs
-from acsar_gym.tools.evaluation.episodes import Episode, run_episodes, run_resets
+from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.episodes import run_episodes, run_resets
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy
 
 NEARLY = (

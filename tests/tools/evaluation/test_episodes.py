@@ -15,7 +15,8 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.evaluation.episodes import Episode, odometry_errors, run_episodes
+from acsar_gym.tools.evaluation.episode import Episode, odometry_errors
+from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
 from acsar_gym.tools.evaluation.report import summary_table
 

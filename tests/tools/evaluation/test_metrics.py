@@ -17,13 +17,13 @@ from acsar_gym.errors import TaskError
 from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
 from acsar_gym.tasks import Observation, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.tasks.task import says_shortest_path
-from acsar_gym.tools.evaluation.episodes import (
+from acsar_gym.tools.evaluation.episode import (
     Episode,
     footprint_clearance,
     mean_jerk,
-    run_episodes,
     total_turning,
 )
+from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import (
     bootstrap_interval,
     summarise_episodes,
