@@ -20,7 +20,6 @@ from serial_tools import (
     CLI,
     HEEDING_CTRL_C,
     TIMEOUT,
-    Command,
     Emulated,
     RobotFile,
     cli,
@@ -35,6 +34,7 @@ from acsar_gym.guard.estop import stop_all
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.reader import read
+from acsar_gym.testing import Command
 from acsar_gym.tools import gamepad, teleop
 from acsar_gym.tools.gamepad import (
     ABS_RZ,
