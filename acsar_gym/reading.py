@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import math
 import os
@@ -348,17 +349,20 @@ def parse_yaml_entry(
     """
     try:
         _check_events(text, error, MAX_YAML_EVENTS, aliases=True)
-        entries = yaml.load(text, Loader=_MergingLoader)  # noqa: S506 -- derived from the safe one
+        root = yaml.compose(text, Loader=_MergingLoader)
+        if not isinstance(root, yaml.MappingNode):
+            raise error("must be values by name")
+        entries = {k.value: value for k, value in root.value if isinstance(k, yaml.ScalarNode)}
+        name = next((name for name in names if name in entries), None)
+        if name is None:
+            near = shorten_text(suggest_name(names[0], entries), 120)
+            missing = " and no ".join(map(show_value, names))
+            raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
+        if _count_values(entries[name], MAX_YAML_DEPTH, MAX_YAML_EVENTS) > MAX_YAML_EVENTS:
+            raise error(f"{name}: is nested too deeply or has too many values, by its aliases")
+        return name, _MergingLoader("").construct_document(entries[name])
     except YAML_ERRORS as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from problem
-    if not isinstance(entries, dict):
-        raise error("must be values by name")
-    name = next((name for name in names if name in entries), None)
-    if name is None:
-        near = shorten_text(suggest_name(names[0], entries), 120)
-        missing = " and no ".join(map(show_value, names))
-        raise error(f"has no {missing}{near.removesuffix('?')}: {hint}")
-    return name, entries[name]
 
 
 def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: bool = False) -> None:
@@ -373,6 +377,21 @@ def _check_events(text: str, error: type[AcsarError], most: int, *, aliases: boo
             raise error(f"{where}: has an alias (*), which is refused: write the value out")
         if depth > MAX_YAML_DEPTH or count > most:
             raise error(f"{where}: is nested too deeply or has too many values")
+
+
+def _count_values(node: yaml.Node, depth: int, most: int) -> int:
+    """Count the nodes of a value with its aliases written out; more than `most` for too many."""
+    if depth < 0:
+        return most + 1
+    count = 1
+    parts = node.value if isinstance(node, yaml.CollectionNode) else ()
+    for part in itertools.chain.from_iterable(
+        pair if isinstance(pair, tuple) else (pair,) for pair in parts
+    ):
+        if count > most:
+            break
+        count += _count_values(part, depth - 1, most - count)
+    return count
 
 
 def format_yaml_line(data: Any) -> str:
