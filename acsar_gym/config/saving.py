@@ -104,70 +104,64 @@ def find_differences(section: Section, usual: Section) -> dict[str, Any]:
 
 
 def _find_changes(old: Section, new: Section) -> dict[str, Any]:
-    """What differs, by keys; entries of mappings count one by one, and may be dropped."""
+    """What differs, by keys; entries of mappings are told apart, and may be dropped."""
     changes = find_differences(new, old)
-    before = old.model_dump(mode="json")
     for name, value in changes.items():
-        if isinstance(getattr(old, name), Mapping) and isinstance(value, Mapping):
-            entries = {key: entry for key, entry in value.items() if before[name].get(key) != entry}
-            changes[name] = dict.fromkeys(before[name].keys() - value.keys(), _DROPPED) | entries
+        before = getattr(old, name)
+        if isinstance(before, Mapping) and isinstance(value, Mapping):
+            known = old.model_dump(mode="json")[name]
+            kept = {key: each for key, each in value.items() if known.get(key) != each}
+            changes[name] = dict.fromkeys(known.keys() - value.keys(), _DROPPED) | kept
     return changes
 
 
 def _change_text(text: str, changes: Mapping[str, Any]) -> str:
     """Change values in a YAML document, and add those it doesn't have; the rest stays."""
-    if not changes:
-        return text
     newline = "\r\n" if "\r\n" in text else "\n"
     root = reading.compose_yaml(text)
-    if root is None:
-        edits = [_add_lines(text, len(text), changes)]
+    if isinstance(root, yaml.MappingNode):
+        edits = list(_edit_mapping(text, root, changes))
     else:
-        edits = list(_edit_value(text, root, changes))
-    for start, end, replacement in sorted(edits, reverse=True):
+        edits = [_add_lines(text, len(text), changes)] if changes else []
+    for start, end, replacement in sorted(edits, reverse=True, key=lambda edit: edit[:2]):
         text = text[:start] + replacement.replace("\n", newline) + text[end:]
     return text
 
 
-def _edit_value(text: str, node: yaml.Node, value: Any) -> Iterator[_Edit]:
-    """Yield what to replace where a value has changed; only blocks keep what is in them."""
-    start, end = node.start_mark.index, _find_end(node)
-    if isinstance(node, yaml.MappingNode) and isinstance(value, Mapping):
-        dropped = {name for name, entry in value.items() if entry is _DROPPED}
-        if not node.flow_style and {key.value for key, _ in node.value} - dropped:
-            yield from _edit_block(text, node, value, dropped)
-            return
-        value = _merge(reading.parse_yaml(text[start:end]) if node.flow_style else {}, value)
-    line = reading.format_yaml_line(value)
-    yield start, end, line if end > start else f" {line}"
-
-
-def _merge(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A mapping with changes, some of which are nested or drop an entry."""
-    both = {
-        name: _merge(old[name], value)
-        for name, value in changes.items()
-        if isinstance(value, Mapping) and isinstance(old.get(name), Mapping)
-    }
-    return {k: v for k, v in {**old, **changes, **both}.items() if v is not _DROPPED}
-
-
-def _edit_block(
-    text: str, node: yaml.MappingNode, changes: Mapping[str, Any], dropped: set[str]
-) -> Iterator[_Edit]:
-    """Yield what to replace in a mapping with a line for each entry; some entries stay."""
-    added = {name: value for name, value in changes.items() if value is not _DROPPED}
-    for key, value in node.value:
-        added.pop(key.value, None)
-        if key.value in dropped:
-            line_end = text.find("\n", _find_end(value))
-            start = key.start_mark.index - key.start_mark.column
-            yield start, len(text) if line_end < 0 else line_end + 1, ""
-        elif key.value in changes:
-            yield from _edit_value(text, value, changes[key.value])
+def _edit_mapping(text: str, node: yaml.MappingNode, changes: Mapping[str, Any]) -> Iterator[_Edit]:
+    """Yield what to replace in a mapping."""
+    entries = {key.value: value for key, value in node.value}
+    dropped = {name for name, value in changes.items() if value is _DROPPED}
+    added = {k: v for k, v in changes.items() if k not in entries and k not in dropped}
+    if node.value and not entries.keys() - dropped:
+        first, last = node.value[0][0].start_mark.index, _find_end(node.value[-1][1])
+        line = reading.format_yaml_line(added)
+        yield first, last, line[1:-1] if node.flow_style else line
+        return
+    for name in changes.keys() & entries.keys() - dropped:
+        yield from _edit_value(text, entries[name], changes[name])
+    yield from _remove_entries(text, node, dropped)
     if added:
-        key, value = node.value[-1]
-        yield _add_lines(text, _find_end(value), added, key.start_mark.column)
+        yield _add_entries(text, node, added)
+
+
+def _edit_value(text: str, node: yaml.Node, value: Any) -> Iterator[_Edit]:
+    """Yield what to replace where a value has changed; of a list as long as before, its items."""
+    if isinstance(node, yaml.MappingNode) and isinstance(value, Mapping) and node.value:
+        yield from _edit_mapping(text, node, value)
+    elif (
+        isinstance(node, yaml.SequenceNode)
+        and isinstance(value, list)
+        and (len(node.value) == len(value))
+    ):
+        for child, item in zip(node.value, value, strict=True):
+            yield from _edit_value(text, child, item)
+    else:
+        start, end = node.start_mark.index, _find_end(node)
+        line = reading.format_yaml_line(value)
+        is_scalar = isinstance(node, yaml.ScalarNode)
+        if not is_scalar or reading.parse_yaml(text[start:end]) != value:
+            yield start, end, line if end > start else f" {line}"
 
 
 def _find_end(node: yaml.Node) -> int:
@@ -178,11 +172,44 @@ def _find_end(node: yaml.Node) -> int:
     return int(node.end_mark.index)
 
 
+def _add_entries(text: str, node: yaml.MappingNode, added: Mapping[str, Any]) -> _Edit:
+    """Add entries behind the last one of a mapping."""
+    line = reading.format_yaml_line(dict(added))[1:-1]
+    if not node.value:
+        end = node.end_mark.index - 1
+        return end, end, line
+    end = _find_end(node.value[-1][1])
+    if node.flow_style:
+        return end, end, f", {line}"
+    return _add_lines(text, end, added, node.value[0][0].start_mark.column)
+
+
 def _add_lines(text: str, end: int, added: Mapping[str, Any], column: int = 0) -> _Edit:
     """Add entries of a block mapping, below the line in which something ends."""
-    lines = [f"{name}: {reading.format_yaml_line(value)}" for name, value in added.items()]
+    lines = []
+    for name, value in added.items():
+        if isinstance(value, list | Mapping):
+            lines += reading.format_yaml({name: value}).splitlines()
+        else:
+            lines.append(f"{name}: {reading.format_yaml_line(value)}")
     block = "".join(f"{' ' * column}{line}\n" for line in lines)
     if end == 0 or text[end - 1] == "\n":
         return end, end, block
     place = text.find("\n", end) + 1
     return (place, place, block) if place else (len(text), len(text), f"\n{block}")
+
+
+def _remove_entries(text: str, node: yaml.MappingNode, names: set[str]) -> Iterator[_Edit]:
+    """Remove entries of a mapping, with their lines or commas; some others stay."""
+    starts = [key.start_mark.index for key, _ in node.value]
+    ends = [_find_end(value) for _, value in node.value]
+    kept = [n for n, (key, _) in enumerate(node.value) if key.value not in names]
+    for n in (n for n in range(len(starts)) if n not in kept):
+        if not node.flow_style:
+            line_end = text.find("\n", ends[n])
+            start = starts[n] - node.value[n][0].start_mark.column
+            yield start, len(text) if line_end < 0 else line_end + 1, ""
+        elif n < kept[-1]:
+            yield starts[n], starts[n + 1], ""
+        else:
+            yield ends[n - 1], ends[n], ""

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -22,8 +24,8 @@ wheel_separation: .3      # tape
 name: "it's mine"   # quoted
 wheel_check: no
 
-motor: {time_constant: 0.12,
-        gain: [1.0, 0.98,
+motor: {time_constant: 0.12,   # slow
+        gain: [1.0, 0.98,   # front
                1.0, 1.01]}     # rear
 footprint:
     - [0.2, 0.0]    # nose
@@ -68,6 +70,7 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 LOST = {
     "another list": {"nose"},
+    "a number instead of a list": {"front"},
     "an interval less": {"by hand"},
     "other intervals": {"by hand"},
     "no intervals": {"by hand"},
@@ -123,6 +126,32 @@ def test_a_file_without_fields_gets_them(text: str, tmp_path: Path) -> None:
     config.save(path)
     assert RobotConfig.load(path) == config
     assert path.read_text().startswith(text)
+
+
+@given(
+    st.fixed_dictionaries(
+        {},
+        optional={
+            "wheel_radius": st.floats(0.02, 0.9),
+            "name": st.text(max_size=20),
+            "odom_frame": st.sampled_from(
+                ["null", "no", "1e3", "", "a: b", "# c", "süd", "'", "[x"]
+            ),
+            "watchdog_timeout": st.none() | st.floats(0.01, 1.0),
+            "motor": st.fixed_dictionaries({"gain": st.floats(0.5, 2.0)}),
+            "firmware": st.fixed_dictionaries({"delay_samples": st.lists(st.floats(0.0, 1.0))}),
+        },
+    )
+)
+def test_any_value_is_read_back(
+    tmp_path_factory: pytest.TempPathFactory, fields: dict[str, Any]
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "mine.yaml"
+    path.write_text(MINE)
+    config = RobotConfig.load(path).with_(**fields)
+    config.save(path)
+    assert RobotConfig.load(path) == config
+    assert "# The end.\n" in path.read_text()
 
 
 @pytest.mark.parametrize("preset", ["acsar", "acsar_avr", "husky", "jackal"])
