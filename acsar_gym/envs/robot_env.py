@@ -164,7 +164,6 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         faults = Faults.of(chosen.faults)
         self._faulty = FaultyLink(link, faults) if faults.possible else None
-        self._tells_faults = faults.possible or not simulated
         self._recorder = Recorder.of(chosen.record)
         if isinstance(chosen.record, str | os.PathLike):
             check_extra("recording", "record", "mcap", "rosbags")
@@ -384,7 +383,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         numbers["success"] = float(episode.outcome is Outcome.SUCCESS)
         info = {key: numbers[name] for key, name in INFO.items()}
         info |= episode.info() | self._randomizer.info()
-        if self._tells_faults:
+        if self._faulty is not None or math.isnan(numbers["contact"]):  # no simulator's truth
             info["fault"] = 0.0
         self.robot.add_sensor_info(info)
         self._last_step = observation.copy(), info.copy()  # a caller may change its own
