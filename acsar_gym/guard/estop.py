@@ -390,13 +390,12 @@ def _bind_socket(path: Path) -> socket.socket:
     return ours
 
 
-def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
+def stop_all(name: str = "") -> list[StopResult]:
     """Ask processes of this user that drive a robot to stop, and wait for the answers.
 
     Args:
         name: Of one robot: its device, the last part of that, the name in its configuration, or
             the id of the process. Empty for all robots.
-        process: Id of the only process that is asked; 0 for all of them.
 
     Returns:
         One result for each process, by process id, without those that drive another robot.
@@ -408,7 +407,7 @@ def stop_all(name: str = "", process: int = 0) -> list[StopResult]:
         StopResult(
             _process_of(socket_name), answer in (STOP_REQUEST, HELD_ANSWER), answer != HELD_ANSWER
         )
-        for socket_name, answer in _ask_drivers(STOP_REQUEST, name, process)
+        for socket_name, answer in _ask_drivers(STOP_REQUEST, name)
         if not answer.startswith(OTHER_ANSWER)
     ]
 
@@ -450,16 +449,10 @@ def list_drivers() -> list[DriverProcess]:
     return drivers
 
 
-def is_listening(process: int) -> bool:
-    """Whether a process of this user has a socket for stops; asks nobody."""
-    return any(_find_sockets(folder, process) for folder in find_folders()[0])
-
-
-def _find_sockets(folder: Path, process: int = 0) -> list[Path]:
-    """Addresses of all listeners in a folder, or of one process's; named by its id and a number."""
-    name = re.compile(f"{process or '[0-9]+'}-[0-9]+")
+def _find_sockets(folder: Path) -> list[Path]:
+    """Addresses of all listeners in a folder; named by a process's id and a number."""
     try:
-        return [path for path in folder.iterdir() if name.fullmatch(path.name)]
+        return [path for path in folder.iterdir() if re.fullmatch("[0-9]+-[0-9]+", path.name)]
     except OSError:  # the folder was removed meanwhile
         return []
 
@@ -468,7 +461,7 @@ def _process_of(socket_name: str) -> int:
     return int(socket_name.split("-", maxsplit=1)[0])
 
 
-def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple[str, bytes]]:
+def _ask_drivers(request: bytes, name: str = "") -> list[tuple[str, bytes]]:
     """Send a request to listeners, and wait for the answers.
 
     Returns:
@@ -486,7 +479,7 @@ def _ask_drivers(request: bytes, name: str = "", process: int = 0) -> list[tuple
         unsent = [
             (asker, path)
             for folder, asker in zip(usable, askers, strict=True)
-            for path in _find_sockets(folder, process)
+            for path in _find_sockets(folder)
         ]
         poll = select.poll()  # select.select refuses descriptors from 1,024 on
         for asker in askers:

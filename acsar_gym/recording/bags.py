@@ -69,21 +69,22 @@ BATCH = 64  # events that are encoded at once
 MAX_TIME = 2**62  # times are smaller [ns]
 FASTEST_WHEEL = 99.99  # what a line can say, either sign [rad/s]
 
-SIDE_WORDS = {"left": "l", "l": "l", "right": "r", "r": "r"}
-END_WORDS = {
-    **dict.fromkeys(("front", "f", "fore", "forward"), "f"),
-    **dict.fromkeys(("rear", "back", "b", "hind", "aft"), "b"),
-}
-CORNER_WORDS = {
-    word: corner
-    for corner, words in {
-        "fl": ("fl", "lf"),
-        "fr": ("fr", "rf"),
-        "bl": ("rl", "bl", "lb", "lr"),
-        "br": ("rr", "br", "rb"),
+PLACE_WORDS = {
+    word: place
+    for place, words in {
+        "l": "l left",
+        "r": "r right",
+        "f": "f front fore forward",
+        "b": "b rear back hind aft",
+        "fl": "fl lf",
+        "fr": "fr rf",
+        "bl": "rl bl lb lr",
+        "br": "rr br rb",
     }.items()
-    for word in words
+    for word in words.split()
 }
+"""Where a wheel is, by the words of its joint's name."""
+OTHER_WHEELS = re.compile(r"mid|middle|cent(er|re)|cast[eo]r|steer.*")
 CORNERS = ("fr", "fl", "bl", "br")  # of the wheels a, b, c, d
 
 
@@ -203,10 +204,8 @@ def hash_bag(files: Sequence[Path]) -> str:
     for path in files:
         for part in sorted(path.iterdir()) if path.is_dir() else [path]:
             with open_file(part, None) as file:
-                digests.append(hashlib.file_digest(file, "sha256").hexdigest()[:16])
-    if len(digests) == 1:
-        return digests[0]
-    return hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
+                digests.append(hashlib.file_digest(file, "sha256").digest())
+    return hashlib.sha256(b"".join(digests)).hexdigest()[:16]
 
 
 def survey_topics(files: Sequence[Path]) -> dict[str, tuple[str, int, bytes]]:
@@ -247,7 +246,7 @@ def choose_topics(
             for name, (kind, _, first) in found.items()
             if kind in kinds
             and (not given or any(is_below(name, wanted) for wanted in given))
-            and (role != "joint states" or has_wheels(first, robot))
+            and (role != "joint states" or find_wheels(_joint_names(first), robot))
         ]
         if role == "odometry" and "joint states" in chosen:
             continue
@@ -301,11 +300,6 @@ def _joint_names(data: bytes) -> list[str]:
     return [] if state is None else [str(name) for name in state.name]
 
 
-def has_wheels(data: bytes, robot: RobotConfig) -> bool:
-    """Whether joint states have all wheels of a robot."""
-    return find_wheels(_joint_names(data), robot) is not None
-
-
 def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | None:
     """Find the joints of the wheels a, b, c, d.
 
@@ -339,22 +333,17 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
 
 def find_corner(name: str) -> str:
     """Where a wheel is by its joint's name: "fl", or "l" where it says no more; "" if nothing."""
-    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()
-    words = re.findall(r"[a-z]+", spaced)
-    text = " ".join(words)
-    if re.search(r"\b(middle|mid|center|centre|caster|castor|steer\w*)\b", text):
+    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
+    if any(map(OTHER_WHEELS.fullmatch, words)):
         return ""
-    for word in words:
-        if word in CORNER_WORDS:
-            return CORNER_WORDS[word]
+    places = [PLACE_WORDS[word] for word in words if word in PLACE_WORDS]
     joined = "".join(words)
-    side = next((SIDE_WORDS[word] for word in words if word in SIDE_WORDS), "")
-    end = next((END_WORDS[word] for word in words if word in END_WORDS), "")
-    if not side:
-        side = "l" if "left" in joined else "r" if "right" in joined else ""
-    if not end:
-        end = "f" if "front" in joined else "b" if re.search("rear|back", joined) else ""
-    return end + side if side else ""
+    parts = re.findall("left|right|front|rear|back", joined)
+    places += [PLACE_WORDS[part] for part in parts]
+    corner = next((place for place in places if len(place) == 2), "")
+    side = next((place for place in places if place in ("l", "r")), "")
+    end = next((place for place in places if place in ("f", "b")), "")
+    return corner or (end + side if side else "")
 
 
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:

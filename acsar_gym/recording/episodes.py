@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 from array import array
@@ -35,7 +36,6 @@ from acsar_gym.recording.messages import (
     WIRE_RECEIVED,
     WIRE_SENT,
     Topic,
-    is_sealed,
 )
 from acsar_gym.recording.stream import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, parse_record
 from acsar_gym.recording.types import (
@@ -122,8 +122,7 @@ class EpisodeParts:
     Attributes: `start` [s], `offset` [ns], `info`; `buffers`, content by topic; `places`, where its
     messages are: place of a chunk, first and last number of a message in it; `counts` and `sizes`
     [bytes], by topic, also of what isn't kept; `last_step`, the newest row of that table; `end`,
-    time of the last exchange [s]; `highest`, its number; `simulated`, whether the truth is known;
-    `newest`, times of the tables' last rows [s].
+    time of the last exchange [s]; `highest`, its number; `simulated`, whether the truth is known.
     """
 
     def __init__(self, opening: EpisodeOpening | None = None) -> None:
@@ -136,7 +135,6 @@ class EpisodeParts:
         self.sizes: Counter[str] = Counter()
         self.last_step: tuple[float, ...] = ()
         self.end, self.highest = self.start, -1.0
-        self.newest: dict[str, float] = {}
         self.simulated = False
 
     def make_blank(self) -> EpisodeParts:
@@ -158,7 +156,6 @@ class EpisodeParts:
         if topic not in TABLE_TOPICS:
             return
         number, stamp = _NUMBER_AND_STAMP.unpack_from(content)
-        self.newest[name] = stamp
         if self.is_lost and not stamp >= self.start and abs(stamp) <= MAX_STAMP:
             self.start = stamp
             self.offset = time - round(stamp * 1e9)
@@ -238,7 +235,7 @@ def parse_opening(data: bytes) -> dict[str, Any]:
 def parse_sealed(metadata: Mapping[str, str], name: str) -> dict[str, Any]:
     """Parse the JSON of metadata; ConfigError where it isn't what was written."""
     text = metadata.get(name, "")
-    if not is_sealed(text, metadata):
+    if hashlib.sha256(text.encode()).hexdigest() != metadata.get("sha256"):
         raise ConfigError(f"is damaged: {name} with a wrong checksum")
     mapping = parse_json(text)
     if not isinstance(mapping, dict):
@@ -263,8 +260,8 @@ class EpisodeCollector:
 
     Attributes: `header` and `end`, None until they were read; `parts`, the episodes; `names`, of
     all topics by channel, and `topics`, those that are wanted; `kept`, bytes that are in memory;
-    `is_whole`, whether nothing was forgotten; `is_damaged`, whether chunks are left out; `damages`,
-    a line for each record that isn't what was written; `problem`, what is wrong with a header.
+    `is_whole`, whether nothing was forgotten; `damages`, a line for each record that isn't what was
+    written; `problem`, what is wrong with a header.
     """
 
     def __init__(self, wanted: Sequence[Topic]) -> None:
@@ -275,7 +272,6 @@ class EpisodeCollector:
         self.topics: dict[int, Topic] = {}
         self.kept = 0
         self.is_whole = True
-        self.is_damaged = False
         self.damages: list[str] = []
         self.problem = ""
         self._wanted = {topic.name: topic for topic in (EPISODE, *wanted)}
@@ -302,11 +298,6 @@ class EpisodeCollector:
         self.names[channel.id] = channel.topic
         self.topics.pop(channel.id, None)
         if topic is not None:
-            columns = channel.metadata.get("columns", "")
-            if topic in TABLE_TOPICS and columns.split(",") != list(topic.columns):
-                raise ConfigError(
-                    f"{topic.name} has other columns: it was recorded by another version"
-                )
             self.topics[channel.id] = topic
 
     def _take_metadata(self, record: Any) -> None:
@@ -334,7 +325,7 @@ class EpisodeCollector:
             self.parts.append(EpisodeParts(EpisodeOpening(**parse_opening(data))))
             self._sequence = sequence
             return
-        if sequence != self._sequence or self._is_of_another(topic, sequence, data):
+        if sequence != self._sequence:
             self.parts.append(EpisodeParts())  # whose opening is lost
             self._sequence = sequence
         if not self.parts:
@@ -347,19 +338,6 @@ class EpisodeCollector:
             parts.places[-1][2] = index
         else:
             parts.places.append([at, index, index])
-
-    def _is_of_another(self, topic: Topic, sequence: int, data: bytes) -> bool:
-        """Whether a row is of an episode with a lost opening.
-
-        For files of earlier versions, whose messages don't tell their episode by their sequence.
-        """
-        if sequence or topic not in TABLE_TOPICS:
-            return False
-        if not self.parts:
-            return self.is_damaged
-        newest, (number, stamp) = self.parts[-1], _NUMBER_AND_STAMP.unpack_from(data)
-        is_earlier = self.is_damaged and stamp < newest.newest.get(topic.name, -math.inf)
-        return is_earlier or (topic is EXCHANGES and number < newest.highest)
 
 
 def check_stamps(stamps: Floats) -> Floats:

@@ -82,14 +82,6 @@ def seal_text(name: str, data: Mapping[str, Any]) -> dict[str, str]:
     return {name: text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
-def is_sealed(text: str, metadata: Mapping[str, str]) -> bool:
-    """Whether text has the hash that is told with it; older recordings tell none."""
-    digest = metadata.get("sha256")
-    if digest is None:
-        return len(metadata) == 1
-    return hashlib.sha256(text.encode()).hexdigest() == digest
-
-
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
 BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it

@@ -89,7 +89,6 @@ def _read_counted(
         cut: FileCut | None = None
         try:
             for opcode, content in stream:
-                collector.is_damaged = bool(stream.damages)
                 collector.take(opcode, content, stream.at, stream.index)
                 if collector.kept > KEPT_BYTES:
                     collector.forget()

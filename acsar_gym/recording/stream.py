@@ -24,14 +24,13 @@ MAX_DAMAGES = 100  # most damaged places of a file that is read all the same
 SEARCH_BLOCK = 1 << 20  # bytes that are searched at once for the next record
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = range(1, 8)
-ATTACHMENT, METADATA, DATA_END = 9, 12, 15
-DATA_OPCODES = {*range(HEADER, MESSAGE_INDEX + 1), ATTACHMENT, METADATA, DATA_END} - {FOOTER}
+METADATA, DATA_END = 12, 15
+DATA_OPCODES = {*range(HEADER, MESSAGE_INDEX + 1), 9, METADATA, DATA_END} - {FOOTER}  # 9: files
 SUMMARY_OPCODES = {FOOTER, 8, 10, 11, 13, 14}  # of an index, besides schemas and channels
 PARSED_KINDS = {
     HEADER: "Header",
     SCHEMA: "Schema",
     CHANNEL: "Channel",
-    ATTACHMENT: "Attachment",
     METADATA: "Metadata",
 }
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, and two times [ns] of a message
@@ -73,8 +72,6 @@ class RecordStream:
         self._packed = self._unpacked = 0
         self._has_channels = False
         magic = self._read_at(0, len(MCAP_MAGIC))
-        if magic.startswith(b"{"):
-            raise ConfigError("is a recording of an older version, in JSON: record again")
         if magic != MCAP_MAGIC:
             head = self._read_at(self.place, _RECORD.size)
             if not (head[:1] == bytes([HEADER]) and self._is_record(self.place)):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 from recording_tools import drive, record_env
 
 from acsar_gym import Robot, RobotConfig
@@ -140,34 +137,6 @@ def test_times_are_parsed(text: str, seconds: float) -> None:
 def test_what_is_no_time_is_told(text: str) -> None:
     with pytest.raises(ConfigError, match="must be a time such as"):
         parse_duration(text)
-
-
-def test_a_file_of_others_keeps_metadata_attachments_and_latched_topics(tmp_path: Path) -> None:
-    path, part = tmp_path / "bag.mcap", tmp_path / "part.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2", "rosbag2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        qos = {"offered_qos_profiles": "- history: 1\n  durability: 1\n"}
-        latched = writer.register_channel("/map", "cdr", schema, qos)
-        channel = writer.register_channel("/chatter", "cdr", schema)
-        writer.add_metadata("rosbag2", {"ROS_DISTRO": "jazzy"})
-        writer.add_attachment(0, 0, "notes.txt", "text/plain", b"hello")
-        writer.add_message(latched, 10**9, b"the map", 10**9)
-        for number in range(100):
-            time = 10**9 + number * 10**8
-            writer.add_message(channel, time, struct.pack("<I", number), time, number)
-        writer.finish()  # type: ignore[no-untyped-call]
-    assert cut_recording(path, 2.0, 4.0, part).episodes == 0
-    with part.open("rb") as file:
-        reader = make_reader(file)
-        messages = list(reader.iter_messages())
-        assert [one.data for one in reader.iter_attachments()] == [b"hello"]
-        assert [one.metadata for one in reader.iter_metadata()] == [{"ROS_DISTRO": "jazzy"}]
-    assert [m.data for _, c, m in messages if c.topic == "/map"] == [b"the map"]
-    numbers = [m.sequence for _, c, m in messages if c.topic == "/chatter"]
-    assert numbers == list(range(20, 40))
-    assert all(schema is not None and schema.data == b"string data" for schema, _, _ in messages)
 
 
 def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:

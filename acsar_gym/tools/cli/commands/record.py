@@ -57,7 +57,7 @@ def cut_recording(
     end: Annotated[str, tyro.conf.arg(name="to", metavar="TIME")] = "",
     out: File = None,
 ) -> int:
-    """Write a part of a recording, or of a ROS 2 bag in MCAP, to a new file.
+    """Write a part of a recording to a new file.
 
     Times are since the beginning of the recording, such as 90s, 20min, 1.5h or 1:02:30.
 
@@ -74,8 +74,8 @@ def cut_recording(
     result = cut.cut_recording(file, first, last, target)
     for damage in result.damages:
         print(f"acsar-gym: {file}: left out, damaged: {damage}", file=sys.stderr)
-    count = f"{result.episodes} episode{'s' * (result.episodes != 1)}, " if result.episodes else ""
-    say(f"written: {target}: {count}{result.seconds:.1f} s")
+    count = f"{result.episodes} episode{'s' * (result.episodes != 1)}"
+    say(f"written: {target}: {count}, {result.seconds:.1f} s")
     return 0
 
 
