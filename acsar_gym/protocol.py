@@ -70,11 +70,7 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
 
 
 def check_speeds(speeds: Sequence[float]) -> Speeds:
-    """Check four wheel speeds [rad/s], order a, b, c, d.
-
-    Raises:
-        CommandError: there aren't four speeds, or one isn't finite.
-    """
+    """Check four wheel speeds [rad/s]; CommandError where they aren't four or not finite."""
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
     a, b, c, d = map(float, speeds)
@@ -106,11 +102,7 @@ class Reading(NamedTuple):
     """Wheel speeds [rad/s] in the order a, b, c, d; None for missing motors."""
 
     def over(self, old: Speeds) -> Speeds:
-        """Return all four speeds [rad/s].
-
-        Args:
-            old: speeds [rad/s] that missing motors keep.
-        """
+        """Return all four speeds [rad/s]; missing motors keep the old ones."""
         a, b, c, d = self.speeds
         return (
             old[0] if a is None else a,
@@ -166,14 +158,7 @@ class Decoder:
         return sum(self.refused.values()) - self._refused_before if newer else 0
 
     def feed(self, data: bytes) -> list[Reading]:
-        """Decode the lines that `data` completes.
-
-        Args:
-            data: any part of the byte stream.
-
-        Returns:
-            One reading per line that has a valid part, oldest first.
-        """
+        """Decode the lines that `data` completes: one reading for each valid one, oldest first."""
         stream = self._partial + data
         lines = stream.splitlines()
         partial = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
@@ -289,11 +274,7 @@ class EchoDecoder(Decoder):
         return line
 
     def expect(self, line: bytes) -> None:
-        """Expect the echo of a command.
-
-        Args:
-            line: as it was sent.
-        """
+        """Expect the echo of a command, as it was sent."""
         self._waiting.append(line.strip(b",\r\n"))
 
     def _read_line(self, line: bytes) -> Reading | None:

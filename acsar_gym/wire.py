@@ -129,11 +129,7 @@ class Wire:
         return echoes is not None and echoes.only_echoes and rules.is_silent(age, self._rules)
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
-        """Return what odometry integrates: the newest speeds, or after a pause all that were heard.
-
-        Returns:
-            Wheel speeds [rad/s], and for how long they held [s].
-        """
+        """What odometry integrates: wheel speeds [rad/s], and for how long they held [s]."""
         if lasted > 2.0 * self._period and len(heard) > 1:
             return [(speeds, lasted / len(heard)) for speeds in heard]
         return [(self.speeds, lasted)]

@@ -110,14 +110,6 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> Non
     assert "\\u4e16" in done.stdout
 
 
-def test_a_name_that_is_no_text_is_one_line(tmp_path: Path, call: Call) -> None:
-    path = tmp_path / "world.json"
-    path.write_text(WORLD.format('"\\ud800"'))
-    code, _, error = call("worlds", "check", path)
-    assert_one_line(code, error, "name")
-    assert error.isascii()
-
-
 @pytest.mark.parametrize(
     "arguments",
     [

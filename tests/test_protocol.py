@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import pickle
 import re
@@ -58,11 +57,6 @@ def speeds_of(data: bytes) -> list[tuple[float | None, ...]]:
     return [reading.speeds for reading in Decoder().feed(data)]
 
 
-def cut(stream: bytes, places: list[int]) -> list[bytes]:
-    edges = [0, *sorted(place % (len(stream) + 1) for place in places), len(stream)]
-    return [stream[start:end] for start, end in itertools.pairwise(edges)]
-
-
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(1e308, 1e308, 1e308, 1e308), comma=False)
 def test_decode_of_encode_is_rounded_and_saturated(speeds: Speeds, comma: bool) -> None:
@@ -78,19 +72,6 @@ def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bo
     assert line.endswith(b",\r\n") is comma
     assert len(line) == LINE_BYTES + comma
     assert b"n00.00" not in line
-
-
-@given(stream=streams, places=st.lists(st.integers(0, 5000), max_size=20))
-@example(stream=(GOOD + b"\r\n") * 2, places=list(range(2 * len(GOOD) + 4)))
-@example(stream=b"x" * (MAX_LINE + 1) + b"," + GOOD + b"\n" + GOOD + b"\n", places=[MAX_LINE + 1])
-def test_chunking_changes_neither_readings_nor_counters(stream: bytes, places: list[int]) -> None:
-    whole, parts = Decoder(), Decoder()
-    expected = whole.feed(stream)
-    assert [reading for chunk in cut(stream, places) for reading in parts.feed(chunk)] == expected
-    assert (parts.lines, parts.refused) == (whole.lines, whole.refused)
-    assert (parts.tolerated, parts.cut) == (whole.tolerated, whole.cut)
-    assert (parts.damaged, parts.sample) == (whole.damaged, whole.sample)
-    assert whole.lines == len(expected)
 
 
 @given(chunks=st.lists(st.one_of(noise, st.binary(max_size=3 * MAX_LINE)), max_size=20))

@@ -45,16 +45,6 @@ def test_the_time_until_the_first_command_is_late_in_no_table(tmp_path: Path) ->
     assert episode.lateness.tolist() == pytest.approx([math.nan, 0.003], nan_ok=True)
 
 
-@pytest.mark.parametrize("link", ["planar", "bullet"])
-def test_odometry_follows_truth(link: str) -> None:
-    with Robot(open_link(link)) as robot:
-        for _ in range(500):
-            robot.drive(0.4, 0.6)
-        for _ in range(50):
-            robot.drive(0.0, 0.0)
-        assert robot.link.truth is not None
-        assert math.dist(robot.link.truth.pose[:2], robot.odometry.pose[:2]) < 0.02
-        assert abs(robot.link.truth.pose[2] - robot.odometry.pose[2]) < 0.03
 
 
 def test_activating_twice_is_once_and_the_last_command_is_zero() -> None:

@@ -213,11 +213,7 @@ class StopListener:
 
     @staticmethod
     def check_available(device: str) -> None:
-        """Check that a stop would reach a program that drives.
-
-        Raises:
-            LinkError: it wouldn't; the message says why.
-        """
+        """Raise LinkError, which says why, unless a stop would reach a program that drives."""
         listener = StopListener()
         paths, faults = listener.paths, listener.faults
         listener.close()
@@ -332,11 +328,7 @@ class StopListener:
 
 
 def check_released() -> None:
-    """Check that no stop holds this process.
-
-    Raises:
-        EmergencyStopError: one does; a person has to release it.
-    """
+    """Raise EmergencyStopError where a stop holds this process; a person has to release it."""
     for listener in StopListener.held.copy():
         if listener.is_requested() and listener.closed:  # else its robot answers when it stopped
             listener.confirm(connected=False)
@@ -391,14 +383,14 @@ def _bind_socket(path: Path) -> socket.socket:
 
 
 def stop_all(name: str = "") -> list[StopResult]:
-    """Ask processes of this user that drive a robot to stop, and wait for the answers.
+    """Ask this user's processes that drive a robot to stop, and wait for the answers.
 
     Args:
         name: Of one robot: its device, the last part of that, the name in its configuration, or
             the id of the process. Empty for all robots.
 
     Returns:
-        One result for each process, by process id, without those that drive another robot.
+        One result for each process, by its id, without those that drive another robot.
 
     Raises:
         LinkError: no folder can be used.
@@ -413,14 +405,7 @@ def stop_all(name: str = "") -> list[StopResult]:
 
 
 def release_all(name: str = "") -> list[ReleaseResult]:
-    """Release the stops of processes of this user, which may drive again after their next reset.
-
-    Returns:
-        One result for each process, by process id, without those that drive another robot.
-
-    Raises:
-        LinkError: no folder can be used.
-    """
+    """Release stops likewise; the processes may drive again after their next reset."""
     return [
         ReleaseResult(
             _process_of(socket_name),
@@ -433,11 +418,7 @@ def release_all(name: str = "") -> list[ReleaseResult]:
 
 
 def list_drivers() -> list[DriverProcess]:
-    """List the processes of this user that drive a robot, by process id.
-
-    Raises:
-        LinkError: no folder can be used.
-    """
+    """List the processes of this user that drive a robot; LinkError where no folder can be used."""
     drivers = []
     for socket_name, answer in _ask_drivers(WHO_REQUEST):
         _, *identity = (*answer.split(b"\t", 3), b"", b"", b"")[:4]
@@ -462,11 +443,7 @@ def _process_of(socket_name: str) -> int:
 
 
 def _ask_drivers(request: bytes, name: str = "") -> list[tuple[str, bytes]]:
-    """Send a request to listeners, and wait for the answers.
-
-    Returns:
-        Names of their sockets, by process id, and answers, b"" for none.
-    """
+    """Send a request to listeners; names of their sockets, and answers, b"" for none."""
     if name:
         real = os.path.realpath(name) if "/" in name else name
         request += b" " + os.fsencode(name) + b"\0" + os.fsencode(real)
@@ -541,11 +518,7 @@ def _send_request(
 
 
 def run_command(name: str = "", *, listing: bool = False, release: bool = False) -> int:
-    """Run `acsar-gym estop`: stop robots, release them, or list who drives them.
-
-    Returns:
-        The exit code.
-    """
+    """Run `acsar-gym estop`: stop robots, release them, or list who drives them; the exit code."""
     try:
         if listing:
             return _print_drivers()

@@ -59,10 +59,9 @@ _BITS = 9007199254740992.0  # 2^53, which scales doubles in [0, 1) to integers
 
 @loop
 def hash_sample(key: float, number: int) -> float:
-    """Return a uniform random number in [0, 1) that depends on these inputs only.
+    """Uniform random number in [0, 1) of these inputs only: SplitMix64 (Steele, Lea, Flood, 2014).
 
-    So a single robot and the robots of a batch draw the same one, in any order. The hash is
-    SplitMix64 of Steele, Lea and Flood (2014).
+    So a single robot and the robots of a batch draw the same one, in any order.
     """
     word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST
@@ -180,14 +179,7 @@ class Faults(Section):
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
-        """Return the Faults that users mean by `faults=`.
-
-        Args:
-            faults: a mapping, Faults, or None for no faults.
-
-        Raises:
-            ConfigError: for an unknown key or a value out of range.
-        """
+        """Return the Faults that users mean by `faults=`; ConfigError for what they can't."""
         if isinstance(faults, Faults):
             return faults
         if faults is not None and not isinstance(faults, Mapping):
@@ -448,11 +440,7 @@ class FaultyLink(ForwardingLink):
         self.seed(seed)
 
     def seed(self, seed: FaultSeed) -> None:
-        """Set what the next resets draw from.
-
-        Raises:
-            ConfigError: for anything else.
-        """
+        """Set what the next resets draw from; ConfigError for what is no seed."""
         if isinstance(seed, np.random.Generator):
             self._key = float(seed.random())
             self._rng = _make_generator(self._key)

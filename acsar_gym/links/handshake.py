@@ -146,11 +146,7 @@ def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
 
 
 def describe_format(line: bytes) -> str:
-    """Say in what a line differs from the wire's format, if that is all that is wrong with it.
-
-    Returns:
-        Such as "upper-case letters"; empty for a line that is right, or something else.
-    """
+    """Say in what a line differs from the wire's format, if that is all; empty for another one."""
     line = line.strip()
     if TWO_WHEELS.fullmatch(line):
         return "two wheels, r and l, where this robot has four, a to d"

@@ -98,11 +98,8 @@ class DurationRecord:
 class LatenessRecord(DurationRecord):
     """Keeps the lateness of ticks.
 
-    Attributes:
-        late: ticks that ended more than `limit` after their deadline.
-        limit: `config.late_tick` [s].
-        missed: whole periods without a tick; a tick that ends 3.5 periods late has missed
-            three.
+    Attributes: `late`, ticks that ended more than `limit` [s] after their deadline; `missed`, whole
+    periods without a tick.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -136,12 +133,7 @@ class EpisodeStopwatch:
         self._fastest = self._shows = 0.0
 
     def tick(self, lateness: float, age: float) -> float | None:
-        """Add a tick.
-
-        Returns:
-            The lateness; None for the first tick, whose deadline is the reset's: nothing drove
-            since, so that the time until the first command doesn't count.
-        """
+        """Add a tick; returns its lateness, None for the first: its deadline is the reset's."""
         if not self._begun:
             self._begun = True
             return None
@@ -152,9 +144,7 @@ class EpisodeStopwatch:
     def commanded(self, written: float, fastest: float, *, drives: bool) -> bool:
         """Add a command, and what the feedback of its period shows.
 
-        Returns:
-            Whether a command to wheels that stood waits for a line that shows it, or this period
-            brought it: call `heard` then.
+        Returns whether a command to wheels that stood waits to be seen: call `heard` then.
         """
         if not drives:
             self._asked = None

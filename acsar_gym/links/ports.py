@@ -74,12 +74,7 @@ def find_ports() -> list[PortInfo]:
 
 
 def locate_port(name: str) -> str:
-    """Find the device of a name.
-
-    Raises:
-        PortNotFoundError: no adapter has this serial number.
-        ConfigError: several adapters have it.
-    """
+    """The device of a name; ConfigError or PortNotFoundError unless one adapter has the number."""
     if not name.startswith(SERIAL_NUMBER_PREFIX):
         return name
     number = name.removeprefix(SERIAL_NUMBER_PREFIX)
@@ -119,11 +114,9 @@ def find_lasting_name(device: str) -> str:
 
 
 class PortLocation:
-    """The name of a port, and the name under which it reappears after it was lost.
+    """The name of a port, and the persistent one under which it reappears after it was lost.
 
-    Attributes:
-        path: persistent name of the open or lost port; None before the first opening.
-        lost: whether the port disappeared while in use.
+    Attributes: `path`, that name, None before the first opening; `lost`, whether it disappeared.
     """
 
     def __init__(self, name: str) -> None:
@@ -181,11 +174,7 @@ class PortLocation:
 
 
 def open_port(device: str, config: RobotConfig) -> SerialPort:
-    """Open a port exclusively, with non-blocking reads.
-
-    Raises:
-        LinkError: the port can't be opened; the message says why and what to do.
-    """
+    """Open a port exclusively, with non-blocking reads; LinkError says why it can't be."""
     options: dict[str, Any] = {
         "baudrate": config.baud_rate,
         "bytesize": serial.EIGHTBITS,
@@ -214,8 +203,7 @@ def open_port(device: str, config: RobotConfig) -> SerialPort:
 def _check_url(url: str) -> None:
     """Raise ConfigError unless the URL is a socket's, with a host and a port.
 
-    Only a socket's descriptor can be shared with the watchdog, which stops the wheels where this
-    program is killed; pyserial's other URLs, such as rfc2217://, have none.
+    The watchdog needs its descriptor; pyserial's other URLs, such as rfc2217://, have none.
     """
     if not url.lower().startswith("socket://"):
         raise ConfigError(
@@ -266,13 +254,10 @@ def translate_port_errors(device: str) -> Iterator[None]:
 
 
 def write_all(port: SerialPort, data: bytes) -> None:
-    """Send bytes without blocking.
+    """Send bytes without blocking; one of PORT_ERRORS where the port doesn't accept all.
 
-    pyserial's own write blocks until there is room, and may report a failure only afterwards. The
-    kernel also refuses a write while another process, such as the watchdog, is writing.
-
-    Raises:
-        Exception: one of PORT_ERRORS, if the port doesn't accept all bytes.
+    pyserial's own write blocks until there is room. The kernel also refuses a write while another
+    process, such as the watchdog, is writing.
     """
     descriptor = getattr(port, "fd", None)
     if descriptor is None:  # a socket, or Windows
@@ -316,11 +301,7 @@ class OpenPort:
         return data
 
     def wait_for_bytes(self, seconds: float) -> bool:
-        """Wait for bytes for a time at most [s].
-
-        Returns whether some arrived, or the device is gone. Ports without a descriptor that can be
-        waited for, as on Windows, just wait.
-        """
+        """Wait for bytes for a time at most [s]; whether some arrived, or the device is gone."""
         try:
             return bool(select.select([self._port], [], [], seconds)[0])
         except WAIT_ERRORS:

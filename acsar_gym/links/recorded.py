@@ -20,13 +20,6 @@ class RecordedLink(ForwardingLink):
     """Forwards to another link, and hands its bytes to a recorder.
 
     Its clock stands still between resets, writes and periods, so that a replay shows the same.
-
-    Args:
-        link: the link to record.
-        recorder: records its bytes, with the times at which they were sent and arrived.
-        config: of the robot, for the header.
-
-    Attributes: `link`, the inner one.
     """
 
     def __init__(self, link: Link, recorder: Recorder, config: RobotConfig) -> None:

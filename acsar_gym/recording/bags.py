@@ -101,11 +101,7 @@ class BagMessage(NamedTuple):
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording of this package.
-
-    Raises:
-        ConfigError: it can't be read, or is neither a recording nor a bag.
-    """
+    """Whether a file is a recording of this package; ConfigError where it can't be read."""
     if path.is_dir() or path.suffix == ".db3":
         return False
     with open_file(path, None) as file:
@@ -167,18 +163,14 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
             raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
         for encoded in encoder.encode([*events, *converter.finish()], 0):
             file.add(encoded)
-        file.close({"dropped": 0})
+        file.close(0)
     finally:
         if file is not None:
             file.abandon()
 
 
 def find_files(path: Path) -> list[Path]:
-    """List the files of a bag, in their order; a folder with packed files is one itself.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """List the files of a bag, in order; ConfigError for none. A packed folder is one itself."""
     if not path.is_dir():
         return [path]
     metadata = path / "metadata.yaml"
@@ -227,10 +219,7 @@ def choose_topics(
     given: Sequence[str],
     robot: RobotConfig,
 ) -> dict[str, str]:
-    """Choose the topics of a bag.
-
-    Returns:
-        By role ("joint states" or "odometry", "commands", "scans") the name of its topic.
+    """Choose a bag's topic for each role of `ROLES` that it has.
 
     Raises:
         ConfigError: there are no wheel speeds, or several topics of a role.
@@ -301,16 +290,10 @@ def _joint_names(data: bytes) -> list[str]:
 
 
 def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | None:
-    """Find the joints of the wheels a, b, c, d.
+    """Find the joints of the wheels a, b, c, d by their names; None where there aren't.
 
-    Args:
-        names: of the joints.
-        robot: whose `wheel_joints` count first, where it names them; then what such names say:
-            front_left_wheel_joint, fl_wheel, wheel_rear_right and so on. Two wheels, as
-            left_wheel_joint, stand for both of their side.
-
-    Returns:
-        The places of four names; None where there aren't.
+    The robot's `wheel_joints` count first, then what names say: front_left_wheel_joint, fl_wheel,
+    wheel_rear_right. Two wheels, as left_wheel_joint, stand for both of their side.
     """
     wheel_joints = robot.wheel_joints
     if all(name in names for name in wheel_joints):
@@ -347,11 +330,7 @@ def find_corner(name: str) -> str:
 
 
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:
-    """Yield the messages of a bag that are of a type that is read.
-
-    Raises:
-        ConfigError: a file can't be read.
-    """
+    """Yield the messages of a bag; ConfigError where a file can't be read."""
     for path in files:
         if path.is_dir():
             reader: Callable[[Path, set[str] | None], Iterator[BagMessage]] = _read_packed

@@ -260,7 +260,7 @@ class Cutter:
         self._flush_pieces()
         if not self.episodes:
             raise ConfigError("holds no episode in that part")
-        self._output.close({"dropped": 0})
+        self._output.close(0)
 
 
 def begin_anew(opening: dict[str, Any], stamp: float, pose: list[float]) -> dict[str, Any]:
@@ -294,11 +294,7 @@ def write_number(data: bytes, number: float) -> bytes:
 
 
 def parse_duration(text: str) -> float:
-    """Parse a time such as "90", "90s", "20min", "1.5h", "1:30" or "1:02:30" [s].
-
-    Raises:
-        ConfigError: it is none.
-    """
+    """Parse a time such as "90", "20min", "1.5h" or "1:02:30" [s]; ConfigError for none."""
     units = {"s": 1.0, "min": 60.0, "h": 3600.0, "": 1.0}
     number = text.rstrip("minsh")
     try:

@@ -159,14 +159,11 @@ State = tuple[str, int, str, Mapping[str, Any]]  # name, level, text, values
 class OdometryCovariance:
     """Covariances of /odom during an episode, from the intervals of what was measured.
 
-    An error of the turning factor (multiplier, or the body's turn_factor) is a share of every turn,
-    and an error of the wheels' radii a share of every distance; slip adds `SLIP_SHARE` to either.
-    Both last, so the standard deviations grow in proportion to the path: sigma_theta = s_turn *
-    integral |omega| dt, sigma_along = s_roll * integral |v| dt, and across the path sigma_across =
-    integral sigma_theta |v| dt. x and y each get the sum of both variances, as the direction of the
-    path changes. A twist also has the resolution of encoders and printed numbers, and what it
-    changed within their lag. What wasn't measured keeps the constant variance that the robot's own
-    driver publishes.
+    Errors of the turning factor and of the wheels' radii are shares of every turn and distance, and
+    `SLIP_SHARE` is added to either: sigma_theta = s_turn * integral |omega| dt, sigma_along =
+    s_roll * integral |v| dt, sigma_across = integral sigma_theta |v| dt. x and y get the sum of
+    both variances, as the direction changes. A twist also has the resolution of encoders and
+    numbers, and what it changed within their lag.
     """
 
     def __init__(self, config: RobotConfig) -> None:
@@ -189,11 +186,7 @@ class OdometryCovariance:
         self._recent = np.zeros((self._lag, 2))
 
     def update(self, stamps: Floats, twists: Floats) -> tuple[Floats, Floats]:
-        """Continue with the next ticks.
-
-        Returns:
-            Covariances of pose and twist, (n, 36) each.
-        """
+        """Continue with the next ticks; returns covariances of pose and twist, (n, 36) each."""
         dt = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
         self._last = float(stamps[-1])
         way, turn = np.abs(twists[:, 0]) * dt, np.abs(twists[:, 1]) * dt
@@ -221,10 +214,7 @@ class OdometryCovariance:
 
 
 def relative_deviation(config: RobotConfig, names: tuple[str, ...]) -> float | None:
-    """Return the relative standard deviation of a way or turn, from the intervals of its factors.
-
-    None if none of these fields was measured.
-    """
+    """Relative standard deviation of a way or turn, by its factors' intervals; None for none."""
     measured: Any = getattr(config, "measured", {})
     intervals = [measured[name] for name in names if name in measured]
     if not intervals:
@@ -303,10 +293,7 @@ class Diagnostics:
 
 
 class FileSplitter:
-    """Tells where a new file begins.
-
-    That is at the first reset that is due, or in mid-episode where one lasts longer than a file,
-    between two steps of an env.
+    """Tells where a new file begins: at the first reset that is due, or in mid-episode.
 
     Attributes: `began`, what began the episode; `last`, `step` and `scan`, the newest exchange,
     step and scan of it, None where there is none; `pose`, by odometry.

@@ -25,10 +25,7 @@ AddRows = Callable[[TableColumns], None]  # writes rows; ConfigError for other c
 
 
 def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
-    """Convert a recording to tables.
-
-    Returns:
-        The files or folders that were written.
+    """Convert a recording to tables; returns the files that were written.
 
     Raises:
         ConfigError: the recording can't be read, or the folder can't be written.
@@ -65,10 +62,7 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
     """Return the tables of a recording by name: ticks, wire, steps, scans.
 
     All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
-    clock of the first reset [ns since 1970], as in the file.
-
-    Raises:
-        ConfigError: the episodes have different columns.
+    clock of the first reset [ns since 1970]. ConfigError where episodes have different columns.
     """
     parts: dict[str, list[TableColumns]] = {name: [] for name in TABLES}
     for name, columns in iterate_tables(recording):

@@ -61,11 +61,7 @@ def find_difference(
 def check_same_robot(
     logs: Sequence[tuple[str, Recording]], doing: str, *, wire: bool = True
 ) -> None:
-    """Check that recordings are of one robot.
-
-    Raises:
-        ConfigError: the message names the first file of another robot, and the field.
-    """
+    """Raise ConfigError, with file and field, where recordings are of several robots."""
     first_name, first = logs[0]
     for name, recording in logs[1:]:
         difference = find_difference(recording.config, first.config, wire=wire)

@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError, RecordingWarning, show_value
 from acsar_gym.reading import explain_error
 from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, Exchange
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.sinks import McapFile, Sink, SplitFile, check_target, next_number
+from acsar_gym.recording.sinks import McapFile, Sink, check_target, next_number
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
 WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from then on it drops, too
@@ -62,7 +62,7 @@ class WriterThread(threading.Thread):
                     due = time.monotonic() + FLUSH_PERIOD
             self._drain_queue()
             for sink in self._sinks:
-                sink.close({"dropped": self.dropped})
+                sink.close(self.dropped)
         except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
             self._error = error
             for sink in self._sinks:
@@ -79,7 +79,7 @@ class WriterThread(threading.Thread):
                 for sink in self._sinks:
                     if message is not NEW_FILE:
                         sink.add(message)
-                    elif isinstance(sink, SplitFile):
+                    elif isinstance(sink, McapFile):
                         sink.begin_file(self.dropped)
                 self._progress += 1
             time.sleep(WRITER_YIELD)
@@ -161,10 +161,7 @@ class Recorder:
 
     @classmethod
     def of(cls, record: Any) -> Recorder | None:
-        """Return a recorder for a file's name.
-
-        Args:
-            record: name of a file; a Recorder or None is returned as it is.
+        """Return a recorder for a file's name; a Recorder or None as it is.
 
         Raises:
             ConfigError: for anything else.
@@ -178,11 +175,9 @@ class Recorder:
     def check(self, source: Path | None = None) -> None:
         """Check, before a link opens, that the recording can begin or go on; writes nothing.
 
-        Args:
-            source: file that the link replays, which can't be written at the same time.
-
         Raises:
-            ConfigError: it has ended, or must not replace the file that is there.
+            ConfigError: it has ended, must not replace the file that is there, or is `source`,
+                which the link replays.
         """
         if self._closed:
             raise ConfigError(f"{self._name}: this recording has ended: make another one")
@@ -193,9 +188,6 @@ class Recorder:
         """Open the file and start the writer; idempotent.
 
         Warns (RecordingWarning) once where writing has failed since.
-
-        Args:
-            config: of the robot.
 
         Raises:
             ConfigError: as for `check`, or the file can't be written.
@@ -208,41 +200,26 @@ class Recorder:
         if self.path is not None:
             if self._is_copy and self.path.exists():
                 self.path = next_number(self.path)
-            file = McapFile if self._split is None else SplitFile
-            self._sinks.append(file(self.path, make_header(config, self.about)))
+            self._sinks.append(McapFile(self.path, make_header(config, self.about)))
         self._writer = WriterThread(self._queue, Encoder(config, self._split), self._sinks)
         self._writer.start()
         _open_recorders.add(self)
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
-        """Say something about the next episode, and about the recording if it isn't said yet.
-
-        Args:
-            info: such as seed and goal, ready for JSON.
-            **about: for the header, likewise.
-        """
+        """Say something about the next episode, and about the recording if it isn't said yet."""
         self._info = info
         for name, value in about.items():
             self.about.setdefault(name, value)
 
     def begin(self, stamp: float, *, simulated: bool) -> None:
-        """Begin an episode.
-
-        Args:
-            stamp: time of the reset on the link's clock [s].
-            simulated: whether the link can wait for the writer.
-        """
+        """Begin an episode at a time of the link's clock [s]; a simulation waits for the writer."""
         self.number, self._waits, self.has_begun = 0, simulated, True
         self._clock_due = stamp + 1.0
         self._queue.append(Began(stamp, time.time_ns(), self._info))
         self._info = {}
 
     def add_exchange(self, event: Exchange) -> None:
-        """Record a control period of the wire, and once a second the clocks.
-
-        Args:
-            event: what was sent and heard in it.
-        """
+        """Record a control period of the wire, and once a second the clocks."""
         self.number = event.number + 1
         self.add(event)
         if event.stamp >= self._clock_due:
@@ -250,11 +227,7 @@ class Recorder:
             self.add(Clock(event.stamp, time.time_ns()))
 
     def add(self, event: Event) -> None:
-        """Record an event, if there is room for it; a simulation waits for the writer first.
-
-        Args:
-            event: of `recording.encoder`.
-        """
+        """Record an event, if there is room for it; a simulation waits for the writer first."""
         if len(self._queue) < self._capacity:
             self._queue.append(event)
             return

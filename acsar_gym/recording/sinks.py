@@ -36,8 +36,8 @@ class Sink(Protocol):
     def flush(self) -> None:
         """Pass on what was added."""
 
-    def close(self, end: Mapping[str, Any]) -> None:
-        """End; `end` has the number of dropped events."""
+    def close(self, dropped: int) -> None:
+        """End; so many events were dropped."""
 
     def abandon(self) -> None:
         """End after an error; raises nothing."""
@@ -93,13 +93,19 @@ def _open_locked(path: str, flags: int) -> int:
 
 
 class McapFile:
-    """A file that is being written. Errors are OSError, except in the constructor.
+    """A recording that is written, in one file, or in FILE.mcap, FILE-2.mcap and so on.
 
-    Messages tell their episode in their field `sequence`, and the header stands at both ends: what
-    is whole of a damaged file can be told apart.
+    Errors are OSError, and ConfigError for a file that can't begin. Messages tell their episode in
+    their field `sequence`, and the header stands at both ends: what is whole of a damaged file can
+    be told apart.
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
+        self._path, self._about = path, header
+        self._number, self._dropped = 1, 0
+        self._open(path, header)
+
+    def _open(self, path: Path, header: Mapping[str, Any]) -> None:
         with require_extra("recording", "record"):
             from mcap.writer import Writer  # noqa: PLC0415 - optional
         messages.load_typestore()
@@ -142,12 +148,20 @@ class McapFile:
             if self._file is not None:
                 os.fdatasync(self._file.raw.fileno())
 
-    def close(self, end: Mapping[str, Any]) -> None:
+    def begin_file(self, dropped: int) -> None:
+        """Finish the file and begin the next one."""
+        self.close(dropped)
+        self._number, self._dropped = self._number + 1, dropped
+        path = self._path.with_stem(f"{self._path.stem}-{self._number}")
+        self._open(path, {**self._about, "cut": {"file": self._number}})
+
+    def close(self, dropped: int) -> None:
         """Finish the file with its index, and what is only known at the end."""
+        end = messages.seal_text("end", {"dropped": dropped - self._dropped})
         try:
             self._writer.flush()
             self._writer.add_metadata(messages.HEADER_RECORD, self._header)
-            self._writer.add_metadata(messages.END_RECORD, messages.seal_text("end", end))
+            self._writer.add_metadata(messages.END_RECORD, end)
             self._writer.finish()
         finally:
             self.abandon()
@@ -160,38 +174,6 @@ class McapFile:
                     fcntl.flock(self._file.raw.fileno(), fcntl.LOCK_UN)
             with contextlib.suppress(OSError):
                 self._file.raw.close()
-
-
-class SplitFile:
-    """A recording in several files: FILE.mcap, FILE-2.mcap, FILE-3.mcap and so on."""
-
-    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        self._path, self._header = path, header
-        self._number, self._dropped = 1, 0
-        self._file = McapFile(path, header)
-
-    def add(self, message: Message) -> None:
-        """Add a message to the newest file."""
-        self._file.add(message)
-
-    def flush(self) -> None:
-        """Write what was added."""
-        self._file.flush()
-
-    def begin_file(self, dropped: int) -> None:
-        """Finish the file and begin the next one; ConfigError where it can't be written."""
-        self.close({"dropped": dropped})
-        self._number, self._dropped = self._number + 1, dropped
-        path = self._path.with_stem(f"{self._path.stem}-{self._number}")
-        self._file = McapFile(path, {**self._header, "cut": {"file": self._number}})
-
-    def close(self, end: Mapping[str, Any]) -> None:
-        """Finish the newest file."""
-        self._file.close({"dropped": end["dropped"] - self._dropped})
-
-    def abandon(self) -> None:
-        """Close the newest file as it is."""
-        self._file.abandon()
 
 
 class UnbufferedFile:
@@ -259,7 +241,7 @@ class LiveView:
         for message in self._latched.values():
             self.add(message)
 
-    def close(self, end: Mapping[str, Any]) -> None:
+    def close(self, dropped: int) -> None:
         """Stop the server."""
         self.abandon()
 

@@ -244,11 +244,7 @@ def is_consistent(opcode: int, content: bytes) -> bool:
 
 
 def parse_record(kind: str, content: bytes) -> Any:
-    """Parse a record of a kind such as "Channel", as the library mcap has it.
-
-    Raises:
-        ConfigError: it is broken.
-    """
+    """Parse a record of a kind such as "Channel", as mcap has it; ConfigError for a broken one."""
     with require_extra("reading a recording", "record"):
         from mcap import records  # noqa: PLC0415 - optional
         from mcap.data_stream import ReadDataStream  # noqa: PLC0415 - optional

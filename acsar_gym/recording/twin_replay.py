@@ -34,17 +34,11 @@ class TwinReplay:
 def replay_commands(
     config: RobotConfig, log: WireLog, stamps: Floats, *, body: str = "planar"
 ) -> TwinReplay:
-    """Send recorded command bytes to a twin at their recorded times.
+    """Send recorded command bytes to a twin at their times; its pose is told at `stamps` [s].
 
     The twin stands at the origin when the log begins. Its clock is set so that its feedback lines
     arrive at the same phase as the recorded ones: that phase is a matter of when a board was
     switched on, and no property of it.
-
-    Args:
-        config: of the twin.
-        log: the recorded bytes.
-        stamps: (n,) times at which the twin's pose is wanted [s], ascending.
-        body: physics, such as "planar".
 
     Raises:
         ConfigError: the log holds no commands, or for another body.
@@ -80,10 +74,9 @@ def replay_commands(
 
 
 def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
-    """Return the time of the log at which the twin's clock is zero [s].
+    """The time of the log at which the twin's clock is zero [s].
 
-    It is the latest one before the first command at which the phase of the twin's lines is that of
-    the recorded ones.
+    The latest one before the first command at which the phase of its lines is the recorded one.
     """
     period, first = 1.0 / config.feedback_rate, float(log.sent_stamps[0])
     recorded = log.feedback(config)[0]
@@ -104,14 +97,10 @@ def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> fl
 
 
 def remove_jitter(stamps: Floats, period: float) -> Floats:
-    """Estimate when nearly periodic lines would have arrived without delays by the host.
+    """Estimate when nearly periodic lines would have arrived without delays by the host [s], (k,).
 
-    A board sends its lines by its own clock; its host's scheduler and adapter see them at that time
-    or later. So within a window the phase of the earliest lines is that of the board's clock, and
-    every line is late by what its phase is after it.
-
-    Returns:
-        (k,) times [s]; those given, if the lines aren't periodic or too few.
+    Within a window the phase of the earliest lines is that of the board's clock, and every line is
+    late by what its phase is after it. Lines that aren't periodic, or too few, stay as they are.
     """
     with require_extra("identification", "scipy"):
         from scipy.ndimage import rank_filter, uniform_filter1d  # noqa: PLC0415 - slow to import

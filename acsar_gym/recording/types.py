@@ -283,11 +283,7 @@ class Recording:
         return {self.sha256, *([whole] if isinstance(whole, str) else [])}
 
     def describe_damage(self) -> str:
-        """Say what was left out of a damaged file.
-
-        Returns:
-            One line; empty where nothing was.
-        """
+        """Say in one line what was left out of a damaged file; empty where nothing was."""
         if not self.damages:
             return ""
         places = f"{len(self.damages)} damaged place{'s' * (len(self.damages) != 1)} left out"

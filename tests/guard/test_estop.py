@@ -226,9 +226,6 @@ def test_robots_made_at_one_moment_all_hear_a_stop(threads: int) -> None:
         assert not list(folder().iterdir())
 
 
-"""Listens for a moment, again and again."""
-
-
 def test_where_no_socket_can_be_opened_a_robot_drives_without(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -506,38 +503,6 @@ def test_a_folder_that_cannot_be_trusted_is_told_of(
     code, output, error = estop_command(capsys, monkeypatch)
     assert (code, output) == (3, "")
     assert re.fullmatch(f"acsar-gym: {path}: .*\n", error)
-
-
-@pytest.mark.parametrize(
-    ("base", "said", "fix"),
-    [
-        (
-            "{place}/file/x/y",
-            "can't be made a folder: Not a directory",
-            "set ACSAR_GYM_RUNTIME_DIR",
-        ),
-        ("here/x", "isn't an absolute path", "set ACSAR_GYM_RUNTIME_DIR"),
-        ("/tmp/" + "long" * 30, "too long for the address of a socket", "a shorter path"),  # noqa: S108
-    ],
-)
-def test_a_folder_that_cannot_be_is_one_line(
-    base: str,
-    said: str,
-    fix: str,
-    place: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    (place / "file").write_text("a file")
-    base = base.format(place=place)
-    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
-    code, output, error = estop_command(capsys, monkeypatch)
-    assert (code, output, error.count("\n")) == (3, "", 1)
-    start = f"acsar-gym: {base}/acsar_gym-{os.getuid()}: {said.format(place=place)}"
-    assert error.startswith(start)
-    assert fix in error
-    assert said.format(place=place) in estop.StopListener().unavailable
-    assert (place / "file").read_text() == "a file"
 
 
 @pytest.fixture

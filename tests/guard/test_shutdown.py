@@ -202,7 +202,6 @@ def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
     assert_stopped(emulator)
 
 
-"""SIGHUP is one of them where the program handles it: servers read their settings again."""
 LOOP = """
 import asyncio, signal
 loop = asyncio.new_event_loop()

@@ -8,39 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.faults import (
     Faults,
-    LineSplitter,
     WheelEditor,
     WheelFaults,
 )
-from acsar_gym.protocol import MAX_LINE, Speeds, encode
+from acsar_gym.protocol import Speeds, encode
 
 LINE = encode((1.0, -2.0, 3.0, 0.0))
-chunks = st.lists(st.binary(max_size=40) | st.sampled_from([LINE, b"\r", b"\n", LINE[:13]]))
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("dropped_lines", 0.1),
-        ("late_lines", 1),
-        ("garbage_rate", 2.0),
-        ("stuck_encoders", "a"),
-        ("dead_wheels", 1),
-        ("board_reset_rate", 0.1),
-        ("brown_out_at", 0.0),
-        ("unplug_at", 1.5),
-    ],
-)
-def test_each_fault_is_possible_by_itself(name: str, value: Any) -> None:
-    assert not Faults.of(None).possible
-    assert Faults.of({name: value}).possible
-    assert not Faults.of({name: value, "episodes": 0.0}).possible
 
 
 @pytest.mark.parametrize(
@@ -87,20 +64,6 @@ def test_named_wheels_are_those_and_numbers_are_drawn() -> None:
     pairs = Counter(wheels.dead for wheels in drawn)
     assert set(pairs) == {"ab", "ac", "ad", "bc", "bd", "cd"}
     assert min(pairs.values()) > 250
-
-
-@given(chunks)
-def test_lines_lose_nothing_and_hold_back_half_a_line_at_most(pieces: list[bytes]) -> None:
-    lines, given_, got = LineSplitter(), b"", b""
-    for piece in pieces:
-        given_ += piece
-        complete = lines.feed(piece)
-        got += b"".join(complete)
-        assert got + lines.partial == given_
-        assert len(lines.partial) <= MAX_LINE
-        assert b"\r" not in lines.partial
-        assert b"\n" not in lines.partial
-        assert all(len(line.splitlines()) == 1 for line in complete)
 
 
 def edited(pieces: list[bytes], **wheels: str) -> bytes:

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import pickle
-import random
 
-import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.links import Link, open_link
 from acsar_gym.links import lateness as lateness_module
-from acsar_gym.links.base import ForwardingLink
 from acsar_gym.links.lateness import (
-    DurationRecord,
     DurationSpread,
     EpisodeStopwatch,
     LatenessRecord,
     first_byte,
 )
-from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
 
@@ -39,24 +28,6 @@ def lateness(*seconds: float) -> LatenessRecord:
     for one in seconds:
         record.add(one)
     return record
-
-
-@given(st.lists(st.floats(0.0, 1e6), min_size=1), st.floats(0.0, 100.0))
-def test_percentiles_and_extremes_are_exact(seconds: list[float], q: float) -> None:
-    durations = DurationRecord()
-    for one in seconds:
-        durations.add(one)
-    rank = max(1, math.ceil(q / 100.0 * len(seconds)))
-    assert durations.percentile(q) in sorted(seconds)[max(rank - 2, 0) : rank + 1]
-    assert (durations.count, durations.worst) == (len(seconds), max(seconds))
-
-
-def test_nothing_recorded_is_nan() -> None:
-    timing = LatenessRecord(CONFIG).summary()
-    assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (0, 0, 0)
-    assert all(map(math.isnan, (timing.p50, timing.p99, timing.worst)))
-    assert timing.late_share == 0.0
-    assert DurationRecord().spread().count == 0
 
 
 def test_a_summary_of_a_known_episode() -> None:
@@ -76,55 +47,6 @@ def test_the_robots_file_says_what_is_late() -> None:
     record.add(0.0049)
     record.add(0.0051)
     assert (record.late, record.limit) == (1, 0.005)
-
-
-class LateLink(ForwardingLink):
-    """A simulated robot whose host is late: some ticks end late, and the next ones are shorter.
-
-    Args:
-        link: to the robot.
-        share: of the ticks that are late.
-        lateness: of each of them [s].
-    """
-
-    def __init__(self, link: Link, share: float, lateness: float) -> None:
-        super().__init__(link)
-        self._share, self._lateness = share, lateness
-
-    def reset(self, scene: Scene) -> None:
-        super().reset(scene)
-        self._rng, self._late = random.Random(0), 0.0
-
-    def advance(self, period: float) -> bytes:
-        before = self._late
-        self._late = self._lateness if self._rng.random() < self._share else 0.0
-        return super().advance(period + self._late - before)
-
-
-def find_odometry_errors(share: float, lateness: float) -> Floats:
-    """Odometry errors of 60 drives whose ticks are late [m]."""
-    config = CONFIG.with_(firmware={"loop_rate": 1000.0, "feedback_rate": 200.0})  # steps of 1 ms
-    link = LateLink(open_link("planar", config), share, lateness)
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, robot=config)
-    with contextlib.closing(env):
-        policy = OnnxPolicy("point_goal")
-        return np.array([one.odometry_error for one in run_episodes(env, policy, 60, seed=0)])
-
-
-@pytest.mark.slow
-def test_odometry_does_not_tell_ticks_that_are_not_late() -> None:
-    """Whatever their share; the limit of `--late-share`, 1 %, is for later ones."""
-    exact = find_odometry_errors(0.0, 0.0)
-    print(f"error of odometry: {exact.mean() * 1e3:.1f} mm")
-    worst = {}
-    for share in (0.01, 0.1, 0.5, 1.0):
-        for lateness in (0.001, 0.002, 0.005, 0.01):
-            changes = 1e3 * (find_odometry_errors(share, lateness) - exact)
-            worst[share, lateness] = most = np.abs(changes).max()
-            late = f"{share:4.0%} of the ticks {lateness * 1e3:2.0f} ms late"
-            print(f"{late}: {changes.mean():+.2f} mm, at most {most:.1f} mm")
-    unnoticed = max(one for (_, lateness), one in worst.items() if lateness <= CONFIG.late_tick)
-    assert unnoticed < 2.0 < max(worst.values())
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import fcntl
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -117,18 +117,6 @@ def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
     env.close()
 
 
-FORWARD = encode((3.0, 3.0, 3.0, 3.0))
-
-
-USES: dict[str, Callable[[SerialLink], object]] = {
-    "write": lambda link: link.write(FORWARD),
-    "advance": lambda link: link.advance(0.01),
-    "read": lambda link: link.read_now(),
-    "reset_input": lambda link: link.reset_input(),
-    "reset": lambda link: link.reset(Scene()),
-}
-
-
 def test_a_program_held_up_in_a_write_has_not_lost_its_port(
     link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -205,7 +193,7 @@ def test_the_same_robot_drives_on_once_the_cable_is_back(
     wait_until(lambda: emulator.commands()[-1] == ZERO, "zero as the last command")
 
 
-SILENT, LOST = 1.0, 3.0
+LOST = 3.0
 
 
 def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: Emulated) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, read
-from acsar_gym.recording.bags import find_corner, find_wheels, is_recording, open_recording
-from acsar_gym.recording.export import make_tables
+from acsar_gym.recording.bags import find_corner, is_recording, open_recording
 from acsar_gym.tools.sysid.identify import identify_files
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
@@ -130,12 +128,6 @@ def test_joints_are_known_by_their_names(name: str, corner: str) -> None:
     assert find_corner(name) == corner
 
 
-def test_the_order_of_joints_is_free() -> None:
-    names = ["arm", "fl_wheel", "rl_wheel", "fr_wheel", "rr_wheel", "left_finger"]
-    assert find_wheels(names, ROBOT) == (3, 1, 2, 4)
-    assert find_wheels(["arm_left", "finger"], ROBOT) is None
-
-
 def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
     odd = ("a", "b", "c", "d")
     without = write_mcap(tmp_path / "odd.mcap", make_bag(tape, TOPICS, odd))
@@ -178,15 +170,6 @@ def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="has no topic '/robot3'"):
         read_bag(path, topics=("/robot3",))
     assert_same_drive(read_bag(path, topics=("/robot1",)), tape)
-
-
-def test_a_twin_has_no_gap_to_a_bag_of_itself(tape: Path, tmp_path: Path) -> None:
-    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS))
-    found = measure_gap([("bag", read_bag(bag))], ("robot", ROBOT), ("robot", ROBOT))
-    assert found.figures("after")["wheel_speed_rms"] < 0.3
-    assert math.isfinite(found.figures("after")["end_odometry"])
-    ticks = make_tables(read_bag(bag))["ticks"]
-    assert len(ticks["x"]) > 400
 
 
 def test_motors_are_identified_from_a_bag(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from recording_tools import drive, record_env
 
-from acsar_gym import Robot, RobotConfig
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import replay
-from acsar_gym.links.replay import ReplayLink, Tape
+from acsar_gym.links.replay import Tape
 from acsar_gym.recording import Episode, Recorder, read
 from acsar_gym.recording.cut import cut_recording, parse_duration
 from acsar_gym.tools.datasets import read_demonstrations
@@ -177,14 +177,3 @@ def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
     observations = [parts[0].observations, *(p.observations[1:] for p in parts[1:])]
     np.testing.assert_array_equal(np.concatenate(observations), whole.observations)
     np.testing.assert_array_equal(parts[1].observations[0], parts[0].observations[-1])
-
-
-def test_a_replayed_part_stands_still_first(tmp_path: Path) -> None:
-    path, part = drive(tmp_path / "drive.mcap", RobotConfig.of(None), 300), tmp_path / "part.mcap"
-    cut_recording(path, 1.0, 2.0, part)
-    link, config = ReplayLink(part, compare=False), RobotConfig.of(None)
-    (episode,) = read(part).episodes
-    with Robot(link, config) as robot:
-        robot.drive(0.1, 0.0)
-        assert robot.speeds == tuple(episode.speeds[0])
-        assert robot.wire.stamp == episode.stamps[0]

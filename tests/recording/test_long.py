@@ -12,9 +12,7 @@ from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.replay import Tape
 from acsar_gym.recording import Recording, read, reader
-from acsar_gym.recording.cut import cut_recording
 from acsar_gym.recording.export import export_recording, make_tables
 from acsar_gym.recording.reader import RecordedEpisode, iterate_blocks
 
@@ -107,17 +105,6 @@ def test_a_long_recording_is_exported_as_a_short_one(tape: Path, tmp_path: Path)
     for name, columns in whole.items():
         for key, values in columns.items():
             np.testing.assert_array_equal(found[name][key], values)
-
-
-@pytest.mark.usefixtures("little")
-def test_a_long_recording_is_cut_and_played(tape: Path, tmp_path: Path) -> None:
-    cut_recording(tape, 1.0, 5.0, tmp_path / "part.mcap")
-    for episode in read(tmp_path / "part.mcap", revolutions=True).episodes:
-        player = Tape(episode)
-        while not player.is_over:
-            assert not player.has_gap
-            player.next()
-        assert player.revolution() is not None
 
 
 @pytest.mark.usefixtures("little")

@@ -49,4 +49,4 @@ def test_a_taken_port_is_no_obstacle() -> None:
     second = LiveView(port=int(first.url.rsplit(":", 1)[1]))
     assert first.url != second.url
     for view in (first, second):
-        view.close({})
+        view.close(0)
