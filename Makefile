@@ -16,11 +16,10 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/gu
 CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics tests/recording \
   tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training \
   --ignore tests/recording/test_sinks.py
-REPLUG_CYCLES ?= 1000
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale lint firmware \
-  firmware-tested bench soak replug stopping identify-check licences reference pictures clean
+  firmware-tested bench soak stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -83,9 +82,6 @@ soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
 	$(BIN)/python tests/tools/sysid/check_hidden.py
-
-replug: $(READY)  ## pull the cable of a driving robot a thousand times, in twenty minutes
-	$(BIN)/python tests/endurance/replug.py --cycles $(REPLUG_CYCLES)
 
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)

@@ -15,9 +15,8 @@ from serial_tools import RobotFile, StartEmulator, cli
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.protocol import FEWEST_ECHOES, EchoDecoder, Reading, encode
+from acsar_gym.protocol import FEWEST_ECHOES, EchoDecoder, encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.safety.set_points import SetPointWatch
 
 ACSAR = RobotConfig.preset("acsar")
 KNOWN = ACSAR.with_(echo=True)
@@ -114,26 +113,6 @@ def test_set_points_are_refused(quirks: tuple[str, ...], echoes: bool, said: str
     ):
         for _ in range(2):
             drive(robot)
-
-
-def test_wheels_that_follow_slow_commands_are_no_echo() -> None:
-    """They have passed each commanded speed a little later, to the last digit."""
-    fine = ACSAR.with_(encoder={"counts_per_revolution": 1_000_000})
-    with Robot(like_a_board(echoes=False, robot=fine), ACSAR) as robot:
-        for tick in range(600):
-            speed = 2.0 - abs(tick % 400 - 200) / 100.0
-            robot.tick((speed, speed, speed, speed))
-    watch = SetPointWatch(echoes=False)
-    for tick in range(2000):
-        watch.note((0.01 * tick,) * 4)
-        watch.check(Reading((round(0.01 * max(0, tick - 11), 2),) * 4))
-
-
-def test_only_an_echo_is_silence() -> None:
-    link = like_a_board("echo", "feedback-rate=5", echoes=True)
-    config = KNOWN.with_(feedback_timeout=0.05, firmware={"feedback_rate": 100.0})
-    with pytest.raises(LinkError, match="but this board's echo of the commands"):
-        Robot(link, config).activate()
 
 
 def test_a_recorded_echo_is_left_out_and_replays_bit_for_bit(tmp_path: Path) -> None:

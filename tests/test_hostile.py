@@ -69,22 +69,6 @@ def test_hostile_robots_are_one_line(name: str, tmp_path: Path, call: Call) -> N
     assert_one_line(code, error, found)
 
 
-@pytest.mark.parametrize("option", ["--robot", "--worlds", "--link"])
-def test_pipes_and_devices_are_not_read(option: str, tmp_path: Path, call: Call) -> None:
-    suffix = {"--robot": ".yaml", "--worlds": ".json", "--link": ".mcap"}[option]
-    replay = "replay:" if option == "--link" else ""
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", Path("/dev/zero")):
-        named = tmp_path / f"name{suffix}"
-        named.unlink(missing_ok=True)
-        named.symlink_to(path)
-        policy = "obstacle_goal" if option == "--worlds" else "point_goal"
-        link = () if option == "--link" else ("--link", "planar")
-        arguments = ("evaluate", "--policy", policy, *link, option, f"{replay}{named}")
-        code, _, error = call(*arguments)
-        assert_one_line(code, error, f"{named}: isn't a regular file")
-
-
 @pytest.mark.parametrize("name", ["\x1b]0;title\x07\x9b31m\r", "a\u202eb"])
 def test_no_control_character_of_a_name_reaches_the_terminal(
     name: str, tmp_path: Path, call: Call

@@ -54,19 +54,6 @@ main()
 """
 
 
-def answering(listener: estop.StopListener) -> threading.Thread:
-    """A control loop that heeds one stop."""
-
-    def loop() -> None:
-        while not listener.is_requested():
-            time.sleep(0.001)
-        listener.confirm()
-
-    thread = threading.Thread(target=loop, daemon=True)
-    thread.start()
-    return thread
-
-
 @contextlib.contextmanager
 def answering_all(listeners: list[estop.StopListener]) -> Iterator[None]:
     """A control loop that heeds the stops of all of them."""
@@ -185,6 +172,9 @@ def test_the_socket_of_a_dead_process_is_forgotten() -> None:
     assert not (folder() / "99999999-1").exists()
 
 
+ROBOTS = 4
+
+
 def look_for_dead_ones() -> None:
     """Remove the sockets of dead processes, as each stop does, without stopping anybody."""
     for path in estop._find_sockets(folder()):
@@ -193,11 +183,10 @@ def look_for_dead_ones() -> None:
             estop._send_request(asker, path, b"go on", {})
 
 
-@pytest.mark.parametrize("threads", [2, 4, 8])
-def test_robots_made_at_one_moment_all_hear_a_stop(threads: int) -> None:
+def test_robots_made_at_one_moment_all_hear_a_stop() -> None:
     """In two rounds of three, others stop robots meanwhile, and remove what dead ones have left."""
-    for number in range(15):
-        barrier, ended = threading.Barrier(threads + 1, timeout=TIMEOUT), threading.Event()
+    for number in range(9):
+        barrier, ended = threading.Barrier(ROBOTS + 1, timeout=TIMEOUT), threading.Event()
         robots: list[Robot] = []
 
         def drive(barrier: threading.Barrier, ended: threading.Event, robots: list[Robot]) -> None:
@@ -209,15 +198,15 @@ def test_robots_made_at_one_moment_all_hear_a_stop(threads: int) -> None:
                 while not ended.is_set():
                     robot.drive(0.2, 0.0)
 
-        with ThreadPoolExecutor(threads) as pool, contextlib.ExitStack() as at_end:
+        with ThreadPoolExecutor(ROBOTS) as pool, contextlib.ExitStack() as at_end:
             at_end.callback(ended.set)
-            drives = [pool.submit(drive, barrier, ended, robots) for _ in range(threads)]
+            drives = [pool.submit(drive, barrier, ended, robots) for _ in range(ROBOTS)]
             barrier.wait()
             for _ in range(number % 3):
                 look_for_dead_ones()
             barrier.wait()
-            assert len(list(folder().iterdir())) == threads
-            assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)] * threads
+            assert len(list(folder().iterdir())) == ROBOTS
+            assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)] * ROBOTS
             assert all(robot.safety.stopped for robot in robots)
             ended.set()
             for one in drives:
@@ -520,9 +509,8 @@ def usual(place: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
 def test_a_process_of_two_folders_is_one(usual: tuple[Path, Path]) -> None:
     listener = estop.StopListener()
     assert {path.parent.parent for path in listener.paths} == set(usual)
-    thread = answering(listener)
-    assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
-    thread.join()
+    with answering_all([listener]):
+        assert estop.stop_all() == [estop.StopResult(os.getpid(), answered=True)]
     assert doctor.check_estop().status == "ok"
     listener.close()
 

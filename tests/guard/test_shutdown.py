@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import signal
-from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 from nursery import ended, first_line, program
@@ -13,7 +11,6 @@ from serial_tools import DRIVER, Emulated, wait_until
 from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
-from acsar_gym.recording import read
 
 pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
@@ -254,27 +251,6 @@ def test_a_forked_child_ends_without_a_word(end: str, emulator: Emulated) -> Non
     driving = [command != ZERO for command in emulator.commands()]
     first = driving.index(True)
     assert all(driving[first : first + 90])
-
-
-def test_a_recording_is_complete_when_a_signal_ends_the_program(
-    emulator: Emulated, tmp_path: Path
-) -> None:
-    tape = tmp_path / "tape.mcap"
-    recorder = """
-from acsar_gym.recording import Recorder
-robot = Robot(robot.link, config, recorder=Recorder(sys.argv[2]))
-"""
-    code = DRIVER + recorder + IN_BLOCK.format(ticks=FOREVER, end="pass")
-    with program(code, emulator.device, str(tape)) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.terminate()
-        assert ended(process) == (-signal.SIGTERM, "")
-    assert_stopped(emulator)
-    recording = read(tape)
-    assert not recording.cut
-    driven = sum(command != ZERO for command in emulator.commands())
-    _, sent = recording.episodes[0].wire.commands(recording.config)
-    assert driven - 1 <= np.count_nonzero(sent.any(axis=1)) <= driven
 
 
 TWO_SIGNALS = """

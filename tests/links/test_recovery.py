@@ -8,7 +8,6 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -26,10 +25,7 @@ from acsar_gym.errors import (
     PortNotFoundError,
 )
 from acsar_gym.guard import watchdog
-from acsar_gym.links import ports
-from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
-from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
@@ -98,16 +94,6 @@ def config(config: RobotConfig) -> RobotConfig:
 
 
 @pytest.fixture
-def link(plugged: Emulated, config: RobotConfig) -> Iterator[SerialLink]:
-    with no_leak():
-        link = SerialLink(name(plugged), config)
-        link.open()
-        link.reset(Scene())
-        yield link
-        link.close()
-
-
-@pytest.fixture
 def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
     """An environment in the middle of an episode."""
     env = made(plugged, config)
@@ -115,23 +101,6 @@ def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
     env.step(CURVE)
     yield env
     env.close()
-
-
-def test_a_program_held_up_in_a_write_has_not_lost_its_port(
-    link: SerialLink, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As on a busy machine: the bytes are all gone when it goes on."""
-    write = os.write
-
-    def held_up(descriptor: int, data: bytes) -> int:
-        written = write(descriptor, data)
-        time.sleep(3.0 * RobotConfig.preset("acsar").period)
-        return written
-
-    with monkeypatch.context() as busy:
-        busy.setattr(os, "write", held_up)
-        link.write(encode(ZERO))
-    link.advance(0.01)
 
 
 def test_a_signal_ends_a_program_that_waits_for_its_cable(emulator: Emulated) -> None:
@@ -221,8 +190,6 @@ def test_an_episode_ends_with_the_reason_and_the_next_begins(env: Any, plugged: 
 
 ZEROS = b"\r\n" + encode(ZERO)
 
-LONG = 3600.0
-
 
 def runs(process: int) -> bool:
     """Whether it is there and no zombie."""
@@ -257,31 +224,6 @@ def test_a_cable_that_stays_out_is_reported_in_time_and_looked_for(
     emulator.plug()
     wait_until(lambda: bool(spoken(emulator)), "a command")
     assert spoken(emulator) == {ZERO}
-
-
-@pytest.fixture
-def tries(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names under which ports were opened, or weren't."""
-    names: list[str] = []
-    opened = ports.open_port
-
-    def counted(device: str, config: RobotConfig) -> Any:
-        names.append(device)
-        return opened(device, config)
-
-    monkeypatch.setattr(ports, "open_port", counted)
-    return names
-
-
-def test_a_port_that_was_never_there_is_reported_at_once(
-    config: RobotConfig, tmp_path: Path, tries: list[str]
-) -> None:
-    missing = str(tmp_path / "missing")
-    link = SerialLink(missing, config.with_(reconnect_timeout=LONG))
-    for _ in range(2):
-        with no_leak(), pytest.raises(PortNotFoundError):
-            link.open()
-    assert tries == [missing] * 2
 
 
 END = """

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import pytest
 from nursery import first_line, program
 from serial_tools import (
     DRIVER,
     TIMEOUT,
-    Emulated,
     RobotFile,
     StartEmulator,
     no_leak,
@@ -21,7 +19,6 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
-    CommandError,
     LinkError,
     PortBusyError,
     PortNotFoundError,
@@ -57,17 +54,6 @@ def test_missing_device(config: RobotConfig) -> None:
     error = refusal(MISSING, config)
     assert type(error) is PortNotFoundError
     assert error.exit_code == 3
-
-
-@pytest.mark.parametrize("kind", ["file", "folder", "/dev/null"])
-def test_not_a_tty(kind: str, config: RobotConfig, tmp_path: Path) -> None:
-    path = tmp_path / "port"
-    path.write_bytes(b"not a port")
-    device = {"file": path, "folder": tmp_path}.get(kind, kind)
-    error = refusal(str(device), config)
-    assert type(error) is LinkError
-    assert "serial port" in error.found
-    assert path.read_bytes() == b"not a port"
 
 
 PERMISSION = f"""
@@ -127,27 +113,6 @@ def test_wrong_baud_rate(config: RobotConfig, shared_device: str) -> None:
     assert type(error) is BoardGarbledError
     assert "57600" in error.found
     assert "115200" in error.fix
-
-
-@pytest.mark.parametrize(
-    "speeds",
-    [(float("nan"), 1.0, 1.0, 1.0), (1.0, 1.0, float("inf"), 1.0), (1.0, 1.0, 1.0)],
-    ids=["nan", "inf", "three"],
-)
-def test_a_command_that_must_not_be_sent_stops_the_robot(
-    speeds: tuple[float, ...], config: RobotConfig, emulator: Emulated
-) -> None:
-    robot = Robot(open_link(emulator.device, config), config)
-    with no_leak():
-        robot.activate()
-        for _ in range(20):
-            robot.drive(0.2, 0.0)
-        with pytest.raises(CommandError):
-            robot.tick(speeds)
-        assert not robot.active
-        robot.close()
-    wait_until(emulator.is_stopped, "zero command after a bad one")
-    assert b"n" not in emulator.received()  # neither nan nor backward
 
 
 def test_a_link_says_how_late_a_tick_ended_and_rushes_none(

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import pybullet
 import pytest
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.physics import Physics
-from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import Decoder, Speeds, encode
 from acsar_gym.worlds import Scene
@@ -30,9 +28,6 @@ def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
     made.open()
     yield made
     made.close()
-
-
-"""Exact figures of our tyre model; MuJoCo's ground is another one, see test_mujoco."""
 
 
 def physics(**values: float) -> Physics:
@@ -118,22 +113,6 @@ def test_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
     own = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
     assert (drive(link, own, 0.5, FORWARD), link.truth) != fresh
     assert (drive(link, None, 0.5, FORWARD), link.truth) == fresh
-
-
-@pytest.mark.parametrize("mass", [0.5, 2.0])
-def test_pybullet_knows_the_mass_that_was_drawn(mass: float) -> None:
-    """The same push accelerates a heavier robot less; tyres grip the more, so that it drives on."""
-    body = BulletBody(CONFIG)
-    body.reset(Scene(physics=physics(mass=mass)))
-    robot, client = body._robot, body._client
-    pybullet.applyExternalForce(robot, -1, (8.0, 0.0, 0.0), (0, 0, 0), pybullet.LINK_FRAME, client)
-    pybullet.applyExternalTorque(robot, -1, (0.0, 0.0, 0.1), pybullet.WORLD_FRAME, client)
-    body.engine_step()
-    linear, angular = body.truth.twist
-    own, dt = physics(mass=mass), 1.0 / CONFIG.firmware.loop_rate
-    assert linear == pytest.approx(8.0 / (CONFIG.body.mass * mass) * dt)
-    assert angular == pytest.approx(0.1 / own.yaw_inertia * dt)
-    body.close()
 
 
 def test_both_bodies_drive_alike_with_the_same_physics() -> None:
