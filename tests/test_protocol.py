@@ -163,29 +163,6 @@ def test_unpadded_numbers_are_read_and_counted(hundredths: Speeds, spaces: int) 
     assert decoder.tolerated == sum(len(part) != 7 or " " in part for part in parts)
 
 
-@pytest.mark.parametrize(
-    ("part", "speed"),
-    [
-        ("ap0.00", 0.0),
-        ("ap5.23", 5.23),
-        ("ap105.20", 105.2),
-        ("ap 5.00", 5.0),
-        ("ap-3.20", -3.2),
-        ("an-3.20", 3.2),
-        ("ap+3.20", 3.2),
-        ("an0.00", 0.0),
-        ("ap5.230000", 5.23),
-    ],
-)
-def test_a_number_as_the_robots_own_driver_reads_it(part: str, speed: float) -> None:
-    decoder = Decoder()
-    for _ in range(2):
-        (reading,) = decoder.feed(f"{part},bp10.00\n".encode())
-        assert reading.speeds == (speed, 10.0, None, None)
-        assert math.copysign(1.0, reading.speeds[0] or 0.0) == math.copysign(1.0, speed)
-    assert (decoder.tolerated, decoder.refused) == (2, {})
-
-
 @pytest.mark.parametrize("place", range(len(GOOD)))
 def test_a_first_line_without_its_beginning_is_cut_but_not_damaged(place: int) -> None:
     decoder = Decoder()

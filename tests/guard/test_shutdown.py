@@ -151,54 +151,6 @@ print(errors, too, none, sep="|", flush=True)
     assert_stopped(emulator)
 
 
-KNOWN_TO_A_THREAD = """
-import asyncio
-
-def work():
-    exec(sys.argv[2], globals())
-    robot.activate()
-    try:
-        drive(10**9)
-    finally:
-        print("thread ends", flush=True)
-
-async def main():
-    thread = asyncio.create_task(asyncio.to_thread(work))
-    {wait}
-
-asyncio.run(main())
-"""
-FAIL_WHILE_IT_DRIVES = """
-    while "robot" not in globals() or robot.odometry.pose[0] < 0.02:
-        await asyncio.sleep(0.01)
-    raise RuntimeError
-"""
-
-
-@pytest.mark.parametrize(
-    ("wait", "number", "end"),
-    [
-        ("await thread", signal.SIGINT, (-signal.SIGINT, "KeyboardInterrupt")),
-        (FAIL_WHILE_IT_DRIVES, None, (1, "RuntimeError")),
-    ],
-    ids=["Ctrl-C", "exception"],
-)
-def test_a_robot_that_only_a_thread_of_asyncio_knows_is_stopped(
-    wait: str, number: signal.Signals | None, end: tuple[int, str], emulator: Emulated
-) -> None:
-    """The main thread doesn't end: it waits for the thread."""
-    start, robot = DRIVER.split("config = ", 1)
-    code = start + KNOWN_TO_A_THREAD.format(wait=wait)
-    with program(code, emulator.device, f"config = {robot}") as process:
-        if number is not None:
-            wait_until(emulator.is_driven, "a command that turns the wheels")
-            process.send_signal(number)
-        assert first_line(process) == "thread ends"
-        status, error = ended(process)
-    assert (status, error.splitlines()[-1]) == end
-    assert_stopped(emulator)
-
-
 LOOP = """
 import asyncio, signal
 loop = asyncio.new_event_loop()

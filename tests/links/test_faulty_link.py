@@ -258,16 +258,3 @@ def test_episodes_differ_and_their_seed_repeats_them(config: RobotConfig) -> Non
         assert [drive(again, 300), drive(again, 300)] == [first, second]
     for other in (5, None, None):
         assert drive(planar(config, other, **EVERYTHING), 300) != first
-
-
-def test_the_robot_drives_on_through_bad_lines(config: RobotConfig) -> None:
-    faults = {key: 0.1 for key in EVERYTHING if key.endswith("_lines")} | {"garbage_rate": 3.0}
-    link = planar(config, 2, **faults)
-    with Robot(link, config.with_(feedback_timeout=0.5)) as robot:
-        for _ in range(500):
-            robot.drive(0.3, 0.0)
-        assert link.truth is not None
-        assert link.truth.pose[0] > 1.0
-        assert robot.odometry.pose[0] == pytest.approx(link.truth.pose[0], rel=0.3)
-        assert robot.decoder.refused
-        assert min(link.injected[key] for key in ("dropped_lines", "cut_lines", "garbage")) > 5

@@ -113,15 +113,3 @@ def test_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
     own = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
     assert (drive(link, own, 0.5, FORWARD), link.truth) != fresh
     assert (drive(link, None, 0.5, FORWARD), link.truth) == fresh
-
-
-def test_both_bodies_drive_alike_with_the_same_physics() -> None:
-    own = physics(mass=1.5, friction=0.7, motor_gain=0.95, wheel_radius=1.03, latency=0.02)
-    ends = []
-    for name in ("planar", "bullet"):
-        link: Any = open_link(name, CONFIG)
-        answer = drive(link, own, 2.0, (8.0, 5.0, 5.0, 8.0))
-        ends.append((*link.truth.pose, answer))
-        link.close()
-    assert ends[0][:3] == pytest.approx(ends[1][:3], abs=1e-4)
-    assert ends[0][3] == ends[1][3]

@@ -22,7 +22,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
 from acsar_gym.guard.watchdog_child import BEAT
-from acsar_gym.links import ports, serial
+from acsar_gym.links import serial
 from acsar_gym.links.faults import FaultyLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
@@ -275,16 +275,3 @@ def test_a_program_behind_a_socket_is_watched_too(emulator: Emulated) -> None:
             fault = time.monotonic()
             process.kill()
             assert_stopped_after(emulator, fault)
-
-
-def test_the_port_is_soon_free_after_a_kill(
-    emulator: Emulated, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One `open` is enough."""
-    monkeypatch.setattr(ports, "BUSY_TIMEOUT", config.connect_timeout)
-    with program(DRIVER + DRIVE, emulator.device) as process:
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        process.kill()
-        link = SerialLink(emulator.device, config)
-        link.open()
-        link.close()

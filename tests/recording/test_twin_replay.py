@@ -62,13 +62,6 @@ def test_the_boards_phase_is_found(phase: float, rate: float) -> None:
     assert np.abs(own_speeds[nearest] - speeds).max() < 1.0
 
 
-def test_bullet_replays_too() -> None:
-    pytest.importorskip("pybullet")
-    episode = driven(ACSAR, [(4.0, 4.0, 4.0, 4.0)] * 50)
-    done = replay_commands(ACSAR, episode.wire, episode.stamps, body="bullet")
-    assert done.poses[-1] == pytest.approx(episode.truth[-1], abs=0.01)
-
-
 def test_a_log_without_commands_and_an_unknown_body_are_refused() -> None:
     nothing = WireLog(np.zeros(0), (), np.zeros(0), ())
     with pytest.raises(ConfigError, match="no commands to replay"):
