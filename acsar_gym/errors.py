@@ -104,11 +104,7 @@ def require_extra(feature: str, extra: str) -> Iterator[None]:
 
 
 def check_extra(feature: str, extra: str, *modules: str) -> None:
-    """Name the extra where modules aren't installed; imports none of them.
-
-    Raises:
-        MissingExtraError: one isn't installed.
-    """
+    """Raise MissingExtraError where modules aren't installed; imports none of them."""
     for module in modules:
         try:
             is_missing = find_spec(module) is None

@@ -302,11 +302,7 @@ class EchoDecoder(Decoder):
 
 
 def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
-    """Parse parts that are new, damaged, incomplete or in another order, such as `bn08.75`.
-
-    Returns:
-        A reading where a part is valid, why parts are refused, and how many were tolerated.
-    """
+    """Parse parts such as `bn08.75`: a reading or None, refusals, and how many are tolerated."""
     speeds: list[float | None] = [None, None, None, None]
     refused, tolerated = [], 0
     # Where other numbers are padded with zeros, one that isn't has lost a digit.

@@ -77,11 +77,7 @@ def read_content(path: Path, limit: int, error: type[AcsarError] = ConfigError) 
 
 @contextlib.contextmanager
 def open_file(path: Path, limit: int | None) -> Iterator[BufferedReader]:
-    """Open a regular file to read it piece by piece, as a context manager.
-
-    Args:
-        path: the file.
-        limit: largest accepted size [bytes]; None for any.
+    """Open a regular file, of `limit` bytes at most, to read it piece by piece; a context manager.
 
     Raises:
         ConfigError: as by `read_file`; also for errors inside the block.
@@ -255,11 +251,7 @@ def find_modules_here() -> Iterator[None]:
 
 
 def import_object(what: str, name: str) -> Any:
-    """The object of a module that is named "module:Class".
-
-    Raises:
-        ConfigError: there is none of that name, or its module can't be imported.
-    """
+    """The object of a module that is named "module:Class"; ConfigError where there is none."""
     module, _, attribute = name.partition(":")
     field, like = f"{what} = {show_value(name)}", "must be like 'module:Class'"
     if not all(part.isidentifier() for part in (*module.split("."), *attribute.split("."))):

@@ -135,9 +135,7 @@ class Wire:
         return [(self.speeds, lasted)]
 
     def settle(self) -> None:
-        """Command zero until the wheels stand still.
-
-        Counts control periods, so that clock jumps don't matter.
+        """Command zero until the wheels stand still; counts periods, as clocks may jump.
 
         Raises:
             LinkError: As for `exchange`, or the wheels keep turning.

@@ -46,9 +46,8 @@ OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, in every terminal t
 def list_candidates() -> list[Path]:
     """List the folders for sockets. Drivers listen in all of them, and a stop asks in all of them.
 
-    A process that was started before its user logged in knows only the shared folder. Where
-    another user has made a folder of that name there, only the session's folder works. Both paths
-    are the same in every environment of a user, unlike XDG_RUNTIME_DIR and TMPDIR.
+    A process that was started before its user logged in knows only the shared folder; where another
+    user has made that, only the session's works. Unlike XDG_RUNTIME_DIR, both are always the same.
     """
     name = f"acsar_gym-{os.getuid()}"
     if os.environ.get(FOLDER_VARIABLE):
@@ -63,13 +62,7 @@ def list_candidates() -> list[Path]:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder that only its owner can use, with its parents, and return its path.
-
-    Parents that it makes are its owner's alone, too. What exists stays as it is.
-
-    Raises:
-        LinkError: it can't be made, its path is relative or too long, or others can use it.
-    """
+    """Make a folder, with its parents, that only its owner can use; LinkError where it can't be."""
     if not path.is_absolute():  # it would be another one in another terminal
         raise LinkError(f"{path}: isn't an absolute path", OTHER_FOLDER)
     if len(os.fsencode(path)) > MAX_FOLDER_PATH:
@@ -174,13 +167,11 @@ class StopListener:
     """Receives emergency stops, on one socket in each usable folder.
 
     Where no socket can be opened nothing is received, and `unavailable` says why: a robot must be
-    drivable on a computer without such sockets, and Ctrl-C stops it everywhere.
-
-    After a stop it stays open until the release, even where its robot is closed meanwhile.
+    drivable on such a computer. After a stop it stays open until the release, even where its robot
+    is closed meanwhile.
 
     Attributes: `paths`, the addresses; `faults`, the errors of folders that can't be used;
-    `closed`, whether its robot is; `held`, all listeners of this process that were stopped and
-    aren't released.
+    `closed`, whether its robot is; `held`, all listeners of this process that are stopped.
     """
 
     held: ClassVar[list[StopListener]] = []
@@ -354,10 +345,9 @@ def _make_number() -> int:
 
 
 def _bind_listener(path: Path) -> socket.socket:
-    """Return a new socket that listens at this address, which nobody has had.
+    """A new socket that listens at this address, which it gets when it listens.
 
-    Between the two halves of a bind, the file is there and refuses requests, as that of a dead
-    process does, and a stop would remove it. So it gets its name when it listens.
+    Between the two halves of a bind it would refuse requests, and a stop would remove it.
     """
     hidden = path.with_name(HIDDEN + path.name)
     listener = _bind_socket(hidden)
@@ -496,10 +486,9 @@ def _open_asker(folder: Path) -> Iterator[socket.socket]:
 def _send_request(
     asker: socket.socket, path: Path, request: bytes, answers: dict[str, bytes]
 ) -> bool:
-    """Send a request, note in `answers` that somebody listens, and return whether that is done.
+    """Send a request, note in `answers` that somebody listens; whether that is done.
 
-    It isn't where the listener's queue is full: its process is suspended, or gets many requests.
-    Removes the socket of a dead process.
+    It isn't where the listener's queue is full. Removes the socket of a dead process.
     """
     try:
         asker.sendto(request, str(path))

@@ -63,8 +63,8 @@ if WATCHDOG_AVAILABLE:
 class Watchdog:
     """Watches this process through a shared port, from each `start` until it is closed.
 
-    While it isn't started, as without a time-out or on Windows, it refuses nothing. Callers prevent
-    concurrent calls from several threads, except for `wait_ready`.
+    While it isn't started, it refuses nothing. Callers prevent concurrent calls, except for
+    `wait_ready`.
 
     Attributes: `page`, the memory that both processes share, see `watchdog_child`; `lifeline`, the
     descriptor by whose closing the watchdog notices that this process is dead.
@@ -84,11 +84,7 @@ class Watchdog:
         self._awake = self._unseen = self._drove = 0.0
 
     def start(self, port: int | None, place: str = "") -> None:
-        """Start the process, unless there is a time-out or port missing.
-
-        Raises:
-            LinkError: the process can't be started.
-        """
+        """Start the process, unless time-out or port are missing; LinkError where it can't."""
         if not self._can_start or not WATCHDOG_AVAILABLE or port is None:
             return
         self._driving = self._halted = self._resting = False
@@ -191,11 +187,7 @@ class Watchdog:
             self.page[BEAT] = now
 
     def allow_drive(self) -> None:
-        """Call before a command that turns wheels, and `note_drive` after it.
-
-        Raises:
-            LinkError: the watchdog stopped the robot, or doesn't run.
-        """
+        """Call before a command that turns wheels; LinkError where it tripped, or is dead."""
         if not self._open:
             return
         self.note_drive()

@@ -102,10 +102,9 @@ def camera_of(link: Link) -> Camera | None:
 
 
 def arrivals_of(link: Link) -> Arrivals:
-    """Return when the bytes of the newest period arrived.
+    """When the bytes of the newest period arrived, noted in the period after each call.
 
-    To 1 ms or better on a serial device, in the period after each call, and exactly in simulation;
-    nothing for links that know no more than the end of the period.
+    To 1 ms or better on a serial device, exactly in simulation, nothing for links that don't know.
     """
     pieces: Arrivals = getattr(link, "arrivals", [])
     return pieces

@@ -82,11 +82,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
 def find_echo(
     write: Callable[[bytes], None], read: Callable[[], bytes], device: str, config: RobotConfig
 ) -> bool:
-    """Find whether a board sends commands back, by zero commands that no feedback is like.
-
-    Raises:
-        BoardSilentError: it sends nothing else, for `connect_timeout`.
-    """
+    """Find whether a board sends commands back; BoardSilentError where it sends nothing else."""
     decoder, feedback = EchoDecoder(), 0
     probe = ECHO_PROBE + line_end(trailing_comma=config.trailing_comma)
     line = len(probe) * BITS_PER_BYTE / config.baud_rate

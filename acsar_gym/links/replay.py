@@ -134,9 +134,8 @@ class Tape:
 class ReplayLink:
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
-    Commands are compared with those recorded. Where they differ, what was recorded is no answer to
-    them, so the replay ends with an error that names the tick. A part of an episode has no reset of
-    its own: the robot is said to stand still for as long as one takes.
+    Where commands differ from those recorded, the replay ends with an error that names the tick. A
+    part of an episode has no reset: the robot is said to stand still for as long as one takes.
 
     Attributes: `replays`, the path.
     """
@@ -191,11 +190,7 @@ class ReplayLink:
         self._sent += data
 
     def advance(self, period: float) -> bytes:
-        """Return the bytes of the next period.
-
-        Raises:
-            LinkLostError: the episode ends here, commands differ, or the recording has a gap.
-        """
+        """The bytes of the next period; LinkLostError at the end, a gap, and for other commands."""
         tape, sent = self._require_tape(), self._sent
         if self._lead:
             self._lead -= 1

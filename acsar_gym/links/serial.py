@@ -268,8 +268,7 @@ class SerialLink:
     def held(self) -> Iterator[None]:
         """Command zero, and lock out commands of other threads, as a context manager.
 
-        Errors are ignored, so that stopping goes on. For the watchdog, wheels still turn: if this
-        takes longer than its time-out, as where the program is suspended, it trips.
+        Errors are ignored. For the watchdog, wheels still turn: if this takes long, it trips.
         """
         with self._exclusively():
             port = self._port

@@ -35,7 +35,7 @@ from acsar_gym.errors import (
 )
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
-from acsar_gym.reading import explain_error, open_file, parse_yaml, read_file
+from acsar_gym.reading import explain_error, open_file
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Began, Encoder, Event, Exchange, Scanned, Tick, Written
 from acsar_gym.recording.messages import EPISODE, HEADER_RECORD, make_header
@@ -63,7 +63,6 @@ ROLES = {
     "scans": ((LASER_SCAN,), "/scan"),
 }
 """What is read of a bag: types, and the usual name of the topic."""
-MAX_METADATA = 4_000_000  # largest metadata.yaml [bytes]
 IDENTIFYING_BYTES = 5_000_000  # a recording of this package shows within them what it is
 BATCH = 64  # events that are encoded at once
 MAX_TIME = 2**62  # times are smaller [ns]
@@ -120,12 +119,7 @@ def is_recording(path: Path) -> bool:
 
 
 def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] = ()) -> Path:
-    """Return a recording of this package: the file itself, or one that is made of a bag.
-
-    Raises:
-        ConfigError: it can't be read, or the bag has no wheel speeds, several of a kind, or no
-            `robot` is told.
-    """
+    """Return a recording: the file itself, or one made of a bag; ConfigError where it can't be."""
     if is_recording(path):
         if topics:
             raise ConfigError(f"{path}: --topics is for ROS 2 bags; this is a recording")
@@ -170,31 +164,22 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
 
 
 def find_files(path: Path) -> list[Path]:
-    """List the files of a bag, in order; ConfigError for none. A packed folder is one itself."""
-    if not path.is_dir():
+    """List the files of a bag, in order; a folder with metadata is one itself.
+
+    A program that was killed has written no metadata.
+    """
+    if not path.is_dir() or (path / "metadata.yaml").exists():
         return [path]
-    metadata = path / "metadata.yaml"
-    files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
-    if metadata.exists():
-        content = parse_yaml(read_file(metadata, MAX_METADATA).decode("utf-8", "replace"))
-        information = isinstance(content, dict) and content.get("rosbag2_bagfile_information")
-        if not isinstance(information, dict):
-            raise ConfigError(f"{metadata}: isn't that of a ROS 2 bag")
-        if information.get("compression_mode") or information.get("compression_format"):
-            return [path]
-        names = information.get("relative_file_paths")
-        if isinstance(names, list) and names:
-            files = [path / Path(str(name)).name for name in names]
-    if not files:
-        raise ConfigError(f"{path}: holds no ROS 2 bag: no metadata.yaml, .mcap or .db3")
-    return files
+    if files := sorted([*path.glob("*.mcap"), *path.glob("*.db3")]):
+        return files
+    raise ConfigError(f"{path}: holds no ROS 2 bag: no metadata.yaml, .mcap or .db3")
 
 
 def hash_bag(files: Sequence[Path]) -> str:
     """First 16 hex digits of a hash of all files of a bag."""
     digests = []
     for path in files:
-        for part in sorted(path.iterdir()) if path.is_dir() else [path]:
+        for part in sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]:
             with open_file(part, None) as file:
                 digests.append(hashlib.file_digest(file, "sha256").digest())
     return hashlib.sha256(b"".join(digests)).hexdigest()[:16]
@@ -333,7 +318,7 @@ def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[Ba
     """Yield the messages of a bag; ConfigError where a file can't be read."""
     for path in files:
         if path.is_dir():
-            reader: Callable[[Path, set[str] | None], Iterator[BagMessage]] = _read_packed
+            reader: Callable[[Path, set[str] | None], Iterator[BagMessage]] = _read_folder
         else:
             reader = _read_sqlite if path.suffix == ".db3" else _read_mcap
         yield from reader(path, topics)
@@ -388,8 +373,8 @@ def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
         raise ConfigError(f"{path}: isn't a ROS 2 bag: {explain_error(error)}") from error
 
 
-def _read_packed(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    """Read a folder of rosbag2 whose files or messages are packed."""
+def _read_folder(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
+    """Read a whole folder of rosbag2, packed or not."""
     with require_extra("reading a ROS 2 bag", "record"):
         from rosbags.rosbag2 import Reader  # noqa: PLC0415 - optional
     try:

@@ -120,9 +120,9 @@ class EpisodeParts:
     """What was read of one episode so far.
 
     Attributes: `start` [s], `offset` [ns], `info`; `buffers`, content by topic; `places`, where its
-    messages are: place of a chunk, first and last number of a message in it; `counts` and `sizes`
-    [bytes], by topic, also of what isn't kept; `last_step`, the newest row of that table; `end`,
-    time of the last exchange [s]; `highest`, its number; `simulated`, whether the truth is known.
+    messages are: chunk, first and last number in it; `counts` and `sizes` [bytes] by topic, also of
+    what isn't kept; `last_step`, that table's newest row; `end`, time of the last exchange [s];
+    `highest`, its number; `simulated`, whether the truth is known.
     """
 
     def __init__(self, opening: EpisodeOpening | None = None) -> None:

@@ -82,10 +82,7 @@ class RecordStream:
         """Yield opcode and content of every record from `place` to the end of the data.
 
         Where the chunk with the channels is damaged, those at the end of the file take their place.
-
-        Raises:
-            FileCut: the file's end is missing.
-            ConfigError: the file is damaged in too many places.
+        FileCut where the end is missing; ConfigError for too many damaged places.
         """
         while True:
             opcode, content = self._read_record()
