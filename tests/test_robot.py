@@ -45,8 +45,6 @@ def test_the_time_until_the_first_command_is_late_in_no_table(tmp_path: Path) ->
     assert episode.lateness.tolist() == pytest.approx([math.nan, 0.003], nan_ok=True)
 
 
-
-
 def test_activating_twice_is_once_and_the_last_command_is_zero() -> None:
     robot, link = standing()
     robot.activate()
