@@ -248,15 +248,6 @@ class GivenReadings:
             return list(zip(self.measured, *([self.aside] if self.aside else []), strict=True))
         return [(degrees,) for degrees in self.degrees]
 
-    def of_first(self, runs: Sequence[CalibrationRun]) -> GivenReadings:
-        """Return those of the first runs that were to be driven, where no more were finished."""
-        counts = Counter(run.manoeuvre for run in runs)
-        return GivenReadings(
-            self.measured[: counts["straight"]],
-            self.aside[: counts["straight"]],
-            self.degrees[: counts["turn"]],
-        )
-
 
 def give_readings(
     run: CalibrationRun, row: Sequence[float], scales: ReadingScales
@@ -290,27 +281,6 @@ def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> Cal
         asked = ASKED_READINGS[run.manoeuvre]
         raise ConfigError(f"{show_value(text.strip())}: must be the {asked}")
     return give_readings(run, row, scales)
-
-
-def assign_readings(
-    runs: Sequence[CalibrationRun], given: GivenReadings, scales: ReadingScales
-) -> list[CalibrationRun]:
-    """Give runs the readings of the options, manoeuvre by manoeuvre, in order.
-
-    Raises:
-        ConfigError: there are not as many.
-    """
-    result = list(runs)
-    for manoeuvre in MANOEUVRES:
-        rows = given.rows(manoeuvre)
-        places = [i for i, run in enumerate(result) if run.manoeuvre == manoeuvre]
-        if rows and len(places) != len(rows):
-            raise ConfigError(
-                f"{len(rows)} readings for {len(places)} {manoeuvre} runs: must be one for each run"
-            )
-        for i, row in zip(places, rows, strict=False):
-            result[i] = give_readings(result[i], row, scales)
-    return result
 
 
 def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
@@ -386,7 +356,7 @@ class CalibrationJob:
         self.runs: list[CalibrationRun] = []
         self.notes: list[str] = []
         self.config = config
-        self.given = given
+        self._given = given
         self._scales = scales
         self._ask = ask
 
@@ -399,24 +369,29 @@ class CalibrationJob:
         """Return whether the options give readings; ConfigError unless each run of a kind has one.
 
         Args:
-            counts: how many runs of each manoeuvre are to be driven.
+            counts: how many runs of each manoeuvre there are, or are to be driven.
         """
-        for manoeuvre in MANOEUVRES:
-            rows = len(self.given.rows(manoeuvre))
+        given = {manoeuvre: len(self._given.rows(manoeuvre)) for manoeuvre in MANOEUVRES}
+        for manoeuvre, rows in given.items():
             if rows not in (0, counts[manoeuvre]):
                 raise ConfigError(
                     f"{rows} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one for "
                     "each run"
                 )
-        return any(self.given.rows(manoeuvre) for manoeuvre in MANOEUVRES)
+        return any(given.values())
 
     def finish(self) -> None:
         """Give readings to runs that have none yet: those of the options, then what a person says.
 
+        Where the drive failed there are fewer runs than readings.
+
         Raises:
-            ConfigError: their number is another one, or a reading contradicts the odometry.
+            ConfigError: a reading contradicts the odometry.
         """
-        self.runs = assign_readings(self.runs, self.given, self._scales)
+        for manoeuvre in MANOEUVRES:
+            places = [i for i, run in enumerate(self.runs) if run.manoeuvre == manoeuvre]
+            for i, row in zip(places, self._given.rows(manoeuvre), strict=False):
+                self.runs[i] = give_readings(self.runs[i], row, self._scales)
         notes = [check_readings(run, self.config) for run in self.runs]
         self.notes = [line for line in notes if line]
         for place, run in enumerate(self.runs):

@@ -31,8 +31,6 @@ REST_LEAD = 0.5
 """Time at rest before the first command and reading; longer than encoders average [s]."""
 PAUSE_MARGIN = 0.3
 """Held-out blocks are this far from a pause [s]."""
-LONGEST_EPISODE = 4.0 * 3600.0
-"""Longest episode that is replayed [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,22 +146,6 @@ class EpisodeTrack:
         return measure_delays(
             self.command_stamps, self.commands, self.feedback_stamps, self.feedback
         )
-
-
-def find_damage(episode: Episode) -> str:
-    """Say what is wrong with the times of an episode; empty if nothing is."""
-    wire = episode.wire
-    times = (episode.stamps, wire.sent_stamps, wire.got_stamps)
-    if len(episode.stamps) < 2:
-        return "holds no ticks"
-    if not all(np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all() for stamps in times):
-        return "its times go backwards: the file is damaged"
-    ends = [end for stamps in times if len(stamps) for end in (stamps[0], stamps[-1])]
-    if max(ends) - min(ends) > LONGEST_EPISODE:
-        return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
-    if not np.isfinite(episode.poses).all():
-        return "its odometry isn't finite: the file is damaged"
-    return ""
 
 
 def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:

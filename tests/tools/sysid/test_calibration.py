@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
     GivenReadings,
-    assign_readings,
     check_readings,
     configured_geometry,
     give_readings,
@@ -125,11 +125,12 @@ def test_readings_that_can_be_right_are_kept(
 
 def test_readings_of_options_are_for_all_runs_of_a_manoeuvre() -> None:
     given = GivenReadings(measured=(2.0, 2.1), degrees=(1712.0,))
-    runs = assign_readings([LINE, LEFT, LINE], given, SCALES)
-    assert [run.readings[0].kind for run in runs] == ["distance", "heading", "distance"]
+    job = CalibrationJob(ACSAR, given, SCALES)
+    job.runs = [LINE, LEFT, LINE]
+    job.finish()
+    assert [run.readings[0].kind for run in job.runs] == ["distance", "heading", "distance"]
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
-        assign_readings([LINE, LEFT], given, SCALES)
-    assert given.of_first([LINE]) == GivenReadings((2.0,))
+        job.check_given(Counter(straight=1, turn=1))
     with pytest.raises(ConfigError, match="--aside has 1 readings, --measured 2"):
         GivenReadings(measured=(2.0, 2.1), aside=(0.1,))
     with pytest.raises(ConfigError, match="--measured-deg nan"):

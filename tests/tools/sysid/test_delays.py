@@ -59,7 +59,6 @@ def sample(count: int, mean: float, seed: int) -> Floats:
 def test_ten_milliseconds_are_told_from_a_dozen_steps() -> None:
     test = compare_delays(sample(12, 0.030, 0), sample(12, 0.040, 1))
     assert test.differs
-    assert test.interval[0] < 0.010 < test.interval[1]
     assert test.difference == pytest.approx(0.010, abs=0.003)
 
 

@@ -156,7 +156,7 @@ def test_a_short_log_is_refused() -> None:
     [
         (lambda stamps: stamps * 1e6, "is longer than 4 h"),
         (lambda stamps: stamps[::-1], "its times go backwards"),
-        (lambda stamps: stamps[:1], "holds no ticks"),
+        (lambda stamps: stamps[:1], "holds less than 1 s"),
     ],
 )
 def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:

@@ -70,7 +70,7 @@ def measure_gap(
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
     """
     from acsar_gym.tools import page  # noqa: PLC0415
-    from acsar_gym.tools.sysid import gap_page, tracks, twin_gap  # noqa: PLC0415
+    from acsar_gym.tools.sysid import tracks, twin_gap  # noqa: PLC0415
 
     limits = twin_gap.parse_limits(outputs.fail_over)
     check_writable(outputs.json, outputs.html, force=outputs.force)
@@ -92,7 +92,7 @@ def measure_gap(
     for line in (*twin_gap.conclude_gap(gap), *gap.notes):
         say(line)
     if outputs.html is not None:
-        gap_page.write_gap_page(outputs.html, gap)
+        twin_gap.write_gap_page(outputs.html, gap)
     failures = twin_gap.find_exceeded(limits, twin_gap.limit_sizes(gap))
     for line in failures:
         print(f"acsar-gym: {line}", file=sys.stderr)
