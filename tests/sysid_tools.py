@@ -15,6 +15,7 @@ from acsar_gym.links import open_link
 from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -28,7 +29,6 @@ from acsar_gym.tools.sysid.calibration_drive import (
     plan_straights,
     plan_turns,
 )
-from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.excitation import StretchedLink
 from acsar_gym.tools.sysid.identify import Identification
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding

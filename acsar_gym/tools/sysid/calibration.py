@@ -20,7 +20,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.recording import read
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 
 MANOEUVRES = ("straight", "turn")
 ODOMETRY_ROUGHNESS = 2e-4

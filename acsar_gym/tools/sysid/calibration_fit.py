@@ -20,6 +20,7 @@ from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.randomization import LEAST_TURN
 from acsar_gym.tools.evaluation.report import escape_text
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -28,7 +29,6 @@ from acsar_gym.tools.sysid.calibration import (
     predict_readings,
     reading_sigmas,
 )
-from acsar_gym.tools.sysid.delays import Floats
 
 with require_extra("calibration", "scipy"):
     from scipy import optimize, stats

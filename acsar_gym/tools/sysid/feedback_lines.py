@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import PRINTED_STEP
 from acsar_gym.tools.sysid.board import measure_rate
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.tracks import BoardTrack
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
 
 LEAST_RATE_SHARE = 0.002
 """Least half width of the rate's interval, as a share: clocks differ by that much."""

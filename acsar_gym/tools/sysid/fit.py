@@ -19,11 +19,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
 from acsar_gym.tools.sysid import feedback_lines, response
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import TURNING_SPEED, BoardTrack, Floats, Identifiability
 from acsar_gym.tools.sysid.feedback_lines import Quantum, add_cut_half
-from acsar_gym.tools.sysid.identifiability import TURNING_SPEED, Identifiability
 from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
-from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
     from scipy import optimize

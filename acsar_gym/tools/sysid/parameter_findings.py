@@ -12,8 +12,8 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
-from acsar_gym.tools.sysid import feedback_lines, identifiability
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid import board_log, feedback_lines
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     DELAY_BOUNDS,
     LONGEST_WINDOW,
@@ -22,10 +22,8 @@ from acsar_gym.tools.sysid.fit import (
     WHEEL_LOW,
     MotorFit,
 )
-from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.model_check import FAST_PARTS, STEADY_SLOW, PartError
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
-from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
     from scipy import stats
@@ -140,7 +138,7 @@ def find_wheels(
     """
     found: list[ParameterFinding] = []
     lags_told = [False] * 4
-    for name in identifiability.WHEEL_PARAMETERS:
+    for name in board_log.WHEEL_PARAMETERS:
         before = [getattr(config.motor.of_wheel(w), name.removeprefix("motor.")) for w in range(4)]
         four = [
             ParameterFinding(name, letter, before=float(value))
@@ -162,7 +160,7 @@ def find_wheels(
                     finest = max(fit.rounding) if fit else 0.0
                     four[wheel] = _find_deadband(four[wheel], estimate, slowest, finest)
                 else:
-                    four[wheel] = four[wheel].explain(identifiability.HANGS_ON_LAG)
+                    four[wheel] = four[wheel].explain(board_log.HANGS_ON_LAG)
         alike = len({replace(one, wheel="", before=None) for one in four}) == 1
         found += [_widen(one) for one in ([replace(four[0], wheel="")] if alike else four)]
         if fit is not None and name == "motor.time_constant":
@@ -360,11 +358,11 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
         float(track.arrivals[k + 1] - track.arrivals[k])
         for track in fit.problem.tracks
         for k in track.pauses
-        if np.abs(track.commands[k]).max() >= identifiability.TURNING_SPEED
+        if np.abs(track.commands[k]).max() >= board_log.TURNING_SPEED
     ]
     longest = max(gaps, default=0.0)
     if not fit.solution.free[-1]:
-        if longest >= identifiability.LONG_PAUSE:
+        if longest >= board_log.LONG_PAUSE:
             note = f"none: the wheels kept turning for {longest:.1f} s without commands"
             return replace(unknown, note=note, told=True)
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
@@ -372,7 +370,7 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     value = fit.times.timeout - fit.problem.dt / 2.0  # a board looks once a loop
     half = _half_width(fit, (-1, 1.0)) + 3.0 * fit.problem.dt
     if fit.slack[-1] > VAGUE_TIME:
-        return unknown.explain(identifiability.HANGS_ON_LAG)
+        return unknown.explain(board_log.HANGS_ON_LAG)
     if half > 2.0 * VAGUE_TIME or value >= longest:
         return unknown.explain("too vague: stop sending commands for 2 s")
     return unknown.tell(value, value - half, value + half)

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.physics.model import move_towards, wheel_speed
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.tracks import BoardTrack
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
 
 LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability

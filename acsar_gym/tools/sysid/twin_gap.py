@@ -20,14 +20,16 @@ from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.delays import (
+from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.tools.sysid.tracks import (
     DelayComparison,
-    Floats,
+    EpisodeTrack,
     compare_delays,
     explain_few_steps,
     format_lag,
+    make_recorded_track,
+    make_twin_track,
 )
-from acsar_gym.tools.sysid.tracks import EpisodeTrack, make_recorded_track, make_twin_track
 
 TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 """Time shifts that are tried [s]."""

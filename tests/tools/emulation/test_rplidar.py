@@ -15,8 +15,7 @@ from lds2d.drivers.rplidar import RPLIDAR_A1
 from lidar_tools import Floats, nothing, room
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.emulation.lidar import LidarEmulator, Look
-from acsar_gym.tools.emulation.rplidar import RplidarTwin
+from acsar_gym.tools.emulation.lidar import LidarEmulator, Look, RplidarTwin
 
 SCAN = b"\xa5\x20"
 SCAN_DESCRIPTOR = bytes.fromhex("a5 5a 05 00 00 40 81")

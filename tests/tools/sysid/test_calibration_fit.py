@@ -20,6 +20,7 @@ from sysid_tools import (
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics.randomization import Randomization
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -33,7 +34,6 @@ from acsar_gym.tools.sysid.calibration_fit import (
     fit_geometry,
     make_calibrated_config,
 )
-from acsar_gym.tools.sysid.delays import Floats
 
 NOMINAL = configured_geometry(ACSAR)
 REAL = Geometry(0.0508, 0.03, 1.9)

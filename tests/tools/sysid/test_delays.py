@@ -7,13 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from acsar_gym.tools.sysid.delays import (
-    FEWEST_DELAYS,
-    Floats,
-    compare_delays,
-    find_steps,
-    measure_delays,
-)
+from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.tools.sysid.tracks import FEWEST_DELAYS, compare_delays, find_steps, measure_delays
 
 PERIOD = 0.01
 

@@ -8,7 +8,7 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.protocol import encode
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats, decode_track
 from acsar_gym.tools.sysid.feedback_lines import (
     LineRate,
     count_speed,
@@ -16,7 +16,6 @@ from acsar_gym.tools.sysid.feedback_lines import (
     is_explained_by_counts,
     measure_line_rate,
 )
-from acsar_gym.tools.sysid.tracks import BoardTrack, decode_track
 
 ACSAR = RobotConfig.preset("acsar")
 SPEEDS = np.random.default_rng(3).uniform(-11.0, 11.0, 3000)

@@ -20,7 +20,7 @@ from acsar_gym.links.base import arrivals_of
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import read
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.identify import Identification, identification_table, identify_device
 from acsar_gym.tools.sysid.model_check import GAP_NOISE
 from acsar_gym.tools.sysid.parameter_findings import CUT_NOTE, NO_RAMP

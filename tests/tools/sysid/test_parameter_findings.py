@@ -9,7 +9,7 @@ import pytest
 from sysid_tools import ACSAR
 
 from acsar_gym.tools.sysid import parameter_findings
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     FitSolution,
     MotorFit,
@@ -17,7 +17,6 @@ from acsar_gym.tools.sysid.fit import (
     configured_times,
     configured_wheel,
 )
-from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.model_check import STEADY_FAST, PartError
 from acsar_gym.tools.sysid.parameter_findings import INTERVAL_FACTOR, NO_RAMP, ParameterFinding
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL, FitProblem

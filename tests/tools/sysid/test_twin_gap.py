@@ -16,7 +16,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.identify import identify_logs
 from acsar_gym.tools.sysid.twin_gap import (
     TwinGap,

@@ -1,4 +1,4 @@
-"""What a log can tell, judged before anything is fitted; whether each wheel answers its command."""
+"""A log as the board saw it, and what it can tell, judged before anything is fitted."""
 
 from __future__ import annotations
 
@@ -6,11 +6,107 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import IdentificationError
 from acsar_gym.protocol import MOTORS, WHEELS
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.tracks import PAUSE_GAP, BoardTrack
+from acsar_gym.recording.twin_replay import remove_jitter
+from acsar_gym.recording.types import WireLog
+
+Floats = NDArray[np.float64]
+
+PAUSE_GAP = 0.15
+"""Time without a command that counts as a pause [s]."""
+HELD_OUT_BLOCK = 1.0
+"""Length of the blocks of which some are held out [s]."""
+HELD_OUT_EVERY = 5
+"""One block of so many is held out."""
+LATE_LINE = 0.006
+"""Lines that this computer saw later than this after their time don't count [s]."""
+LONGEST_GAP = 0.05
+"""See `BoardTrack.stalls` [s]."""
+REST_LEAD = 0.5
+"""Time at rest before the first command and reading; longer than encoders average [s]."""
+PAUSE_MARGIN = 0.3
+"""Held-out blocks are this far from a pause [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoardTrack:
+    """One episode of a log as the board saw it, on the host's clock.
+
+    Attributes:
+        arrivals: when each command had arrived at the board and was processed, (n,) [s].
+        commands: of the four wheels, (n, 4) [rad/s].
+        stamps: when the board made each line, (m,) [s].
+        speeds: of the four wheels, (m, 4) [rad/s].
+        held_out: which lines a fit may not see, (m,).
+        numbers: of these lines among all that came, (m,); late ones are left out.
+        stalls: when lines came again after none did for longer than `LONGEST_GAP` and two periods,
+            (k,) [s]: the computer, or an emulated board, stood still.
+    """
+
+    arrivals: Floats
+    commands: Floats
+    stamps: Floats
+    speeds: Floats
+    held_out: NDArray[np.bool_]
+    numbers: NDArray[np.intp]
+    stalls: Floats = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def duration(self) -> float:
+        """Time that both commands and readings cover [s]."""
+        if len(self.stamps) < 2 or len(self.arrivals) < 2:
+            return 0.0
+        end = min(self.stamps[-1], self.arrivals[-1])
+        return max(0.0, float(end - max(self.stamps[0], self.arrivals[0])))
+
+    @property
+    def pauses(self) -> NDArray[np.intp]:
+        """Indices of the last command before each pause."""
+        return np.flatnonzero(np.diff(self.arrivals) > PAUSE_GAP)
+
+    def loop_edges(self, dt: float) -> Floats:
+        """Begin of each firmware loop [s], for loops of `dt` [s]."""
+        begin = min(self.arrivals[0], self.stamps[0]) - REST_LEAD
+        return np.asarray(begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2))
+
+    def apply_timeout(self, timeout: float) -> tuple[Floats, Floats]:
+        """Commands and their times, with zeros where the board's time-out [s] acts."""
+        pauses = self.pauses
+        pauses = pauses[np.diff(self.arrivals)[pauses] > timeout]
+        if not len(pauses):
+            return self.arrivals, self.commands
+        arrivals = np.insert(self.arrivals, pauses + 1, self.arrivals[pauses] + timeout)
+        return arrivals, np.insert(self.commands, pauses + 1, 0.0, axis=0)
+
+
+def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
+    """Decode one episode of the wire; None where it holds no commands or no readings."""
+    line = config.line_time
+    took = line + config.firmware.processing_time
+    sent, commands = log.commands(config)
+    got, speeds = log.feedback(config)
+    if len(sent) < 2 or len(got) < 2:
+        return None
+    last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
+    last &= got - remove_jitter(got, float(np.median(np.diff(got)))) < LATE_LINE
+    stamps, speeds, numbers = got[last] - took, speeds[last], np.flatnonzero(last)
+    arrivals = np.maximum.accumulate(sent) + took
+    seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + PAUSE_GAP)
+    if not seen.any():
+        return None
+    stamps, speeds = stamps[seen], speeds[seen]
+    block = ((stamps - stamps[0]) / HELD_OUT_BLOCK).astype(int)
+    held_out = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+    for k in np.flatnonzero(np.diff(arrivals) > PAUSE_GAP):
+        begin, end = arrivals[k] - PAUSE_MARGIN, arrivals[k + 1] + PAUSE_MARGIN
+        held_out &= (stamps < begin) | (stamps > end)
+    stalls = got[1:][np.diff(got) > LONGEST_GAP + 2.0 * float(np.median(np.diff(got)))]
+    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen], stalls)
+
 
 SHORTEST_LOG = 4.0
 """Log that is needed for anything but the lines themselves [s]."""
