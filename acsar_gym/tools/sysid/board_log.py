@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,20 @@ from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import WireLog
 
 Floats = NDArray[np.float64]
+
+
+class Estimate(NamedTuple):
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, value: float, half: float) -> Estimate:
+        """The number with an interval of value - half to value + half."""
+        return cls(value, value - half, value + half)
+
 
 PAUSE_GAP = 0.15
 """Time without a command that counts as a pause [s]."""

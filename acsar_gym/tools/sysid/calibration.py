@@ -34,6 +34,8 @@ SHORTEST_RUN = 1e-3
 """A straight run that is shorter than this, by odometry, can't be measured [m]."""
 SKID_MULTIPLIERS = (1.0, 2.2)
 """Multipliers of skid-steer robots; a turn may contradict odometry by as much as they explain."""
+TAPE_DIVISION, PROTRACTOR_DIVISION = 0.005, 1.0
+"""Divisions of the scales [m], [degrees]."""
 DIVISION_SIGMA = 0.5
 """Standard deviation of a reading, as a share of the scale's divisions: rounding and placement."""
 LARGEST_READING = 1e6
@@ -199,20 +201,15 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
     return runs
 
 
-class ReadingScales(NamedTuple):
-    """Divisions of tape [m] and protractor [degrees]."""
+def read_tape(kind: str, value: float) -> RunReading:
+    """A reading of the tape [m]."""
+    return RunReading(kind, value, DIVISION_SIGMA * TAPE_DIVISION, "tape")
 
-    tape: float = 0.005
-    protractor: float = 1.0
 
-    def metres(self, kind: str, value: float) -> RunReading:
-        """A reading of the tape [m]."""
-        return RunReading(kind, value, DIVISION_SIGMA * self.tape, "tape")
-
-    def degrees(self, value: float) -> RunReading:
-        """A reading of the protractor [degrees]."""
-        sigma = DIVISION_SIGMA * math.radians(self.protractor)
-        return RunReading("heading", math.radians(value), sigma, "tape")
+def read_protractor(degrees: float) -> RunReading:
+    """A reading of the protractor [degrees]."""
+    sigma = DIVISION_SIGMA * math.radians(PROTRACTOR_DIVISION)
+    return RunReading("heading", math.radians(degrees), sigma, "tape")
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,9 +246,7 @@ class GivenReadings:
         return [(degrees,) for degrees in self.degrees]
 
 
-def give_readings(
-    run: CalibrationRun, row: Sequence[float], scales: ReadingScales
-) -> CalibrationRun:
+def give_readings(run: CalibrationRun, row: Sequence[float]) -> CalibrationRun:
     """Give a run the readings of a row of numbers.
 
     Straight: distance from start to end, and its offset to the left [m]. Turn: the turned angle
@@ -259,12 +254,12 @@ def give_readings(
     """
     if run.manoeuvre == "turn":
         left, right = run.wheels[-1]
-        return run.read([scales.degrees(math.copysign(row[0], right - left))])
-    readings = [scales.metres("distance", abs(row[0]))]  # backwards runs are positive as well
-    return run.read(readings + [scales.metres("aside", aside) for aside in row[1:]])
+        return run.read([read_protractor(math.copysign(row[0], right - left))])
+    readings = [read_tape("distance", abs(row[0]))]  # backwards runs are positive as well
+    return run.read(readings + [read_tape("aside", aside) for aside in row[1:]])
 
 
-def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> CalibrationRun:
+def parse_readings(run: CalibrationRun, text: str) -> CalibrationRun:
     """Give a run the readings that a person typed; nothing typed leaves it without.
 
     Raises:
@@ -280,69 +275,48 @@ def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> Cal
     if len(row) not in counts or not all(abs(number) <= LARGEST_READING for number in row):
         asked = ASKED_READINGS[run.manoeuvre]
         raise ConfigError(f"{show_value(text.strip())}: must be the {asked}")
-    return give_readings(run, row, scales)
+    return give_readings(run, row)
 
 
-def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
-    """Compare a run's readings with odometry.
-
-    Returns:
-        A line to be told about a turn that skidding explains but the config doesn't; else empty.
+def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
+    """Compare a run's readings with odometry; a turn may differ by what skidding explains.
 
     Raises:
         ConfigError: a reading contradicts odometry by more than CONTRADICTION_SHARE.
     """
-    note, geometry = "", configured_geometry(config)
+    geometry = configured_geometry(config)
     expected = predict_readings(run, geometry, config.wheel_separation)
-    for reading, odometry in zip(run.readings, expected, strict=True):
-        value = reading.value
-        if reading.kind == "heading":
-            if run.manoeuvre == "turn":
-                note = _check_turn(run, value, odometry, config)
-        elif reading.kind == "aside":
-            if abs(value) > (1.0 + CONTRADICTION_SHARE) * rolled_distance(run, geometry.radius):
-                raise _contradict(run, f"{value:g}", "farther than the robot drove")
-        elif odometry < SHORTEST_RUN:
+    most = 1.0 + CONTRADICTION_SHARE
+    for (kind, value, *_), odometry in zip(run.readings, expected, strict=True):
+        shown, said = f"{value:g} m", f"{odometry:.3f} m"
+        fits = abs(value - odometry) <= CONTRADICTION_SHARE * abs(odometry)
+        if kind == "distance" and odometry < SHORTEST_RUN:
             what = "ended where it began, by odometry: not a straight run"
             raise ConfigError(f"{run.name}: {what}")
-        elif not abs(value - odometry) <= CONTRADICTION_SHARE * odometry:
-            times = value / odometry
-            hint = "in centimetres?" if 50.0 < times < 200.0 else "another run's?"
-            hint = "in millimetres?" if 500.0 < times < 2000.0 else hint
-            raise _contradict(run, f"{value:g} m", f"odometry says {odometry:.3f} m: {hint}")
-    return note
-
-
-def _check_turn(run: CalibrationRun, value: float, expected: float, config: RobotConfig) -> str:
-    """Check the angle of a turn; returns a line where only skidding explains it. ConfigError."""
-    if abs(value - expected) <= CONTRADICTION_SHARE * abs(expected):
-        return ""
-    implied = config.wheel_separation_multiplier * expected / value if value else math.inf
-    degrees, odometry = math.degrees(abs(value)), math.degrees(abs(expected))
-    what, least = f"odometry says {odometry:.0f} degrees", 1.0 + CONTRADICTION_SHARE
-    if SKID_MULTIPLIERS[0] / least <= implied <= SKID_MULTIPLIERS[1] * least:
-        return f"{run.name}: read {degrees:.0f}, {what}: a multiplier of {implied:.2f} explains it"
-    hint = "counted the full turns?" if degrees < 360.0 < odometry else "units, or another run's?"
-    raise _contradict(run, f"{degrees:g} degrees", f"{what}: {hint}")
-
-
-def _contradict(run: CalibrationRun, reading: str, why: str) -> ConfigError:
-    """The error for a reading that can't be of this run."""
-    return ConfigError(
-        f"{run.name}: the reading {reading} contradicts the odometry by more than "
-        f"{CONTRADICTION_SHARE:.0%}: {why}"
-    )
+        if kind == "aside":
+            farthest = rolled_distance(run, geometry.radius)
+            fits, said = abs(value) <= most * farthest, f"that it drove {farthest:.3f} m in all"
+        elif kind == "heading":
+            shown, said = (f"{math.degrees(abs(angle)):.0f} degrees" for angle in (value, odometry))
+            multiplier = config.wheel_separation_multiplier * odometry / (value or math.inf)
+            skids = SKID_MULTIPLIERS[0] / most <= multiplier <= SKID_MULTIPLIERS[1] * most
+            fits = fits or skids or run.manoeuvre != "turn"
+        if not fits:
+            raise ConfigError(
+                f"{run.name}: the reading {shown} contradicts the odometry by more than "
+                f"{CONTRADICTION_SHARE:.0%}, which says {said}: is it in metres, or degrees with "
+                "full turns counted, and of this run?"
+            )
 
 
 class CalibrationJob:
     """Collects runs and their readings.
 
-    Attributes: `config`, of the robot; `runs`, all so far; `notes`, lines to be told.
+    Attributes: `config`, of the robot; `runs`, all so far.
 
     Args:
         config: of the robot.
         given: readings of the options.
-        scales: of the readings that a person takes.
         ask: asks a person, who can answer; None where nobody is there.
     """
 
@@ -350,14 +324,11 @@ class CalibrationJob:
         self,
         config: RobotConfig,
         given: GivenReadings,
-        scales: ReadingScales,
         ask: Callable[[str], str] | None = None,
     ) -> None:
         self.runs: list[CalibrationRun] = []
-        self.notes: list[str] = []
         self.config = config
         self._given = given
-        self._scales = scales
         self._ask = ask
 
     @property
@@ -391,10 +362,9 @@ class CalibrationJob:
         for manoeuvre in MANOEUVRES:
             places = [i for i, run in enumerate(self.runs) if run.manoeuvre == manoeuvre]
             for i, row in zip(places, self._given.rows(manoeuvre), strict=False):
-                self.runs[i] = give_readings(self.runs[i], row, self._scales)
-        notes = [check_readings(run, self.config) for run in self.runs]
-        self.notes = [line for line in notes if line]
+                self.runs[i] = give_readings(self.runs[i], row)
         for place, run in enumerate(self.runs):
+            check_readings(run, self.config)
             if not run.readings:
                 self.ask_readings(place)
 
@@ -404,7 +374,7 @@ class CalibrationJob:
         question = f"{run.name}: {ASKED_READINGS[run.manoeuvre]} (Enter: none)"
         while self._ask is not None:
             try:
-                answered = parse_readings(run, self._ask(question), self._scales)
+                answered = parse_readings(run, self._ask(question))
                 check_readings(answered, self.config)
             except ConfigError as error:
                 question = f"{error}; again"

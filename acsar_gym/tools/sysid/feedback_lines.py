@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import PRINTED_STEP
 from acsar_gym.tools.sysid.board import measure_rate
-from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
+from acsar_gym.tools.sysid.board_log import BoardTrack, Estimate, Floats
 
 LEAST_RATE_SHARE = 0.002
 """Least half width of the rate's interval, as a share: clocks differ by that much."""
@@ -58,15 +58,7 @@ def measure_line_rate(tracks: Sequence[BoardTrack]) -> LineRate:
     return LineRate(rate, half, jitter)
 
 
-class Quantum(NamedTuple):
-    """The step of the printed speeds, and the interval in which it lies [rad/s]."""
-
-    step: float
-    low: float
-    high: float
-
-
-def find_quantum(speeds: Floats) -> Quantum | None:
+def find_quantum(speeds: Floats) -> Estimate | None:
     """Find the largest step of which all speeds are multiples, rounded or cut to two decimals.
 
     Args:
@@ -96,10 +88,10 @@ def find_quantum(speeds: Floats) -> Quantum | None:
         if 2.0 * len(steps) * chance ** len(values) > CHANCE_LIMIT:
             return None
     if step < FINEST_QUANTUM:
-        return Quantum(PRINTED_STEP, 0.0, FINEST_QUANTUM)
+        return Estimate(PRINTED_STEP, 0.0, FINEST_QUANTUM)
     near = fitting[fitting > 0.98 * step]
     half = ROUNDING_SLACK / 2.0
-    return Quantum(float(near.mean()), float(near[0]) - half, float(near[-1]) + half)
+    return Estimate(float(near.mean()), float(near[0]) - half, float(near[-1]) + half)
 
 
 def _find_misfits(values: Floats, steps: Floats, low: float, high: float) -> NDArray[np.bool_]:

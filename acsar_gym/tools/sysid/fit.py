@@ -19,8 +19,14 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
 from acsar_gym.tools.sysid import feedback_lines, response
-from acsar_gym.tools.sysid.board_log import TURNING_SPEED, BoardTrack, Floats, Identifiability
-from acsar_gym.tools.sysid.feedback_lines import Quantum, add_cut_half
+from acsar_gym.tools.sysid.board_log import (
+    TURNING_SPEED,
+    BoardTrack,
+    Estimate,
+    Floats,
+    Identifiability,
+)
+from acsar_gym.tools.sysid.feedback_lines import add_cut_half
 from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
 
 with require_extra("identification", "scipy"):
@@ -103,14 +109,6 @@ class SpeedRounding(NamedTuple):
     cut: float = 0.0
 
 
-class DeadbandEstimate(NamedTuple):
-    """A deadband and its 95 % interval [rad/s]."""
-
-    value: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, eq=False)
 class MotorFit:
     """What was fitted of wheels and board."""
@@ -122,9 +120,9 @@ class MotorFit:
     """Covariance of the parameters."""
     slack: Floats
     """By how much they may be off since lags that the log can't tell were held."""
-    deadbands: tuple[DeadbandEstimate | None, ...]
+    deadbands: tuple[Estimate | None, ...]
     """Of the wheels in the problem; None where the log can't tell."""
-    quantum: Quantum | None
+    quantum: Estimate | None
     """Step of the printed numbers; None where the log can't tell."""
     rounding: SpeedRounding
     counted: bool
@@ -202,7 +200,7 @@ def fit_motors(
         x, free = solution.x.copy(), free.copy()
         x[-2], free[-2] = max(problem.dt, 2.0 * x[-3]), False
         solution = solve_problem(problem, x, solution.deadbands, free)
-    found: list[DeadbandEstimate] = []
+    found: list[Estimate] = []
     for _ in range(2):  # deadbands with the rest given, and the rest with the deadbands given
         models, times = problem.split(solution.x, solution.deadbands)
         found = [
@@ -366,10 +364,10 @@ def search_window(
 
 
 def find_rounding(
-    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Quantum | None
+    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Estimate | None
 ) -> tuple[SpeedRounding, float | None]:
     """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
-    step = quantum.step if quantum else 0.0
+    step = quantum.value if quantum else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
     fitted, near = float(solution.x[-2]), math.inf
     if solution.free[-2]:
@@ -406,7 +404,7 @@ def fit_deadband(
     times: BoardTimes,
     rounding: SpeedRounding,
     usual: float | None,
-) -> DeadbandEstimate:
+) -> Estimate:
     """Find the deadband of one wheel: the answer jumps where a set point crosses one."""
     bands = np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID)
     if usual is not None:
@@ -421,12 +419,12 @@ def fit_deadband(
     excess = total - total.min()
     typical = max(float(total.min()) / len(measured), 1e-6)
     if usual is not None and excess[-1] < DEADBAND_EVIDENCE * typical:
-        return DeadbandEstimate(usual, 0.0, math.inf)
+        return Estimate(usual, 0.0, math.inf)
     weights = np.exp(-excess / (2.0 * CORRELATED_RESIDUALS * typical))
     weights /= weights.sum()
     value = float(weights @ bands)
     half = DEADBAND_SIGMAS * math.sqrt(float(weights @ (bands - value) ** 2)) + DEADBAND_GRID
-    return DeadbandEstimate(value, max(0.0, value - half), value + half)
+    return Estimate(value, max(0.0, value - half), value + half)
 
 
 def estimate_covariance(problem: FitProblem, solution: FitSolution) -> Floats:

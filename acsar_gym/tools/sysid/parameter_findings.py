@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
 from acsar_gym.tools.sysid import board_log, feedback_lines
-from acsar_gym.tools.sysid.board_log import BoardTrack, Floats, Identifiability
+from acsar_gym.tools.sysid.board_log import BoardTrack, Estimate, Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     DELAY_BOUNDS,
     LONGEST_WINDOW,
@@ -114,14 +113,6 @@ class ParameterFinding:
         return replace(self, value=value, low=low, high=high, note=note, told=True)
 
 
-class WheelEstimate(NamedTuple):
-    """A parameter of a wheel as it was fitted, with its 95 % interval; of a ramp, the slowness."""
-
-    value: float
-    low: float
-    high: float
-
-
 def find_wheels(
     fit: MotorFit | None,
     config: RobotConfig,
@@ -170,8 +161,8 @@ def find_wheels(
     return found
 
 
-def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) -> WheelEstimate:
-    """A parameter of one wheel, with its interval.
+def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) -> Estimate:
+    """A parameter of one wheel as it was fitted, with its interval; of a ramp, the slowness.
 
     What the model misses at steady speeds may be hidden in it: all of it in a deadband, and as a
     share of the speed in a gain.
@@ -181,18 +172,18 @@ def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) 
     if name == "motor.deadband":
         value, low, high = fit.deadbands[index] or (0.0, 0.0, math.inf)
         missed = max((one.excess for one in own if one.part == STEADY_SLOW), default=0.0)
-        return WheelEstimate(value, max(0.0, low - missed), high + missed)
+        return Estimate(value, max(0.0, low - missed), high + missed)
     row = PARAMETERS_PER_WHEEL * index + SMOOTH_PARAMETERS.index(name)
     value = float(fit.solution.x[row])
     half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
     half += float(fit.slack[row])
     if name == "motor.gain":
         half += value * max((one.share for one in own if one.part in FAST_PARTS), default=0.0)
-    return WheelEstimate(value, value - half, value + half)
+    return Estimate(value, value - half, value + half)
 
 
 def _group_wheels(
-    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
+    name: str, fit: MotorFit | None, estimates: dict[int, Estimate]
 ) -> list[list[int]]:
     """Share out wheels into groups that can't be told apart."""
     wheels = sorted(estimates, key=lambda wheel: estimates[wheel].value)
@@ -208,16 +199,14 @@ def _group_wheels(
     return [group for half in halves for group in _group_wheels(name, fit, half)]
 
 
-def _weigh_wheels(estimates: dict[int, WheelEstimate]) -> tuple[Floats, Floats, Floats]:
+def _weigh_wheels(estimates: dict[int, Estimate]) -> tuple[Floats, Floats, Floats]:
     """Values of wheels, their standard deviations, and weights for a mean."""
     values, lows, highs = np.array(list(estimates.values())).T
     sigmas = np.clip((highs - lows) / 2.0 / NORMAL_QUANTILE, 1e-9, 1e9)
     return values, sigmas, sigmas**-2 / (sigmas**-2).sum()
 
 
-def _merge_wheels(
-    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
-) -> WheelEstimate:
+def _merge_wheels(name: str, fit: MotorFit | None, estimates: dict[int, Estimate]) -> Estimate:
     """One estimate for wheels that can't be told apart; its interval has room for each."""
     if len(estimates) == 1:
         (one,) = estimates.values()
@@ -232,7 +221,7 @@ def _merge_wheels(
         common = spread / np.outer(shares, shares)
         half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     low, high = float(values.min()) - half, float(values.max()) + half
-    return WheelEstimate(float(weights @ values), low, high)
+    return Estimate(float(weights @ values), low, high)
 
 
 def _widen(one: ParameterFinding) -> ParameterFinding:
@@ -246,7 +235,7 @@ def _widen(one: ParameterFinding) -> ParameterFinding:
     return replace(one, low=low, high=high, note=note)
 
 
-def _find_smooth(unknown: ParameterFinding, estimate: WheelEstimate) -> ParameterFinding:
+def _find_smooth(unknown: ParameterFinding, estimate: Estimate) -> ParameterFinding:
     """Lag, gain or ramp of wheels; a ramp from the time that it needs for 1 rad/s."""
     p = SMOOTH_PARAMETERS.index(unknown.name)
     value, low, high = estimate
@@ -275,7 +264,7 @@ def _find_smooth(unknown: ParameterFinding, estimate: WheelEstimate) -> Paramete
 
 
 def _find_deadband(
-    unknown: ParameterFinding, estimate: WheelEstimate, slowest: float, finest: float
+    unknown: ParameterFinding, estimate: Estimate, slowest: float, finest: float
 ) -> ParameterFinding:
     """The deadband of wheels, from slow commands and the step of printed speeds [rad/s]."""
     value, low, high = estimate.value, max(0.0, estimate.low), estimate.high
@@ -406,7 +395,7 @@ def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> 
     counted = fit is not None and fit.counted and not fit.rounding.step
     if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
-    if found.step <= PRINTED_STEP:
+    if found.value <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"
         return replace(unknown.tell(*found, note), told=False)
     cut = fit is not None and fit.rounding.cut > 0.0

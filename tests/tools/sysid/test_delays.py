@@ -39,12 +39,6 @@ def test_wheels_that_step_at_different_times_have_steps_of_their_own() -> None:
     assert len(found) > 30
 
 
-@pytest.mark.parametrize("lines", [0, 1])
-def test_an_empty_log_has_no_delay(lines: int) -> None:
-    stamps, speeds = (column[:lines] for column in square(4.0, 0.5))
-    assert len(measure_delays(stamps, speeds, stamps, speeds)) == 0
-
-
 def sample(count: int, mean: float, seed: int) -> Floats:
     """Delays as they are over a wire: up to a period of waiting for the line, and some jitter."""
     rng = np.random.default_rng(seed)

@@ -88,14 +88,6 @@ def test_what_the_model_misses_widens_the_intervals_of_gains() -> None:
     assert gain.high == pytest.approx(1.025)
 
 
-def test_delay_and_window_add_up_to_what_was_fitted() -> None:
-    """Whatever window the robot's file has: their sum is told best."""
-    fit = make_fit(MIDDLE, 0.06, 0.001)
-    for window in (0.05, 0.1):
-        found = parameter_findings._find_delay(ParameterFinding("", before=0.0), fit, window)
-        assert found.value == pytest.approx(0.06 - window / 2.0)
-
-
 @pytest.mark.parametrize(
     ("slowness", "half", "told"),
     [

@@ -116,17 +116,13 @@ def _check_speed(option: str, value: float, most: float, field: str) -> None:
 
 @dataclass(frozen=True)
 class CalibrationSetup(RecordOptions):
-    """The robot, the scales of who measures, and recording."""
+    """The robot, and recording."""
 
     robot: RobotArg = None
     """Preset or config file: what is known so far; default: the robot of the recording, else
     acsar."""
     twin: RobotArg = None
     """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
-    tape: float = 0.005
-    """Divisions of the tape [m]."""
-    protractor: float = 1.0
-    """Divisions of the protractor [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +158,7 @@ def calibrate_robot(
             before, to give readings to.
         manoeuvre: what to drive.
         runs: how it is driven, and readings.
-        setup: robot and measuring.
+        setup: the robot, and recording.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
@@ -173,8 +169,6 @@ def calibrate_robot(
     from acsar_gym.tools.sysid import calibration, calibration_drive  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
-    if not (0.0 < setup.tape <= 1.0 and 0.0 < setup.protractor <= 90.0):
-        raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
     recorded, simulated = device.endswith(".mcap"), device in BODIES
     if recorded:
         driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
@@ -185,10 +179,9 @@ def calibrate_robot(
         config = read(Path(device)).config
     else:
         config = RobotConfig.of(setup.robot)
-    scales = calibration.ReadingScales(setup.tape, setup.protractor)
     ask = _ask_reading if sys.stdin.isatty() else None
     given = calibration.GivenReadings(runs.measured, runs.aside, runs.measured_deg)
-    job = calibration.CalibrationJob(config, given, scales, ask)
+    job = calibration.CalibrationJob(config, given, ask)
     if recorded:
         job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
         job.check_given(Counter(run.manoeuvre for run in job.runs))
@@ -221,8 +214,6 @@ def _finish_calibration(
 
     config = job.config
     job.finish()
-    for line in job.notes:
-        say(line)
     if not any(run.readings for run in job.runs):
         print_results(
             json=output.json, data=calibration_fit.format_calibration(None, job.runs, config)
