@@ -212,38 +212,30 @@ def read_protractor(degrees: float) -> RunReading:
     return RunReading("heading", math.radians(degrees), sigma, "tape")
 
 
-@dataclass(frozen=True, slots=True)
-class GivenReadings:
-    """Readings that options give, in the order of the runs."""
+GivenReadings = dict[str, list[tuple[float, ...]]]
+"""Rows of numbers that options give, for the runs of each manoeuvre in their order."""
 
-    measured: tuple[float, ...] = ()
-    """Distances of straight runs [m]."""
-    aside: tuple[float, ...] = ()
-    """Offsets to the left of straight runs' ends [m]; as many as distances, or none."""
-    degrees: tuple[float, ...] = ()
-    """Angles of turns [degrees]."""
 
-    def __post_init__(self) -> None:
-        for option, numbers in (
-            ("measured", self.measured),
-            ("aside", self.aside),
-            ("measured-deg", self.degrees),
-        ):
-            for number in numbers:
-                if not abs(number) <= LARGEST_READING:
-                    limits = f"{-LARGEST_READING:g} to {LARGEST_READING:g}"
-                    raise ConfigError(f"--{option} {number:g}: must be {limits}")
-        if self.aside and len(self.aside) != len(self.measured):
-            raise ConfigError(
-                f"--aside has {len(self.aside)} readings, --measured {len(self.measured)}: must be "
-                "as many"
-            )
+def check_given_readings(
+    measured: Sequence[float], aside: Sequence[float], degrees: Sequence[float]
+) -> GivenReadings:
+    """Check readings of options: distances and offsets of lines [m], angles of turns [degrees].
 
-    def rows(self, manoeuvre: str) -> list[tuple[float, ...]]:
-        """The readings of one manoeuvre's runs."""
-        if manoeuvre == "straight":
-            return list(zip(self.measured, *([self.aside] if self.aside else []), strict=True))
-        return [(degrees,) for degrees in self.degrees]
+    Raises:
+        ConfigError: a number is too large, or there isn't an offset for each distance.
+    """
+    options = {"measured": measured, "aside": aside, "measured-deg": degrees}
+    for option, numbers in options.items():
+        for number in numbers:
+            if not abs(number) <= LARGEST_READING:
+                limits = f"{-LARGEST_READING:g} to {LARGEST_READING:g}"
+                raise ConfigError(f"--{option} {number:g}: must be {limits}")
+    if aside and len(aside) != len(measured):
+        raise ConfigError(
+            f"--aside has {len(aside)} readings, --measured {len(measured)}: must be as many"
+        )
+    lines = zip(measured, *([aside] if aside else []), strict=True)
+    return {"straight": list(lines), "turn": [(angle,) for angle in degrees]}
 
 
 def give_readings(run: CalibrationRun, row: Sequence[float]) -> CalibrationRun:
@@ -342,14 +334,13 @@ class CalibrationJob:
         Args:
             counts: how many runs of each manoeuvre there are, or are to be driven.
         """
-        given = {manoeuvre: len(self._given.rows(manoeuvre)) for manoeuvre in MANOEUVRES}
-        for manoeuvre, rows in given.items():
-            if rows not in (0, counts[manoeuvre]):
+        for manoeuvre, rows in self._given.items():
+            if len(rows) not in (0, counts[manoeuvre]):
                 raise ConfigError(
-                    f"{rows} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one for "
-                    "each run"
+                    f"{len(rows)} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one "
+                    "for each run"
                 )
-        return any(given.values())
+        return any(self._given.values())
 
     def finish(self) -> None:
         """Give readings to runs that have none yet: those of the options, then what a person says.
@@ -359,9 +350,9 @@ class CalibrationJob:
         Raises:
             ConfigError: a reading contradicts the odometry.
         """
-        for manoeuvre in MANOEUVRES:
+        for manoeuvre, rows in self._given.items():
             places = [i for i, run in enumerate(self.runs) if run.manoeuvre == manoeuvre]
-            for i, row in zip(places, self._given.rows(manoeuvre), strict=False):
+            for i, row in zip(places, rows, strict=False):
                 self.runs[i] = give_readings(self.runs[i], row)
         for place, run in enumerate(self.runs):
             check_readings(run, self.config)

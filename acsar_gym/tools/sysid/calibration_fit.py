@@ -152,10 +152,6 @@ class _GeometryProblem:
         told = [predict_readings(run, geometry, self.separation) for run in self.runs]
         return (self.measured - np.concatenate(told)) / self.sigma
 
-    def with_prior(self, p: Floats) -> Floats:
-        """The residuals, then the parameters' distances from the prior."""
-        return np.concatenate([self.residuals(p), (p - self.centre) / GEOMETRY_PRIOR])
-
     def solve(self, start: Floats, free: list[int], *, robust: bool) -> Floats:
         """Minimise over the free parameters; the others stay at `start`.
 
@@ -165,7 +161,8 @@ class _GeometryProblem:
         def residuals(values: Floats) -> Floats:
             p = start.copy()
             p[free] = values
-            return self.with_prior(p) if robust else self.residuals(p)
+            prior = (p - self.centre) / GEOMETRY_PRIOR
+            return np.append(self.residuals(p), prior) if robust else self.residuals(p)
 
         p = start.copy()
         p[free] = optimize.least_squares(

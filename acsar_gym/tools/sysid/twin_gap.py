@@ -411,11 +411,6 @@ def gap_tables(gap: TwinGap) -> list[Table]:
     return [figures, logs]
 
 
-def limit_sizes(gap: TwinGap) -> GapFigures:
-    """Return the figures after fitting and the delay's difference, by LIMIT_NAMES."""
-    return gap.figures("after") | {"delay": gap.delays("after").difference}
-
-
 def format_gap(gap: TwinGap) -> dict[str, Any]:
     """Return the gap for JSON, in SI units; what isn't known is null."""
     sides = {

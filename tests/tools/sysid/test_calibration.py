@@ -19,7 +19,7 @@ from acsar_gym.tools.sysid.calibration import (
     CalibrationJob,
     CalibrationRun,
     Geometry,
-    GivenReadings,
+    check_given_readings,
     check_readings,
     configured_geometry,
     give_readings,
@@ -107,7 +107,7 @@ def test_readings_that_contradict_the_odometry_are_refused(
 
 
 def test_readings_of_options_are_for_all_runs_of_a_manoeuvre() -> None:
-    given = GivenReadings(measured=(2.0, 2.1), degrees=(1712.0,))
+    given = check_given_readings((2.0, 2.1), (), (1712.0,))
     job = CalibrationJob(ACSAR, given)
     job.runs = [LINE, LEFT, LINE]
     job.finish()
@@ -115,9 +115,9 @@ def test_readings_of_options_are_for_all_runs_of_a_manoeuvre() -> None:
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
         job.check_given(Counter(straight=1, turn=1))
     with pytest.raises(ConfigError, match="--aside has 1 readings, --measured 2"):
-        GivenReadings(measured=(2.0, 2.1), aside=(0.1,))
+        check_given_readings((2.0, 2.1), (0.1,), ())
     with pytest.raises(ConfigError, match="--measured-deg nan"):
-        GivenReadings(degrees=(math.nan,))
+        check_given_readings((), (), (math.nan,))
 
 
 def test_a_person_is_asked_again_until_the_answer_can_be_right() -> None:
@@ -128,7 +128,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be_right() -> None:
         questions.append(question)
         return next(answers)
 
-    job = CalibrationJob(ACSAR, GivenReadings(), ask)
+    job = CalibrationJob(ACSAR, {}, ask)
     job.runs = [LINE, LEFT]
     job.finish()
     assert "straight 1" in questions[0]
@@ -148,7 +148,7 @@ def test_runs_that_ended_before_a_failure_are_there() -> None:
         if plan.name == "straight 2":
             raise LinkError("unplugged")
 
-    job = CalibrationJob(ACSAR, GivenReadings((0.5, 0.5)))
+    job = CalibrationJob(ACSAR, check_given_readings((0.5, 0.5), (), ()))
     with pytest.raises(LinkError, match="unplugged"):
         drive_plans(job, Robot(open_link("planar", ACSAR), ACSAR), PLANS, None, fail)
     job.finish()
@@ -158,7 +158,7 @@ def test_runs_that_ended_before_a_failure_are_there() -> None:
 
 def test_a_recording_holds_the_same_runs(tmp_path: Path) -> None:
     path = tmp_path / "runs.mcap"
-    job = CalibrationJob(ACSAR, GivenReadings())
+    job = CalibrationJob(ACSAR, {})
     plans = [*plan_straights(0.3, 0.4, 1), *plan_turns(0.5, (1.2,), (0.0,), 2)]
     drive(job, plans, Recorder(path))
     runs = read_recorded_runs(path, "all", ACSAR)

@@ -162,15 +162,6 @@ def fitted(**told: Estimate) -> GeometryFit:
     return GeometryFit(Geometry(0.0495, 0.02, 1.5), told, (), (), 1.0)
 
 
-def test_a_radius_that_follows_from_the_ratio_has_no_old_interval() -> None:
-    wheel = Measured(low=0.04, high=0.06, method="before")
-    before = ACSAR.with_(left_wheel_radius_multiplier=0.98, measured={"wheel_radius": wheel})
-    told = fitted(radius_ratio=Estimate.around(0.02, 0.001))
-    found = make_calibrated_config(told, before)
-    assert found.wheel_radius == 0.0495
-    assert set(found.measured) == {"left_wheel_radius_multiplier", "right_wheel_radius_multiplier"}
-
-
 @pytest.mark.parametrize(
     ("one", "measured"),
     [

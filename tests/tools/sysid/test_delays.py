@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.tools.sysid.board_log import Floats
-from acsar_gym.tools.sysid.tracks import FEWEST_DELAYS, compare_delays, find_steps, measure_delays
+from acsar_gym.tools.sysid.tracks import FEWEST_DELAYS, compare_delays, measure_delays
 
 PERIOD = 0.01
 
@@ -27,16 +27,6 @@ def test_the_delay_of_a_pure_delay(delay: float, wheels: tuple[float, ...]) -> N
     speeds = speeds * wheels
     found = measure_delays(stamps, speeds, stamps + delay, speeds)
     assert found == pytest.approx([delay] * 7)
-
-
-def test_wheels_that_step_at_different_times_have_steps_of_their_own() -> None:
-    stamps = np.arange(0.0, 4.0, PERIOD)
-    starts = np.array([0.0, 0.1, 0.2, 0.3])  # no 0.15 s without a change of some wheel
-    high = ((stamps[:, None] - starts) / 0.4 + 1e-9).astype(int) % 2 == 1
-    speeds = np.where(high, 5.0, 0.0)
-    found = measure_delays(stamps, speeds, stamps + 0.02, speeds)
-    assert found == pytest.approx([0.02] * int(find_steps(stamps, speeds).sum()))
-    assert len(found) > 30
 
 
 def sample(count: int, mean: float, seed: int) -> Floats:

@@ -97,14 +97,6 @@ def test_new_findings_end_the_intervals_of_older_ones() -> None:
     assert set(with_gains(repaired, "abcd").measured) == set(first.measured)
 
 
-def test_a_board_without_a_time_out_has_no_interval_of_one() -> None:
-    known = ACSAR.with_(measured={"firmware.command_timeout": INTERVAL})
-    timeout = ParameterFinding("firmware.command_timeout", told=True)
-    findings = (timeout, ParameterFinding("encoder.quantum"))
-    robot = Identification(known, findings, None, (), 20.0).robot()
-    assert (robot.firmware.command_timeout, robot.measured) == (None, {})
-
-
 def test_recordings_must_be_of_one_robot(recording: Path, tmp_path: Path) -> None:
     other, path = ACSAR.with_(wheel_radius=0.06), tmp_path / "other.mcap"
     with Robot(open_link("planar", other), other, recorder=Recorder(path)) as robot:

@@ -50,20 +50,6 @@ def find_all(fit: MotorFit, name: str) -> list[ParameterFinding]:
     return [one for one in found if one.name == name]
 
 
-@pytest.mark.parametrize(
-    ("slowness", "halves"),
-    [
-        ((0.001, 0.0005, 0.002, 0.012), (0.003, 0.003, 0.003, 0.014)),
-        ((0.0, 0.0, 0.0, 0.0008), (0.0005, 0.002, 0.009, 0.012)),
-    ],
-)
-def test_a_wheel_with_a_vaguer_ramp_has_that_of_the_others(
-    slowness: Sequence[float], halves: Sequence[float]
-) -> None:
-    (ramp,) = find_all(make_fit(SLOWNESS, slowness, halves, 4), "motor.acceleration")
-    assert (ramp.wheel, ramp.value, ramp.told) == ("", NO_RAMP, True)
-
-
 def test_wheels_that_cannot_be_told_apart_have_one_value() -> None:
     gains = find_all(make_fit(GAIN, (0.991, 0.998, 0.85, 1.003), (0.01,) * 4, 4), "motor.gain")
     assert [one.wheel for one in gains] == ["a", "b", "c", "d"]

@@ -180,7 +180,7 @@ def calibrate_robot(
     else:
         config = RobotConfig.of(setup.robot)
     ask = _ask_reading if sys.stdin.isatty() else None
-    given = calibration.GivenReadings(runs.measured, runs.aside, runs.measured_deg)
+    given = calibration.check_given_readings(runs.measured, runs.aside, runs.measured_deg)
     job = calibration.CalibrationJob(config, given, ask)
     if recorded:
         job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)

@@ -93,7 +93,8 @@ def measure_gap(
         say(line)
     if outputs.html is not None:
         twin_gap.write_gap_page(outputs.html, gap)
-    failures = twin_gap.find_exceeded(limits, twin_gap.limit_sizes(gap))
+    sizes = gap.figures("after") | {"delay": gap.delays("after").difference}
+    failures = twin_gap.find_exceeded(limits, sizes)
     for line in failures:
         print(f"acsar-gym: {line}", file=sys.stderr)
     return 1 if failures else 0
