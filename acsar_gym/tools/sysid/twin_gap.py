@@ -235,7 +235,7 @@ class TwinGap:
 def measure_gap(
     logs: Sequence[tuple[str, Recording]],
     robot: tuple[str, RobotConfig],
-    before: tuple[str, RobotConfig | None],
+    before: tuple[str, RobotConfig],
     body: str = "planar",
 ) -> TwinGap:
     """Replay the commands of logs through two twins, and compare both with what was recorded.
@@ -243,7 +243,7 @@ def measure_gap(
     Args:
         logs: names and recordings.
         robot: name and config of the fitted twin.
-        before: name and config of the unfitted one; None for the config in each recording.
+        before: name and config of the unfitted one.
         body: physics of both, such as "planar".
 
     Raises:
@@ -253,8 +253,8 @@ def measure_gap(
     config = robot[1]
     fitted_on = {*config.motor_fit_logs, *(s for one in config.measured.values() for s in one.logs)}
     replays, notes = [], _note_limits(logs, robot, before, known=bool(fitted_on))
+    twins = {"before": before[1], "after": config}
     for log, recording in logs:
-        twins = {"before": before[1] or recording.config, "after": config}
         for number, episode in enumerate(recording.episodes):
             if why := _find_unusable(episode, config):
                 notes.append(f"{log} #{number}: left out, {why}")
@@ -283,14 +283,12 @@ def measure_gap(
 def _note_limits(
     logs: Sequence[tuple[str, Recording]],
     robot: tuple[str, RobotConfig],
-    before: tuple[str, RobotConfig | None],
+    before: tuple[str, RobotConfig],
     *,
     known: bool,
 ) -> list[str]:
     """Say what limits the comparison; `known`: whether the robot's file names logs."""
-    unfitted = [(name, log.config) for name, log in logs] if before[1] is None else [before]
-    sides = (robot, *unfitted)
-    notes = [f"{name}: {side.misfit}" for name, side in sides if side is not None and side.misfit]
+    notes = [f"{name}: {side.misfit}" for name, side in (robot, before) if side.misfit]
     for name, recording in logs:
         if recording.cut:
             note = f"{name}: its end is missing; the rest was used"

@@ -156,7 +156,7 @@ ERRORS = [
     ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings"),
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
     ("calibrate planar turn --radii 2 --speeds 1", 2, "--speeds times --radii"),
-    ("calibrate planar straight --speed 0", 2, "--speed 0"),
+    ("calibrate planar turn --speeds 0", 2, "--speeds 0"),
     ("calibrate planar straight --tape 0", 2, "--tape"),
     ("calibrate planar straight --aside 0.1", 2, "--aside "),
     ("calibrate /dev/ttyUSB9 straight --twin acsar", 2, "--twin "),

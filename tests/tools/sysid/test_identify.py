@@ -29,7 +29,6 @@ from acsar_gym.tools.sysid.identify import (
 )
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 
-INTERVAL = {"low": 0.4, "high": 0.6, "method": "identify"}
 HIDDEN = ACSAR.with_(
     motor={
         "time_constant": 0.15,

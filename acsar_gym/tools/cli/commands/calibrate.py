@@ -74,8 +74,6 @@ class RunOptions:
     space: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
     """Free floor ahead of the robot's centre, and to each of its sides [m]. Needed for a real
     robot, which is stopped at its edge."""
-    speed: float | None = None
-    """Linear speed [m/s]; default: 60 % of max_linear."""
     repeats: int | None = None
     """Runs of each kind; default: as many as readings, else 3 straight lines, 1 turn of each speed
     and radius."""
@@ -90,8 +88,7 @@ class RunOptions:
             raise ConfigError(f"--repeats {self.repeats}: must be 1 or more")
         plans = []
         if manoeuvre != "turn":
-            speed = USUAL_SPEED_SHARE * config.max_linear if self.speed is None else self.speed
-            _check_speed("--speed", speed, config.max_linear, "max_linear")
+            speed = USUAL_SPEED_SHARE * config.max_linear
             repeats = self.repeats or len(self.measured) or 3
             plans += calibration_drive.plan_straights(self.distance, speed, repeats)
         if manoeuvre != "straight":
