@@ -14,12 +14,9 @@ import tyro
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.commands.identify import FoundRobotOptions, FoundRobotOutputs
 from acsar_gym.tools.cli.options import (
-    File,
-    Force,
     HostOptions,
-    RecordOptions,
-    RobotArg,
     check_not_given,
     check_writable,
     countdown,
@@ -111,37 +108,14 @@ def _check_speed(option: str, value: float, most: float, field: str) -> None:
         raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")
 
 
-@dataclass(frozen=True)
-class CalibrationSetup(RecordOptions):
-    """The robot, and recording."""
-
-    robot: RobotArg = None
-    """Preset or config file: what is known so far; default: the robot of the recording, else
-    acsar."""
-    twin: RobotArg = None
-    """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
-
-
-@dataclass(frozen=True)
-class CalibrationOutputs:
-    """Results."""
-
-    out: File = None
-    """Write what was found into this robot's file, to be used as --robot; if it exists, its
-    comments stay, and what was not found. Only where runs have readings."""
-    json: File = None
-    """Also write the result and all runs to this file."""
-    force: Force = False
-
-
 @command("calibrate", "robots", drives=True)
 def calibrate_robot(
     device: Device,
     manoeuvre: Manoeuvre,
     runs: RunOptions,
-    setup: CalibrationSetup,
+    setup: FoundRobotOptions,
     host: HostOptions,
-    output: CalibrationOutputs,
+    output: FoundRobotOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
@@ -170,8 +144,6 @@ def calibrate_robot(
     if recorded:
         driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
         check_not_given(driving)
-    elif setup.twin is not None and not simulated:
-        raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
     if recorded and setup.robot is None:
         config = read(Path(device)).config
     else:
@@ -183,10 +155,10 @@ def calibrate_robot(
         job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
         job.check_given(Counter(run.manoeuvre for run in job.runs))
         return _finish_calibration(job, output)
+    link = open_link(device, setup.driven(config, device))
     host.prepare(device)
     recorder = setup.recorder("calibrate", link=device)
-    driven = RobotConfig.of(setup.twin) if setup.twin is not None else config
-    robot = Robot(open_link(device, driven), config, recorder=recorder)
+    robot = Robot(link, config, recorder=recorder)
     plans = runs.plans(manoeuvre, config)
 
     def announce(plan: RunPlan) -> None:
@@ -204,7 +176,7 @@ def calibrate_robot(
 
 
 def _finish_calibration(
-    job: CalibrationJob, output: CalibrationOutputs, record: Path | None = None
+    job: CalibrationJob, output: FoundRobotOutputs, record: Path | None = None
 ) -> int:
     """Read, fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
