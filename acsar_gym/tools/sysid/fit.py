@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
-from acsar_gym.tools.sysid import feedback_lines, response
+from acsar_gym.tools.sysid import board_log, response
 from acsar_gym.tools.sysid.board_log import (
     TURNING_SPEED,
     BoardTrack,
     Estimate,
     Floats,
     Identifiability,
+    add_cut_half,
 )
-from acsar_gym.tools.sysid.feedback_lines import add_cut_half
 from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
 
 with require_extra("identification", "scipy"):
@@ -172,7 +172,7 @@ def fit_motors(
         return None
     problem = FitProblem.of(tracks, wheels, config)
     printed = np.concatenate([track.speeds for track in tracks])
-    quantum = feedback_lines.find_quantum(printed)
+    quantum = board_log.find_quantum(printed)
     # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
     names = ("motor.time_constant", "motor.gain", "motor.time_constant")
     rows = [known.can(name, MOTORS[wheel]) for wheel in wheels for name in names]
@@ -375,13 +375,13 @@ def find_rounding(
         near += problem.dt
     explained = []
     for n in range(1, LONGEST_COUNT_WINDOW + 1):
-        coarse = feedback_lines.count_speed(config, n * problem.dt)
-        own = 0.0 if abs(coarse - step) < feedback_lines.SAME_QUANTUM * step else step
-        if abs(n * problem.dt - fitted) <= near and feedback_lines.is_explained_by_counts(
+        coarse = board_log.count_speed(config, n * problem.dt)
+        own = 0.0 if abs(coarse - step) < board_log.SAME_QUANTUM * step else step
+        if abs(n * problem.dt - fitted) <= near and board_log.is_explained_by_counts(
             speeds, config, n * problem.dt, own
         ):
             explained.append((n, coarse, own))
-    counts, window = feedback_lines.count_speed(config, fitted), None
+    counts, window = board_log.count_speed(config, fitted), None
     counts = counts if counts < step else 0.0
     # Finer counts explain multiples of coarse ones, too; where others do, a coarse step hides them.
     if explained and all(n % explained[0][0] == 0 for n, _, _ in explained):
@@ -390,7 +390,7 @@ def find_rounding(
     measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
     answer = problem.residuals(solution.x, solution.deadbands) + measured
     fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)
-    if coarse > feedback_lines.FINEST_QUANTUM and fast.sum() > feedback_lines.FEWEST_SPEEDS:
+    if coarse > board_log.FINEST_QUANTUM and fast.sum() > board_log.FEWEST_SPEEDS:
         offset = -float(np.polyfit(np.abs(answer[fast]), np.abs(measured[fast]), 1)[1])
         if CUT_OFFSETS[0] < offset / coarse < CUT_OFFSETS[1]:
             return SpeedRounding(counts, step, coarse), window
@@ -412,7 +412,7 @@ def fit_deadband(
     measured, costs = problem.measured(index), []
     for band in bands.tolist():
         rest = problem.residuals_of(index, model._replace(deadband=band), times)
-        expected = feedback_lines.mean_printed_speeds(rest + measured, *rounding)
+        expected = board_log.mean_printed_speeds(rest + measured, *rounding)
         rest = np.abs(expected - measured)
         costs.append(np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04))  # linear for large ones
     total = np.array(costs).sum(1)

@@ -11,7 +11,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
-from acsar_gym.tools.sysid import board_log, feedback_lines
+from acsar_gym.tools.sysid import board_log
 from acsar_gym.tools.sysid.board_log import BoardTrack, Estimate, Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     DELAY_BOUNDS,
@@ -301,7 +301,7 @@ def find_board(
     rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
     if not known.can(RATE_NAME):
         rate = rate.explain(known.missing[RATE_NAME, ""])
-    elif (lines := feedback_lines.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
+    elif (lines := board_log.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
         rate = rate.explain("more lines than the twin has loops")
     else:
         low = max(0.1 * lines.rate, lines.rate - lines.half)
@@ -389,11 +389,11 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
     """The step of the printed speeds."""
     unknown = ParameterFinding(QUANTUM_NAME, before=config.encoder.quantum)
-    found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
+    found = fit.quantum if fit else board_log.find_quantum(speeds)
     if found is None:
         return unknown.explain("too few different speeds: record slow and fast driving")
     counted = fit is not None and fit.counted and not fit.rounding.step
-    if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
+    if counted or board_log.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
     if found.value <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"

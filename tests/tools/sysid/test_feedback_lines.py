@@ -8,10 +8,12 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.protocol import encode
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid.board_log import BoardTrack, Floats, decode_track
-from acsar_gym.tools.sysid.feedback_lines import (
+from acsar_gym.tools.sysid.board_log import (
+    BoardTrack,
+    Floats,
     LineRate,
     count_speed,
+    decode_track,
     find_quantum,
     is_explained_by_counts,
     measure_line_rate,
