@@ -157,7 +157,6 @@ ERRORS = [
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
     ("calibrate planar turn --radii 2 --speeds 1", 2, "--speeds times --radii"),
     ("calibrate planar turn --speeds 0", 2, "--speeds 0"),
-    ("calibrate planar straight --tape 0", 2, "--tape"),
     ("calibrate planar straight --aside 0.1", 2, "--aside "),
     ("calibrate /dev/ttyUSB9 straight --twin acsar", 2, "--twin "),
     ("calibrate /dev/ttyUSB9 straight --measured 2", 2, "--space "),
