@@ -11,8 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.tools.emulation.lidar import Floats, LidarTwin
-from acsar_gym.tools.emulation.rplidar import MULTIPLE, SINGLE, RplidarTwin, encode_descriptor
+from acsar_gym.tools.emulation.lidar import (
+    MULTIPLE,
+    SINGLE,
+    Floats,
+    LidarTwin,
+    RplidarTwin,
+    encode_descriptor,
+)
 
 
 class PacketTwin(LidarTwin):

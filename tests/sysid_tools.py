@@ -15,11 +15,14 @@ from acsar_gym.links import open_link
 from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.calibration import (
+    TAPE_DIVISION,
     CalibrationRun,
     Geometry,
-    ReadingScales,
     RunReading,
+    read_protractor,
+    read_tape,
 )
 from acsar_gym.tools.sysid.calibration_drive import (
     RunPlan,
@@ -28,13 +31,11 @@ from acsar_gym.tools.sysid.calibration_drive import (
     plan_straights,
     plan_turns,
 )
-from acsar_gym.tools.sysid.delays import Floats
 from acsar_gym.tools.sysid.excitation import StretchedLink
 from acsar_gym.tools.sysid.identify import Identification
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 
 ACSAR = RobotConfig.preset("acsar")
-SCALES = ReadingScales()
 TOLERANCES = {
     "motor.time_constant": 0.05,
     "motor.gain": 0.01,
@@ -193,9 +194,9 @@ class Person(TruthReader):
     def readings(self, plan: RunPlan) -> list[RunReading]:
         found = {reading.kind: reading.value for reading in super().readings(plan)}
         if plan.manoeuvre == "turn":
-            return [SCALES.degrees(float(round(math.degrees(found["heading"]))))]
+            return [read_protractor(float(round(math.degrees(found["heading"]))))]
         return [
-            SCALES.metres(kind, round(found[kind] / SCALES.tape) * SCALES.tape)
+            read_tape(kind, round(found[kind] / TAPE_DIVISION) * TAPE_DIVISION)
             for kind in ("distance", "aside")
         ]
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from rich.table import Table
 
@@ -61,11 +60,6 @@ def check_estop() -> Check:
     if not folders:
         found = f"'acsar-gym estop' won't be heard: {faults}"
     return warn_if(bool(faults) or not folders, "emergency stop", found, fixes)
-
-
-def checks_as_json(checks: list[Check]) -> dict[str, Any]:
-    """Format results for JSON."""
-    return {"checks": [asdict(check) for check in checks]}
 
 
 def draw_checks(checks: Sequence[Check], title: str = "acsar-gym doctor") -> Table:

@@ -28,8 +28,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
-from acsar_gym.tools.emulation.lidar import LidarEmulator
-from acsar_gym.tools.emulation.rplidar import RplidarTwin
+from acsar_gym.tools.emulation.lidar import LidarEmulator, RplidarTwin
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
 

@@ -20,7 +20,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.recording import read
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 
 MANOEUVRES = ("straight", "turn")
 ODOMETRY_ROUGHNESS = 2e-4
@@ -34,6 +34,8 @@ SHORTEST_RUN = 1e-3
 """A straight run that is shorter than this, by odometry, can't be measured [m]."""
 SKID_MULTIPLIERS = (1.0, 2.2)
 """Multipliers of skid-steer robots; a turn may contradict odometry by as much as they explain."""
+TAPE_DIVISION, PROTRACTOR_DIVISION = 0.005, 1.0
+"""Divisions of the scales [m], [degrees]."""
 DIVISION_SIGMA = 0.5
 """Standard deviation of a reading, as a share of the scale's divisions: rounding and placement."""
 LARGEST_READING = 1e6
@@ -199,68 +201,44 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
     return runs
 
 
-class ReadingScales(NamedTuple):
-    """Divisions of tape [m] and protractor [degrees]."""
-
-    tape: float = 0.005
-    protractor: float = 1.0
-
-    def metres(self, kind: str, value: float) -> RunReading:
-        """A reading of the tape [m]."""
-        return RunReading(kind, value, DIVISION_SIGMA * self.tape, "tape")
-
-    def degrees(self, value: float) -> RunReading:
-        """A reading of the protractor [degrees]."""
-        sigma = DIVISION_SIGMA * math.radians(self.protractor)
-        return RunReading("heading", math.radians(value), sigma, "tape")
+def read_tape(kind: str, value: float) -> RunReading:
+    """A reading of the tape [m]."""
+    return RunReading(kind, value, DIVISION_SIGMA * TAPE_DIVISION, "tape")
 
 
-@dataclass(frozen=True, slots=True)
-class GivenReadings:
-    """Readings that options give, in the order of the runs."""
+def read_protractor(degrees: float) -> RunReading:
+    """A reading of the protractor [degrees]."""
+    sigma = DIVISION_SIGMA * math.radians(PROTRACTOR_DIVISION)
+    return RunReading("heading", math.radians(degrees), sigma, "tape")
 
-    measured: tuple[float, ...] = ()
-    """Distances of straight runs [m]."""
-    aside: tuple[float, ...] = ()
-    """Offsets to the left of straight runs' ends [m]; as many as distances, or none."""
-    degrees: tuple[float, ...] = ()
-    """Angles of turns [degrees]."""
 
-    def __post_init__(self) -> None:
-        for option, numbers in (
-            ("measured", self.measured),
-            ("aside", self.aside),
-            ("measured-deg", self.degrees),
-        ):
-            for number in numbers:
-                if not abs(number) <= LARGEST_READING:
-                    limits = f"{-LARGEST_READING:g} to {LARGEST_READING:g}"
-                    raise ConfigError(f"--{option} {number:g}: must be {limits}")
-        if self.aside and len(self.aside) != len(self.measured):
-            raise ConfigError(
-                f"--aside has {len(self.aside)} readings, --measured {len(self.measured)}: must be "
-                "as many"
-            )
+GivenReadings = dict[str, list[tuple[float, ...]]]
+"""Rows of numbers that options give, for the runs of each manoeuvre in their order."""
 
-    def rows(self, manoeuvre: str) -> list[tuple[float, ...]]:
-        """The readings of one manoeuvre's runs."""
-        if manoeuvre == "straight":
-            return list(zip(self.measured, *([self.aside] if self.aside else []), strict=True))
-        return [(degrees,) for degrees in self.degrees]
 
-    def of_first(self, runs: Sequence[CalibrationRun]) -> GivenReadings:
-        """Return those of the first runs that were to be driven, where no more were finished."""
-        counts = Counter(run.manoeuvre for run in runs)
-        return GivenReadings(
-            self.measured[: counts["straight"]],
-            self.aside[: counts["straight"]],
-            self.degrees[: counts["turn"]],
+def check_given_readings(
+    measured: Sequence[float], aside: Sequence[float], degrees: Sequence[float]
+) -> GivenReadings:
+    """Check readings of options: distances and offsets of lines [m], angles of turns [degrees].
+
+    Raises:
+        ConfigError: a number is too large, or there isn't an offset for each distance.
+    """
+    options = {"measured": measured, "aside": aside, "measured-deg": degrees}
+    for option, numbers in options.items():
+        for number in numbers:
+            if not abs(number) <= LARGEST_READING:
+                limits = f"{-LARGEST_READING:g} to {LARGEST_READING:g}"
+                raise ConfigError(f"--{option} {number:g}: must be {limits}")
+    if aside and len(aside) != len(measured):
+        raise ConfigError(
+            f"--aside has {len(aside)} readings, --measured {len(measured)}: must be as many"
         )
+    lines = zip(measured, *([aside] if aside else []), strict=True)
+    return {"straight": list(lines), "turn": [(angle,) for angle in degrees]}
 
 
-def give_readings(
-    run: CalibrationRun, row: Sequence[float], scales: ReadingScales
-) -> CalibrationRun:
+def give_readings(run: CalibrationRun, row: Sequence[float]) -> CalibrationRun:
     """Give a run the readings of a row of numbers.
 
     Straight: distance from start to end, and its offset to the left [m]. Turn: the turned angle
@@ -268,12 +246,12 @@ def give_readings(
     """
     if run.manoeuvre == "turn":
         left, right = run.wheels[-1]
-        return run.read([scales.degrees(math.copysign(row[0], right - left))])
-    readings = [scales.metres("distance", abs(row[0]))]  # backwards runs are positive as well
-    return run.read(readings + [scales.metres("aside", aside) for aside in row[1:]])
+        return run.read([read_protractor(math.copysign(row[0], right - left))])
+    readings = [read_tape("distance", abs(row[0]))]  # backwards runs are positive as well
+    return run.read(readings + [read_tape("aside", aside) for aside in row[1:]])
 
 
-def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> CalibrationRun:
+def parse_readings(run: CalibrationRun, text: str) -> CalibrationRun:
     """Give a run the readings that a person typed; nothing typed leaves it without.
 
     Raises:
@@ -289,90 +267,48 @@ def parse_readings(run: CalibrationRun, text: str, scales: ReadingScales) -> Cal
     if len(row) not in counts or not all(abs(number) <= LARGEST_READING for number in row):
         asked = ASKED_READINGS[run.manoeuvre]
         raise ConfigError(f"{show_value(text.strip())}: must be the {asked}")
-    return give_readings(run, row, scales)
+    return give_readings(run, row)
 
 
-def assign_readings(
-    runs: Sequence[CalibrationRun], given: GivenReadings, scales: ReadingScales
-) -> list[CalibrationRun]:
-    """Give runs the readings of the options, manoeuvre by manoeuvre, in order.
-
-    Raises:
-        ConfigError: there are not as many.
-    """
-    result = list(runs)
-    for manoeuvre in MANOEUVRES:
-        rows = given.rows(manoeuvre)
-        places = [i for i, run in enumerate(result) if run.manoeuvre == manoeuvre]
-        if rows and len(places) != len(rows):
-            raise ConfigError(
-                f"{len(rows)} readings for {len(places)} {manoeuvre} runs: must be one for each run"
-            )
-        for i, row in zip(places, rows, strict=False):
-            result[i] = give_readings(result[i], row, scales)
-    return result
-
-
-def check_readings(run: CalibrationRun, config: RobotConfig) -> str:
-    """Compare a run's readings with odometry.
-
-    Returns:
-        A line to be told about a turn that skidding explains but the config doesn't; else empty.
+def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
+    """Compare a run's readings with odometry; a turn may differ by what skidding explains.
 
     Raises:
         ConfigError: a reading contradicts odometry by more than CONTRADICTION_SHARE.
     """
-    note, geometry = "", configured_geometry(config)
+    geometry = configured_geometry(config)
     expected = predict_readings(run, geometry, config.wheel_separation)
-    for reading, odometry in zip(run.readings, expected, strict=True):
-        value = reading.value
-        if reading.kind == "heading":
-            if run.manoeuvre == "turn":
-                note = _check_turn(run, value, odometry, config)
-        elif reading.kind == "aside":
-            if abs(value) > (1.0 + CONTRADICTION_SHARE) * rolled_distance(run, geometry.radius):
-                raise _contradict(run, f"{value:g}", "farther than the robot drove")
-        elif odometry < SHORTEST_RUN:
+    most = 1.0 + CONTRADICTION_SHARE
+    for (kind, value, *_), odometry in zip(run.readings, expected, strict=True):
+        shown, said = f"{value:g} m", f"{odometry:.3f} m"
+        fits = abs(value - odometry) <= CONTRADICTION_SHARE * abs(odometry)
+        if kind == "distance" and odometry < SHORTEST_RUN:
             what = "ended where it began, by odometry: not a straight run"
             raise ConfigError(f"{run.name}: {what}")
-        elif not abs(value - odometry) <= CONTRADICTION_SHARE * odometry:
-            times = value / odometry
-            hint = "in centimetres?" if 50.0 < times < 200.0 else "another run's?"
-            hint = "in millimetres?" if 500.0 < times < 2000.0 else hint
-            raise _contradict(run, f"{value:g} m", f"odometry says {odometry:.3f} m: {hint}")
-    return note
-
-
-def _check_turn(run: CalibrationRun, value: float, expected: float, config: RobotConfig) -> str:
-    """Check the angle of a turn; returns a line where only skidding explains it. ConfigError."""
-    if abs(value - expected) <= CONTRADICTION_SHARE * abs(expected):
-        return ""
-    implied = config.wheel_separation_multiplier * expected / value if value else math.inf
-    degrees, odometry = math.degrees(abs(value)), math.degrees(abs(expected))
-    what, least = f"odometry says {odometry:.0f} degrees", 1.0 + CONTRADICTION_SHARE
-    if SKID_MULTIPLIERS[0] / least <= implied <= SKID_MULTIPLIERS[1] * least:
-        return f"{run.name}: read {degrees:.0f}, {what}: a multiplier of {implied:.2f} explains it"
-    hint = "counted the full turns?" if degrees < 360.0 < odometry else "units, or another run's?"
-    raise _contradict(run, f"{degrees:g} degrees", f"{what}: {hint}")
-
-
-def _contradict(run: CalibrationRun, reading: str, why: str) -> ConfigError:
-    """The error for a reading that can't be of this run."""
-    return ConfigError(
-        f"{run.name}: the reading {reading} contradicts the odometry by more than "
-        f"{CONTRADICTION_SHARE:.0%}: {why}"
-    )
+        if kind == "aside":
+            farthest = rolled_distance(run, geometry.radius)
+            fits, said = abs(value) <= most * farthest, f"that it drove {farthest:.3f} m in all"
+        elif kind == "heading":
+            shown, said = (f"{math.degrees(abs(angle)):.0f} degrees" for angle in (value, odometry))
+            multiplier = config.wheel_separation_multiplier * odometry / (value or math.inf)
+            skids = SKID_MULTIPLIERS[0] / most <= multiplier <= SKID_MULTIPLIERS[1] * most
+            fits = fits or skids or run.manoeuvre != "turn"
+        if not fits:
+            raise ConfigError(
+                f"{run.name}: the reading {shown} contradicts the odometry by more than "
+                f"{CONTRADICTION_SHARE:.0%}, which says {said}: is it in metres, or degrees with "
+                "full turns counted, and of this run?"
+            )
 
 
 class CalibrationJob:
     """Collects runs and their readings.
 
-    Attributes: `config`, of the robot; `runs`, all so far; `notes`, lines to be told.
+    Attributes: `config`, of the robot; `runs`, all so far.
 
     Args:
         config: of the robot.
         given: readings of the options.
-        scales: of the readings that a person takes.
         ask: asks a person, who can answer; None where nobody is there.
     """
 
@@ -380,14 +316,11 @@ class CalibrationJob:
         self,
         config: RobotConfig,
         given: GivenReadings,
-        scales: ReadingScales,
         ask: Callable[[str], str] | None = None,
     ) -> None:
         self.runs: list[CalibrationRun] = []
-        self.notes: list[str] = []
         self.config = config
-        self.given = given
-        self._scales = scales
+        self._given = given
         self._ask = ask
 
     @property
@@ -399,27 +332,30 @@ class CalibrationJob:
         """Return whether the options give readings; ConfigError unless each run of a kind has one.
 
         Args:
-            counts: how many runs of each manoeuvre are to be driven.
+            counts: how many runs of each manoeuvre there are, or are to be driven.
         """
-        for manoeuvre in MANOEUVRES:
-            rows = len(self.given.rows(manoeuvre))
-            if rows not in (0, counts[manoeuvre]):
+        for manoeuvre, rows in self._given.items():
+            if len(rows) not in (0, counts[manoeuvre]):
                 raise ConfigError(
-                    f"{rows} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one for "
-                    "each run"
+                    f"{len(rows)} readings for {counts[manoeuvre]} {manoeuvre} runs: must be one "
+                    "for each run"
                 )
-        return any(self.given.rows(manoeuvre) for manoeuvre in MANOEUVRES)
+        return any(self._given.values())
 
     def finish(self) -> None:
         """Give readings to runs that have none yet: those of the options, then what a person says.
 
+        Where the drive failed there are fewer runs than readings.
+
         Raises:
-            ConfigError: their number is another one, or a reading contradicts the odometry.
+            ConfigError: a reading contradicts the odometry.
         """
-        self.runs = assign_readings(self.runs, self.given, self._scales)
-        notes = [check_readings(run, self.config) for run in self.runs]
-        self.notes = [line for line in notes if line]
+        for manoeuvre, rows in self._given.items():
+            places = [i for i, run in enumerate(self.runs) if run.manoeuvre == manoeuvre]
+            for i, row in zip(places, rows, strict=False):
+                self.runs[i] = give_readings(self.runs[i], row)
         for place, run in enumerate(self.runs):
+            check_readings(run, self.config)
             if not run.readings:
                 self.ask_readings(place)
 
@@ -429,7 +365,7 @@ class CalibrationJob:
         question = f"{run.name}: {ASKED_READINGS[run.manoeuvre]} (Enter: none)"
         while self._ask is not None:
             try:
-                answered = parse_readings(run, self._ask(question), self._scales)
+                answered = parse_readings(run, self._ask(question))
                 check_readings(answered, self.config)
             except ConfigError as error:
                 question = f"{error}; again"

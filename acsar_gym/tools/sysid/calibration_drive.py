@@ -35,14 +35,14 @@ DISTANCE_GAIN = 3.0
 ANGLE_GAIN = 3.0
 """Turn rate for each radian that is left [1/s]."""
 SLOWEST_SHARE = 0.2
-"""Least share of the full speed, before a leg's end."""
+"""Least share of the full speed, before the end."""
 HEADING_GAIN = 2.0
 """Turn rate for each radian off the wanted heading [1/s]."""
-LEG_TOLERANCE = 0.002
-"""A leg ends this close before its end, as a share of a metre or of a radian; the rest is rolled
-out and measured."""
-LEG_TIMEOUT = 5.0
-"""A leg that takes this much longer than three times its nominal time has failed [s]."""
+RUN_TOLERANCE = 0.002
+"""A run is braked this close before its end, as a share of a metre or of a radian; the rest is
+rolled out and measured."""
+RUN_TIMEOUT = 5.0
+"""A run that takes this much longer than three times its nominal time has failed [s]."""
 REST_TIME = 1.5
 """How long the robot stands at the end of a run, to be measured [s]."""
 TRUTH_METRES = 2e-4
@@ -51,25 +51,18 @@ TRUTH_RADIANS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class RunLeg:
-    """A part of a run that keeps one turn radius."""
-
-    distance: float
-    """Along the path of the robot's centre [m], not negative."""
-    angle: float
-    """Turned on the way [rad], counter-clockwise positive."""
-
-
-@dataclass(frozen=True, slots=True)
 class RunPlan:
-    """One run: legs from standstill to standstill."""
+    """One run from standstill to standstill: a line, a circle, or a turn in place."""
 
     name: str
     manoeuvre: str
     """straight or turn."""
-    legs: tuple[RunLeg, ...]
+    distance: float
+    """Along the path of the robot's centre [m], not negative."""
+    angle: float
+    """Turned on the way [rad], counter-clockwise positive."""
     linear: float
-    """Speed on the legs that go ahead [m/s]."""
+    """Speed where it goes ahead [m/s]."""
     angular: float
     """Speed of turns in place [rad/s]."""
     back: bool = False
@@ -94,7 +87,7 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
         back = number % 2 == 0
         name = f"straight {number}" + (BACKWARDS_NAME if back else "")
         own = speed * (1.0 - SLOWER_SHARE * ((number - 1) % 3))
-        found.append(RunPlan(name, "straight", (RunLeg(distance, 0.0),), own, 0.0, back))
+        found.append(RunPlan(name, "straight", distance, 0.0, own, 0.0, back))
     return found
 
 
@@ -120,8 +113,7 @@ def plan_turns(
         angle = side * turned * math.tau
         where = f", radius {radius:g} m" if radius else ""
         name = f"turn {number}, {'left' if side > 0.0 else 'right'}, {speed:g} rad/s{where}"
-        leg = RunLeg(radius * abs(angle), angle)
-        found.append(RunPlan(name, "turn", (leg,), speed * radius, speed))
+        found.append(RunPlan(name, "turn", radius * abs(angle), angle, speed * radius, speed))
     return found
 
 
@@ -140,15 +132,13 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
     """
     ahead = aside = 0.0
     for plan in plans:
-        x = y = theta = 0.0
-        for leg in plan.legs:
-            parts = max(1, math.ceil(abs(leg.angle) / 0.1)) if leg.distance and leg.angle else 1
-            for _ in range(parts):
-                middle = theta + leg.angle / parts / 2.0
-                x += leg.distance / parts * math.cos(middle)
-                y += leg.distance / parts * math.sin(middle)
-                theta += leg.angle / parts
-                ahead, aside = max(ahead, x), max(aside, abs(y))
+        if plan.distance and plan.angle:
+            radius = plan.distance / abs(plan.angle)
+            half_turns = min(1.0, abs(plan.angle) / math.pi)
+            ahead = max(ahead, radius * math.sin(math.pi * min(half_turns, 0.5)))
+            aside = max(aside, radius * (1.0 - math.cos(math.pi * half_turns)))
+        else:
+            ahead = max(ahead, plan.distance)
     reach, slack = footprint_radius(config) + SPACE_MARGIN, SPACE_SLACK * max(ahead, aside)
     return ahead + slack + reach, aside + slack + reach
 
@@ -242,8 +232,7 @@ def drive_run(
         robot.reset(Scene())
         if make_reader is not None:
             driver.reader = make_reader(robot)
-        for leg in plan.legs:
-            driver.drive_leg(leg)
+        driver.drive()
         for _ in range(math.ceil(REST_TIME / robot.config.period)):
             driver.tick(0.0, 0.0)
     except BaseException as error:
@@ -302,56 +291,43 @@ def drive_plans(
             job.runs.append(drive_run(robot, own, None if given or not simulated else TruthReader))
             if not (simulated or given):
                 job.ask_readings(len(job.runs) - 1)
-    except LinkError:
-        job.given = job.given.of_first(job.runs)
-        raise
     finally:
         robot.close()
 
 
 class _RunDriver:
-    """Drives the legs of one run and keeps the angles of its wheels."""
+    """Drives one run and keeps the angles of its wheels."""
 
     def __init__(self, robot: Robot, plan: RunPlan) -> None:
         self.robot = robot
         self.plan = plan
         self.reader: TruthReader | None = None
         self.wheels: list[tuple[float, float]] = [(0.0, 0.0)]
-        self.aim = 0.0
-        """Heading of the plan at the end of the legs so far [rad]."""
-        self.heading = 0.0
-        """By odometry, full turns included [rad]."""
-        self.way = 0.0
-        """Driven since the leg's start, by odometry [m]."""
+        self.heading = self.way = 0.0
+        """Turned and driven, by odometry [rad] [m]."""
 
-    def drive_leg(self, leg: RunLeg) -> None:
+    def drive(self) -> None:
         """Drive along a line or a circle, or turn in place. LinkError where it doesn't end."""
-        plan, begin, full = self.plan, self.aim, abs(leg.angle)
-        self.way = 0.0
-        self.aim += leg.angle
-        time = max(
-            leg.distance / plan.linear if leg.distance else 0.0,
-            full / plan.angular if plan.angular else 0.0,
-        )
-        for _ in range(math.ceil((3.0 * time + LEG_TIMEOUT) / self.robot.config.period)):
-            left = leg.distance - self.way if leg.distance else self.aim - self.heading
-            if leg.distance:
-                if left < LEG_TOLERANCE:
-                    return
+        plan = self.plan
+        time = plan.distance / plan.linear if plan.distance else abs(plan.angle) / plan.angular
+        for _ in range(math.ceil((3.0 * time + RUN_TIMEOUT) / self.robot.config.period)):
+            left = plan.distance - self.way if plan.distance else plan.angle - self.heading
+            if (left if plan.distance else abs(left)) < RUN_TOLERANCE:
+                return
+            if plan.distance:
                 share = min(1.0, max(SLOWEST_SHARE, DISTANCE_GAIN * left / plan.linear))
                 linear = plan.linear * share
-                wanted = begin + leg.angle * min(1.0, self.way / leg.distance)
-                rate = linear * leg.angle / leg.distance + HEADING_GAIN * (wanted - self.heading)
+                wanted = plan.angle * min(1.0, self.way / plan.distance)
+                rate = linear * plan.angle / plan.distance
+                rate += HEADING_GAIN * (wanted - self.heading)
                 self.tick(-linear if plan.back else linear, rate)
             else:
-                if abs(left) < LEG_TOLERANCE:
-                    return
                 share = min(1.0, max(SLOWEST_SHARE, ANGLE_GAIN * abs(left) / plan.angular))
                 self.tick(0.0, math.copysign(share * plan.angular, left))
-        done = f"{self.way:.2f} of {leg.distance:.2f} m"
-        if not leg.distance:
-            turned = math.degrees(full - abs(self.aim - self.heading))
-            done = f"{turned:.0f} of {math.degrees(full):.0f} degrees"
+        done = f"{self.way:.2f} of {plan.distance:.2f} m"
+        if not plan.distance:
+            full = math.degrees(abs(plan.angle))
+            done = f"{full - math.degrees(abs(left)):.0f} of {full:.0f} degrees"
         raise LinkError(
             f"{plan.name}: only {done} by odometry",
             "check that nothing blocks the robot, its battery, and 'acsar-gym doctor'",

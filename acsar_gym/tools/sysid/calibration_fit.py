@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -20,6 +20,7 @@ from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.randomization import LEAST_TURN
 from acsar_gym.tools.evaluation.report import escape_text
+from acsar_gym.tools.sysid.board_log import Estimate, Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -28,7 +29,6 @@ from acsar_gym.tools.sysid.calibration import (
     predict_readings,
     reading_sigmas,
 )
-from acsar_gym.tools.sysid.delays import Floats
 
 with require_extra("calibration", "scipy"):
     from scipy import optimize, stats
@@ -61,26 +61,13 @@ MISSING_HINTS = {
 """What tells a parameter that the fit couldn't."""
 
 
-class FittedValue(NamedTuple):
-    """One fitted number with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def around(cls, value: float, half: float) -> FittedValue:
-        """The number with an interval of value - half to value + half."""
-        return cls(value, value - half, value + half)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class GeometryFit:
     """Result of a fit."""
 
     geometry: Geometry
     """Radii and multiplier; those that weren't told are the config's."""
-    told: dict[str, FittedValue]
+    told: dict[str, Estimate]
     """The parameters that the readings tell, by GEOMETRY_PARAMETERS; the ratio is right less left
     radius, as a share of their mean."""
     used: tuple[CalibrationRun, ...]
@@ -165,10 +152,6 @@ class _GeometryProblem:
         told = [predict_readings(run, geometry, self.separation) for run in self.runs]
         return (self.measured - np.concatenate(told)) / self.sigma
 
-    def with_prior(self, p: Floats) -> Floats:
-        """The residuals, then the parameters' distances from the prior."""
-        return np.concatenate([self.residuals(p), (p - self.centre) / GEOMETRY_PRIOR])
-
     def solve(self, start: Floats, free: list[int], *, robust: bool) -> Floats:
         """Minimise over the free parameters; the others stay at `start`.
 
@@ -178,7 +161,8 @@ class _GeometryProblem:
         def residuals(values: Floats) -> Floats:
             p = start.copy()
             p[free] = values
-            return self.with_prior(p) if robust else self.residuals(p)
+            prior = (p - self.centre) / GEOMETRY_PRIOR
+            return np.append(self.residuals(p), prior) if robust else self.residuals(p)
 
         p = start.copy()
         p[free] = optimize.least_squares(
@@ -215,7 +199,7 @@ class _GeometryProblem:
 
     def find_intervals(
         self, p: Floats, told: Sequence[int], config: RobotConfig
-    ) -> dict[str, FittedValue]:
+    ) -> dict[str, Estimate]:
         """Values and 95 % intervals (Student t) of the parameters that are told."""
         held = GEOMETRY_PRIOR.copy()  # of those that aren't: as measured before, else the prior
         for i in (0, 2):
@@ -236,33 +220,31 @@ class _GeometryProblem:
         half = np.hypot(quantile * np.sqrt(np.diag(covariance)), 1.96 * SYSTEMATIC_SIGMAS)
         unit = np.array([self.nominal.radius, 1.0, self.nominal.multiplier])
         return {
-            GEOMETRY_PARAMETERS[i]: FittedValue.around(
-                float(p[i] * unit[i]), float(half[i] * unit[i])
-            )
+            GEOMETRY_PARAMETERS[i]: Estimate.around(float(p[i] * unit[i]), float(half[i] * unit[i]))
             for i in told
         }
 
 
-def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, FittedValue]:
+def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Estimate]:
     """The fitted fields of a robot's config with their intervals, by dotted name.
 
     `wheel_radius` becomes the mean radius of both sides and their multipliers 1 -+ half the ratio,
     where the ratio was told; else the multipliers stay as they are. `body.turn_factor` is the
     multiplier, so that the twin turns as the robot does; a tyre's is above 1.
     """
-    fields: dict[str, FittedValue] = {}
+    fields: dict[str, Estimate] = {}
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
     ratio = fit.told.get("radius_ratio")
     if ratio is not None:
         mean = 1.0
     if (radius := fit.told.get("wheel_radius")) is not None:
-        fields["wheel_radius"] = FittedValue(*(number / mean for number in radius))
+        fields["wheel_radius"] = Estimate(*(number / mean for number in radius))
     elif ratio is not None and fit.geometry.radius != config.wheel_radius:
-        fields["wheel_radius"] = FittedValue(*[fit.geometry.radius] * 3)
+        fields["wheel_radius"] = Estimate(*[fit.geometry.radius] * 3)
     if ratio is not None:
         half = (ratio.high - ratio.low) / 4.0
         for name, sign in zip(RADIUS_FIELDS, (-1.0, 1.0), strict=True):
-            fields[name] = FittedValue.around(1.0 + sign * ratio.value / 2.0, half)
+            fields[name] = Estimate.around(1.0 + sign * ratio.value / 2.0, half)
     if (multiplier := fit.told.get(MULTIPLIER_FIELD)) is not None:
         fields[MULTIPLIER_FIELD] = multiplier
         if multiplier.value > 1.0:
@@ -339,27 +321,19 @@ def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
     """The result for JSON; without a fit, where no run has a reading, nothing is found."""
-    listed = []
-    for run in runs:
-        before = predict_readings(run, configured_geometry(config), config.wheel_separation)
-        after = predict_readings(run, fit.geometry, config.wheel_separation) if fit else before
-        readings = [
-            {"kind": one.kind, "value": one.value, "source": one.source, "before": b, "after": a}
-            for one, b, a in zip(run.readings, before, after, strict=True)
-        ]
-        listed.append(
-            {
-                "name": run.name,
-                "manoeuvre": run.manoeuvre,
-                "readings": readings,
-                "wheels": run.wheels[-1].tolist(),
-            }
-        )
     fields = fitted_fields(fit, config) if fit else {}
     return {
         "found": {name: fitted._asdict() for name, fitted in fields.items()},
         "not_told": [name for name in MISSING_HINTS if fit is None or name not in fit.told],
         "left_out": [run.name for run in fit.outliers] if fit else [],
         "rms": fit.rms if fit else None,
-        "runs": listed,
+        "runs": [
+            {
+                "name": run.name,
+                "manoeuvre": run.manoeuvre,
+                "readings": [reading._asdict() for reading in run.readings],
+                "wheels": run.wheels[-1].tolist(),
+            }
+            for run in runs
+        ],
     }

@@ -14,7 +14,7 @@ from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 
 FASTEST_STEP = 10.0
 """Largest speed of the steps [rad/s]."""

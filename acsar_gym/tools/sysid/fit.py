@@ -18,12 +18,16 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS
-from acsar_gym.tools.sysid import feedback_lines, response
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import Quantum, add_cut_half
-from acsar_gym.tools.sysid.identifiability import TURNING_SPEED, Identifiability
+from acsar_gym.tools.sysid import board_log, response
+from acsar_gym.tools.sysid.board_log import (
+    TURNING_SPEED,
+    BoardTrack,
+    Estimate,
+    Floats,
+    Identifiability,
+    add_cut_half,
+)
 from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
-from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
     from scipy import optimize
@@ -105,14 +109,6 @@ class SpeedRounding(NamedTuple):
     cut: float = 0.0
 
 
-class DeadbandEstimate(NamedTuple):
-    """A deadband and its 95 % interval [rad/s]."""
-
-    value: float
-    low: float
-    high: float
-
-
 @dataclass(frozen=True, eq=False)
 class MotorFit:
     """What was fitted of wheels and board."""
@@ -124,9 +120,9 @@ class MotorFit:
     """Covariance of the parameters."""
     slack: Floats
     """By how much they may be off since lags that the log can't tell were held."""
-    deadbands: tuple[DeadbandEstimate | None, ...]
+    deadbands: tuple[Estimate | None, ...]
     """Of the wheels in the problem; None where the log can't tell."""
-    quantum: Quantum | None
+    quantum: Estimate | None
     """Step of the printed numbers; None where the log can't tell."""
     rounding: SpeedRounding
     counted: bool
@@ -176,7 +172,7 @@ def fit_motors(
         return None
     problem = FitProblem.of(tracks, wheels, config)
     printed = np.concatenate([track.speeds for track in tracks])
-    quantum = feedback_lines.find_quantum(printed)
+    quantum = board_log.find_quantum(printed)
     # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
     names = ("motor.time_constant", "motor.gain", "motor.time_constant")
     rows = [known.can(name, MOTORS[wheel]) for wheel in wheels for name in names]
@@ -204,7 +200,7 @@ def fit_motors(
         x, free = solution.x.copy(), free.copy()
         x[-2], free[-2] = max(problem.dt, 2.0 * x[-3]), False
         solution = solve_problem(problem, x, solution.deadbands, free)
-    found: list[DeadbandEstimate] = []
+    found: list[Estimate] = []
     for _ in range(2):  # deadbands with the rest given, and the rest with the deadbands given
         models, times = problem.split(solution.x, solution.deadbands)
         found = [
@@ -368,10 +364,10 @@ def search_window(
 
 
 def find_rounding(
-    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Quantum | None
+    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Estimate | None
 ) -> tuple[SpeedRounding, float | None]:
     """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
-    step = quantum.step if quantum else 0.0
+    step = quantum.value if quantum else 0.0
     speeds = np.concatenate([track.speeds for track in problem.tracks])
     fitted, near = float(solution.x[-2]), math.inf
     if solution.free[-2]:
@@ -379,13 +375,13 @@ def find_rounding(
         near += problem.dt
     explained = []
     for n in range(1, LONGEST_COUNT_WINDOW + 1):
-        coarse = feedback_lines.count_speed(config, n * problem.dt)
-        own = 0.0 if abs(coarse - step) < feedback_lines.SAME_QUANTUM * step else step
-        if abs(n * problem.dt - fitted) <= near and feedback_lines.is_explained_by_counts(
+        coarse = board_log.count_speed(config, n * problem.dt)
+        own = 0.0 if abs(coarse - step) < board_log.SAME_QUANTUM * step else step
+        if abs(n * problem.dt - fitted) <= near and board_log.is_explained_by_counts(
             speeds, config, n * problem.dt, own
         ):
             explained.append((n, coarse, own))
-    counts, window = feedback_lines.count_speed(config, fitted), None
+    counts, window = board_log.count_speed(config, fitted), None
     counts = counts if counts < step else 0.0
     # Finer counts explain multiples of coarse ones, too; where others do, a coarse step hides them.
     if explained and all(n % explained[0][0] == 0 for n, _, _ in explained):
@@ -394,7 +390,7 @@ def find_rounding(
     measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
     answer = problem.residuals(solution.x, solution.deadbands) + measured
     fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)
-    if coarse > feedback_lines.FINEST_QUANTUM and fast.sum() > feedback_lines.FEWEST_SPEEDS:
+    if coarse > board_log.FINEST_QUANTUM and fast.sum() > board_log.FEWEST_SPEEDS:
         offset = -float(np.polyfit(np.abs(answer[fast]), np.abs(measured[fast]), 1)[1])
         if CUT_OFFSETS[0] < offset / coarse < CUT_OFFSETS[1]:
             return SpeedRounding(counts, step, coarse), window
@@ -408,7 +404,7 @@ def fit_deadband(
     times: BoardTimes,
     rounding: SpeedRounding,
     usual: float | None,
-) -> DeadbandEstimate:
+) -> Estimate:
     """Find the deadband of one wheel: the answer jumps where a set point crosses one."""
     bands = np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID)
     if usual is not None:
@@ -416,19 +412,19 @@ def fit_deadband(
     measured, costs = problem.measured(index), []
     for band in bands.tolist():
         rest = problem.residuals_of(index, model._replace(deadband=band), times)
-        expected = feedback_lines.mean_printed_speeds(rest + measured, *rounding)
+        expected = board_log.mean_printed_speeds(rest + measured, *rounding)
         rest = np.abs(expected - measured)
         costs.append(np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04))  # linear for large ones
     total = np.array(costs).sum(1)
     excess = total - total.min()
     typical = max(float(total.min()) / len(measured), 1e-6)
     if usual is not None and excess[-1] < DEADBAND_EVIDENCE * typical:
-        return DeadbandEstimate(usual, 0.0, math.inf)
+        return Estimate(usual, 0.0, math.inf)
     weights = np.exp(-excess / (2.0 * CORRELATED_RESIDUALS * typical))
     weights /= weights.sum()
     value = float(weights @ bands)
     half = DEADBAND_SIGMAS * math.sqrt(float(weights @ (bands - value) ** 2)) + DEADBAND_GRID
-    return DeadbandEstimate(value, max(0.0, value - half), value + half)
+    return Estimate(value, max(0.0, value - half), value + half)
 
 
 def estimate_covariance(problem: FitProblem, solution: FitSolution) -> Floats:

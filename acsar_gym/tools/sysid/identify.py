@@ -20,12 +20,12 @@ from acsar_gym.recording import Recorder
 from acsar_gym.recording.pairs import check_same_robot
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid import identifiability, parameter_findings
+from acsar_gym.tools.sysid import board_log, parameter_findings
+from acsar_gym.tools.sysid.board_log import decode_track
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel, fit_motors
 from acsar_gym.tools.sysid.model_check import ModelCheck, check_model, measure_parts
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
-from acsar_gym.tools.sysid.tracks import decode_track
 
 IDENTIFY_METHOD = "identify"
 COUNTS_FIELD = "counts_per_revolution"
@@ -93,8 +93,8 @@ def identify_logs(
     tracks = [one for one in (decode_track(log, config) for log in logs) if one is not None]
     if not tracks:
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
-    identifiability.check_wheel_order(tracks)
-    known = identifiability.check_identifiability(tracks)
+    board_log.check_wheel_order(tracks)
+    known = board_log.check_identifiability(tracks)
     fit = fit_motors(tracks, config, known)
     parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
@@ -166,8 +166,7 @@ class Identification:
         never = "".join(
             one.wheel or MOTORS
             for one in self.findings
-            if one.name in identifiability.WHEEL_PARAMETERS
-            and one.note == identifiability.NEVER_TURNED
+            if one.name in board_log.WHEEL_PARAMETERS and one.note == board_log.NEVER_TURNED
         )
         return tuple(name for letter, name in zip(MOTORS, WHEELS, strict=True) if letter in never)
 

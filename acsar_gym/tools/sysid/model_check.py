@@ -21,8 +21,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import MISFIT
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
 from acsar_gym.tools.sysid.board import HIGHEST_RATIO, LOWEST_RATIO, likely_units
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.feedback_lines import measure_line_rate
+from acsar_gym.tools.sysid.board_log import Floats, measure_line_rate
 from acsar_gym.tools.sysid.fit import MotorFit, solve_problem
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
 

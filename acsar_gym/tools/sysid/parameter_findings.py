@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
 from acsar_gym.protocol import MOTORS, PRINTED_STEP
-from acsar_gym.tools.sysid import feedback_lines, identifiability
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid import board_log
+from acsar_gym.tools.sysid.board_log import BoardTrack, Estimate, Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     DELAY_BOUNDS,
     LONGEST_WINDOW,
@@ -22,10 +21,8 @@ from acsar_gym.tools.sysid.fit import (
     WHEEL_LOW,
     MotorFit,
 )
-from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.model_check import FAST_PARTS, STEADY_SLOW, PartError
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL
-from acsar_gym.tools.sysid.tracks import BoardTrack
 
 with require_extra("identification", "scipy"):
     from scipy import stats
@@ -116,14 +113,6 @@ class ParameterFinding:
         return replace(self, value=value, low=low, high=high, note=note, told=True)
 
 
-class WheelEstimate(NamedTuple):
-    """A parameter of a wheel as it was fitted, with its 95 % interval; of a ramp, the slowness."""
-
-    value: float
-    low: float
-    high: float
-
-
 def find_wheels(
     fit: MotorFit | None,
     config: RobotConfig,
@@ -140,7 +129,7 @@ def find_wheels(
     """
     found: list[ParameterFinding] = []
     lags_told = [False] * 4
-    for name in identifiability.WHEEL_PARAMETERS:
+    for name in board_log.WHEEL_PARAMETERS:
         before = [getattr(config.motor.of_wheel(w), name.removeprefix("motor.")) for w in range(4)]
         four = [
             ParameterFinding(name, letter, before=float(value))
@@ -162,7 +151,7 @@ def find_wheels(
                     finest = max(fit.rounding) if fit else 0.0
                     four[wheel] = _find_deadband(four[wheel], estimate, slowest, finest)
                 else:
-                    four[wheel] = four[wheel].explain(identifiability.HANGS_ON_LAG)
+                    four[wheel] = four[wheel].explain(board_log.HANGS_ON_LAG)
         alike = len({replace(one, wheel="", before=None) for one in four}) == 1
         found += [_widen(one) for one in ([replace(four[0], wheel="")] if alike else four)]
         if fit is not None and name == "motor.time_constant":
@@ -172,8 +161,8 @@ def find_wheels(
     return found
 
 
-def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) -> WheelEstimate:
-    """A parameter of one wheel, with its interval.
+def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) -> Estimate:
+    """A parameter of one wheel as it was fitted, with its interval; of a ramp, the slowness.
 
     What the model misses at steady speeds may be hidden in it: all of it in a deadband, and as a
     share of the speed in a gain.
@@ -183,18 +172,18 @@ def _estimate(name: str, fit: MotorFit, wheel: int, parts: Sequence[PartError]) 
     if name == "motor.deadband":
         value, low, high = fit.deadbands[index] or (0.0, 0.0, math.inf)
         missed = max((one.excess for one in own if one.part == STEADY_SLOW), default=0.0)
-        return WheelEstimate(value, max(0.0, low - missed), high + missed)
+        return Estimate(value, max(0.0, low - missed), high + missed)
     row = PARAMETERS_PER_WHEEL * index + SMOOTH_PARAMETERS.index(name)
     value = float(fit.solution.x[row])
     half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(fit.spread[row, row])
     half += float(fit.slack[row])
     if name == "motor.gain":
         half += value * max((one.share for one in own if one.part in FAST_PARTS), default=0.0)
-    return WheelEstimate(value, value - half, value + half)
+    return Estimate(value, value - half, value + half)
 
 
 def _group_wheels(
-    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
+    name: str, fit: MotorFit | None, estimates: dict[int, Estimate]
 ) -> list[list[int]]:
     """Share out wheels into groups that can't be told apart."""
     wheels = sorted(estimates, key=lambda wheel: estimates[wheel].value)
@@ -210,16 +199,14 @@ def _group_wheels(
     return [group for half in halves for group in _group_wheels(name, fit, half)]
 
 
-def _weigh_wheels(estimates: dict[int, WheelEstimate]) -> tuple[Floats, Floats, Floats]:
+def _weigh_wheels(estimates: dict[int, Estimate]) -> tuple[Floats, Floats, Floats]:
     """Values of wheels, their standard deviations, and weights for a mean."""
     values, lows, highs = np.array(list(estimates.values())).T
     sigmas = np.clip((highs - lows) / 2.0 / NORMAL_QUANTILE, 1e-9, 1e9)
     return values, sigmas, sigmas**-2 / (sigmas**-2).sum()
 
 
-def _merge_wheels(
-    name: str, fit: MotorFit | None, estimates: dict[int, WheelEstimate]
-) -> WheelEstimate:
+def _merge_wheels(name: str, fit: MotorFit | None, estimates: dict[int, Estimate]) -> Estimate:
     """One estimate for wheels that can't be told apart; its interval has room for each."""
     if len(estimates) == 1:
         (one,) = estimates.values()
@@ -234,7 +221,7 @@ def _merge_wheels(
         common = spread / np.outer(shares, shares)
         half = NORMAL_QUANTILE * math.sqrt(float((weights * sigmas) @ common @ (weights * sigmas)))
     low, high = float(values.min()) - half, float(values.max()) + half
-    return WheelEstimate(float(weights @ values), low, high)
+    return Estimate(float(weights @ values), low, high)
 
 
 def _widen(one: ParameterFinding) -> ParameterFinding:
@@ -248,7 +235,7 @@ def _widen(one: ParameterFinding) -> ParameterFinding:
     return replace(one, low=low, high=high, note=note)
 
 
-def _find_smooth(unknown: ParameterFinding, estimate: WheelEstimate) -> ParameterFinding:
+def _find_smooth(unknown: ParameterFinding, estimate: Estimate) -> ParameterFinding:
     """Lag, gain or ramp of wheels; a ramp from the time that it needs for 1 rad/s."""
     p = SMOOTH_PARAMETERS.index(unknown.name)
     value, low, high = estimate
@@ -277,7 +264,7 @@ def _find_smooth(unknown: ParameterFinding, estimate: WheelEstimate) -> Paramete
 
 
 def _find_deadband(
-    unknown: ParameterFinding, estimate: WheelEstimate, slowest: float, finest: float
+    unknown: ParameterFinding, estimate: Estimate, slowest: float, finest: float
 ) -> ParameterFinding:
     """The deadband of wheels, from slow commands and the step of printed speeds [rad/s]."""
     value, low, high = estimate.value, max(0.0, estimate.low), estimate.high
@@ -314,7 +301,7 @@ def find_board(
     rate = ParameterFinding(RATE_NAME, before=config.feedback_rate)
     if not known.can(RATE_NAME):
         rate = rate.explain(known.missing[RATE_NAME, ""])
-    elif (lines := feedback_lines.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
+    elif (lines := board_log.measure_line_rate(tracks)).rate > config.firmware.loop_rate:
         rate = rate.explain("more lines than the twin has loops")
     else:
         low = max(0.1 * lines.rate, lines.rate - lines.half)
@@ -360,11 +347,11 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
         float(track.arrivals[k + 1] - track.arrivals[k])
         for track in fit.problem.tracks
         for k in track.pauses
-        if np.abs(track.commands[k]).max() >= identifiability.TURNING_SPEED
+        if np.abs(track.commands[k]).max() >= board_log.TURNING_SPEED
     ]
     longest = max(gaps, default=0.0)
     if not fit.solution.free[-1]:
-        if longest >= identifiability.LONG_PAUSE:
+        if longest >= board_log.LONG_PAUSE:
             note = f"none: the wheels kept turning for {longest:.1f} s without commands"
             return replace(unknown, note=note, told=True)
         why = f"above {longest:.2f} s, the longest pause: stop sending commands for 2 s"
@@ -372,7 +359,7 @@ def _find_timeout(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
     value = fit.times.timeout - fit.problem.dt / 2.0  # a board looks once a loop
     half = _half_width(fit, (-1, 1.0)) + 3.0 * fit.problem.dt
     if fit.slack[-1] > VAGUE_TIME:
-        return unknown.explain(identifiability.HANGS_ON_LAG)
+        return unknown.explain(board_log.HANGS_ON_LAG)
     if half > 2.0 * VAGUE_TIME or value >= longest:
         return unknown.explain("too vague: stop sending commands for 2 s")
     return unknown.tell(value, value - half, value + half)
@@ -402,13 +389,13 @@ def _find_window(unknown: ParameterFinding, fit: MotorFit) -> ParameterFinding:
 def _find_quantum(fit: MotorFit | None, config: RobotConfig, speeds: Floats) -> ParameterFinding:
     """The step of the printed speeds."""
     unknown = ParameterFinding(QUANTUM_NAME, before=config.encoder.quantum)
-    found = fit.quantum if fit else feedback_lines.find_quantum(speeds)
+    found = fit.quantum if fit else board_log.find_quantum(speeds)
     if found is None:
         return unknown.explain("too few different speeds: record slow and fast driving")
     counted = fit is not None and fit.counted and not fit.rounding.step
-    if counted or feedback_lines.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
+    if counted or board_log.is_explained_by_counts(speeds, config, config.encoder.window, 0.0):
         return replace(unknown.tell(*found, COUNTED_NOTE), told=False)
-    if found.step <= PRINTED_STEP:
+    if found.value <= PRINTED_STEP:
         note = "finer than the two decimals of a line show"
         return replace(unknown.tell(*found, note), told=False)
     cut = fit is not None and fit.rounding.cut > 0.0

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.physics.model import move_towards, wheel_speed
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.tracks import BoardTrack
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
 
 LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
@@ -209,16 +208,6 @@ class FitProblem:
         """Which lines of a track count."""
         return track.held_out if self.held_out else ~track.held_out
 
-    def take_commands(self, track: BoardTrack, timeout: float) -> tuple[Floats, Floats]:
-        """Commands and their times as a board takes them: until its time-out, up to its top speed.
-
-        Args:
-            track: that commands are of.
-            timeout: [s].
-        """
-        stamps, commands = track.apply_timeout(timeout)
-        return stamps, np.clip(commands, -self.top, self.top)
-
     def answer(self, track: BoardTrack, wheel: int, model: WheelModel, times: BoardTimes) -> Floats:
         """Speeds of one wheel at a track's stamps, as encoders without counts report them."""
         key = (id(track), times.delay, times.timeout)
@@ -226,7 +215,8 @@ class FitProblem:
             while len(self.kept) >= KEPT_COMMANDS * len(self.tracks):
                 del self.kept[next(iter(self.kept))]
             edges = track.loop_edges(self.dt)
-            stamps, commands = self.take_commands(track, times.timeout)
+            stamps, commands = track.apply_timeout(times.timeout)
+            commands = np.clip(commands, -self.top, self.top)
             self.kept[key] = edges, sample_commands(edges, stamps + times.delay, commands)
         edges, (before, after, share) = self.kept[key]
         heard = before[wheel], after[wheel], share

@@ -1,114 +1,150 @@
-"""Tracks: commands and wheel speeds of an episode with their times, as board or host saw them."""
+"""Tracks: both sides of an episode, robot and twin, and the delays of its answers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.odometry import Odometry
-from acsar_gym.recording.twin_replay import remove_jitter, replay_commands
+from acsar_gym.recording.twin_replay import replay_commands
 from acsar_gym.recording.types import Episode, Recording, WireLog
 from acsar_gym.tools.evaluation.episode import read_true_poses
-from acsar_gym.tools.sysid.delays import Floats, measure_delays
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.worlds.world import to_odometry
 
-PAUSE_GAP = 0.15
-"""Time without a command that counts as a pause [s]."""
-HELD_OUT_BLOCK = 1.0
-"""Length of the blocks of which some are held out [s]."""
-HELD_OUT_EVERY = 5
-"""One block of so many is held out."""
-LATE_LINE = 0.006
-"""Lines that this computer saw later than this after their time don't count [s]."""
-LONGEST_GAP = 0.05
-"""See `BoardTrack.stalls` [s]."""
-REST_LEAD = 0.5
-"""Time at rest before the first command and reading; longer than encoders average [s]."""
-PAUSE_MARGIN = 0.3
-"""Held-out blocks are this far from a pause [s]."""
-LONGEST_EPISODE = 4.0 * 3600.0
-"""Longest episode that is replayed [s]."""
+STEP_HELD = 0.15
+"""A command counts as a step if the one before was held at least this long [s]."""
+HELD_CHANGE = 0.05
+"""Smaller changes of a commanded wheel speed count as held [rad/s]."""
+STEP_SHOWN = 0.4
+"""Change of a wheel's speed whose time is taken, in the commands and in the lines [rad/s]."""
+STEADY_SPREAD = 0.3
+"""Steps are left out if the measured speeds varied by more than this before them [rad/s]."""
+LONGEST_DELAY = 1.0
+"""Steps that no line shows within this time are left out [s]."""
+FEWEST_DELAYS = 5
+"""Fewest delays on each side for a test."""
+DELAY_CONFIDENCE = 0.95
+DELAY_RESOLUTION = 0.001
+"""Distributions that are nowhere further apart than this count as equal [s]: stamps have jitter."""
 
 
-@dataclass(frozen=True, eq=False)
-class BoardTrack:
-    """One episode of a log as the board saw it, on the host's clock.
+def measure_delays(
+    command_stamps: Floats, commands: Floats, feedback_stamps: Floats, feedback: Floats
+) -> Floats:
+    """Measure how long after a step of the command the feedback shows it.
 
-    Attributes:
-        arrivals: when each command had arrived at the board and was processed, (n,) [s].
-        commands: of the four wheels, (n, 4) [rad/s].
-        stamps: when the board made each line, (m,) [s].
-        speeds: of the four wheels, (m, 4) [rad/s].
-        held_out: which lines a fit may not see, (m,).
-        numbers: of these lines among all that came, (m,); late ones are left out.
-        stalls: when lines came again after none did for longer than `LONGEST_GAP` and two periods,
-            (k,) [s]: the computer, or an emulated board, stood still.
+    A step begins after a wheel's speed was held for `STEP_HELD`, whatever the other wheels did, and
+    may be a ramp; wheels that begin with the same command are one step. Its delay is the time from
+    the command in which the first of its wheels has changed by `STEP_SHOWN` to the line in which it
+    has, so it includes the wire, the board, the motor's start and the wait for the next line.
+
+    Args:
+        command_stamps: (n,) times at which command lines were written [s].
+        commands: (n, 4) commanded wheel speeds [rad/s].
+        feedback_stamps: (k,) times at which feedback lines arrived [s], on the same clock.
+        feedback: (k, 4) measured wheel speeds [rad/s].
+
+    Returns:
+        (m,) delays [s], one for each row of `find_steps` with a step; NaN where its wheels weren't
+        steady before it, their command changes by less, or no line shows it.
+    """
+    begun = find_steps(command_stamps, commands)
+    begins = np.flatnonzero(begun.any(axis=1))
+    found = np.full(len(begins), math.nan)
+    for number, begin in enumerate(begins.tolist()):
+        later = np.flatnonzero(begun[begin + 1 :, begun[begin]].any(axis=1))
+        end = begin + 1 + int(later[0]) if len(later) else len(commands)
+        changes = np.where(begun[begin], commands[begin:end] - commands[begin - 1], 0.0)
+        passed = np.flatnonzero(np.abs(changes).max(axis=1) >= STEP_SHOWN)
+        if not len(passed):
+            continue
+        change, time = changes[passed[0]], command_stamps[begin + passed[0]]
+        wheels = np.abs(change) >= STEP_SHOWN
+        first = int(np.searchsorted(feedback_stamps, command_stamps[begin], side="right"))
+        steady = int(np.searchsorted(feedback_stamps, command_stamps[begin] - STEP_HELD))
+        before = feedback[steady:first]
+        if not len(before) or np.ptp(before[:, wheels], axis=0).max() > STEADY_SPREAD:
+            continue
+        last = int(np.searchsorted(feedback_stamps, time + LONGEST_DELAY, side="right"))
+        moved = ((feedback[first:last] - before[-1]) * np.sign(change))[:, wheels]
+        shown = np.flatnonzero(moved.max(axis=1, initial=0.0) >= STEP_SHOWN)
+        if len(shown):
+            found[number] = feedback_stamps[first + shown[0]] - time
+    return found
+
+
+def find_steps(stamps: Floats, commands: Floats) -> NDArray[np.bool_]:
+    """Return in which commands each wheel's differs from one held for `STEP_HELD` before, (n, 4).
+
+    A log that begins with zeros begins at rest, so these count as held.
+    """
+    begun = np.zeros(commands.shape, np.bool_)
+    if len(stamps) < 2:
+        return begun
+    for wheel, speeds in enumerate(commands.T):
+        changes = np.flatnonzero(np.abs(np.diff(speeds)) > HELD_CHANGE) + 1
+        begin = stamps[0] if np.any(commands[0]) else -math.inf
+        held = np.diff(stamps[changes], prepend=begin)
+        begun[changes[held >= STEP_HELD - 1e-9], wheel] = True
+    return begun
+
+
+class DelayComparison(NamedTuple):
+    """Two samples of delays, and a test of whether they differ by more than `DELAY_RESOLUTION`.
+
+    Two one-sided Kolmogorov-Smirnov tests: whether the second sample is later than the first one
+    moved by `DELAY_RESOLUTION`, or earlier than the first one moved the other way.
     """
 
-    arrivals: Floats
-    commands: Floats
-    stamps: Floats
-    speeds: Floats
-    held_out: NDArray[np.bool_]
-    numbers: NDArray[np.intp]
-    stalls: Floats = field(default_factory=lambda: np.empty(0))
+    counts: tuple[int, int]
+    means: tuple[float, float]
+    """[s]; NaN for an empty sample."""
+    difference: float
+    """Mean of the second sample minus that of the first [s]."""
+    p_value: float
+    """Of both tests together (Bonferroni); NaN if a sample has under `FEWEST_DELAYS`."""
 
     @property
-    def duration(self) -> float:
-        """Time that both commands and readings cover [s]."""
-        if len(self.stamps) < 2 or len(self.arrivals) < 2:
-            return 0.0
-        end = min(self.stamps[-1], self.arrivals[-1])
-        return max(0.0, float(end - max(self.stamps[0], self.arrivals[0])))
-
-    @property
-    def pauses(self) -> NDArray[np.intp]:
-        """Indices of the last command before each pause."""
-        return np.flatnonzero(np.diff(self.arrivals) > PAUSE_GAP)
-
-    def loop_edges(self, dt: float) -> Floats:
-        """Begin of each firmware loop [s], for loops of `dt` [s]."""
-        begin = min(self.arrivals[0], self.stamps[0]) - REST_LEAD
-        return np.asarray(begin + dt * np.arange(int((self.stamps[-1] - begin) / dt) + 2))
-
-    def apply_timeout(self, timeout: float) -> tuple[Floats, Floats]:
-        """Commands and their times, with zeros where the board's time-out [s] acts."""
-        pauses = self.pauses
-        pauses = pauses[np.diff(self.arrivals)[pauses] > timeout]
-        if not len(pauses):
-            return self.arrivals, self.commands
-        arrivals = np.insert(self.arrivals, pauses + 1, self.arrivals[pauses] + timeout)
-        return arrivals, np.insert(self.commands, pauses + 1, 0.0, axis=0)
+    def differs(self) -> bool:
+        """Whether the test tells the samples apart at 5 %."""
+        return self.p_value < 1.0 - DELAY_CONFIDENCE
 
 
-def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
-    """Decode one episode of the wire; None where it holds no commands or no readings."""
-    line = config.line_time
-    took = line + config.firmware.processing_time
-    sent, commands = log.commands(config)
-    got, speeds = log.feedback(config)
-    if len(sent) < 2 or len(got) < 2:
-        return None
-    last = np.append(np.diff(got) > 0.0, True)  # of lines that came at once, the newest
-    last &= got - remove_jitter(got, float(np.median(np.diff(got)))) < LATE_LINE
-    stamps, speeds, numbers = got[last] - took, speeds[last], np.flatnonzero(last)
-    arrivals = np.maximum.accumulate(sent) + took
-    seen = (stamps >= arrivals[0]) & (stamps <= arrivals[-1] + PAUSE_GAP)
-    if not seen.any():
-        return None
-    stamps, speeds = stamps[seen], speeds[seen]
-    block = ((stamps - stamps[0]) / HELD_OUT_BLOCK).astype(int)
-    held_out = block % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-    for k in np.flatnonzero(np.diff(arrivals) > PAUSE_GAP):
-        begin, end = arrivals[k] - PAUSE_MARGIN, arrivals[k + 1] + PAUSE_MARGIN
-        held_out &= (stamps < begin) | (stamps > end)
-    stalls = got[1:][np.diff(got) > LONGEST_GAP + 2.0 * float(np.median(np.diff(got)))]
-    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen], stalls)
+def compare_delays(first: Floats, second: Floats) -> DelayComparison:
+    """Compare two samples of delays [s]; NaN is left out."""
+    first, second = first[np.isfinite(first)], second[np.isfinite(second)]
+    counts = (len(first), len(second))
+    before, after = (float(one.mean()) if len(one) else math.nan for one in (first, second))
+    if min(counts) < FEWEST_DELAYS:
+        return DelayComparison(counts, (before, after), after - before, math.nan)
+    with require_extra("a gap report", "scipy"):
+        from scipy.stats import ks_2samp  # noqa: PLC0415 - slow to import
+
+    later = ks_2samp(first + DELAY_RESOLUTION, second, alternative="greater")
+    earlier = ks_2samp(first - DELAY_RESOLUTION, second, alternative="less")
+    p_value = min(1.0, 2.0 * min(float(later.pvalue), float(earlier.pvalue)))
+    return DelayComparison(counts, (before, after), after - before, p_value)
+
+
+def format_lag(difference: float) -> str:
+    """Format by how much the second side is later or earlier than the first [s]."""
+    return f"{abs(difference) * 1000.0:.1f} ms {'later' if difference > 0.0 else 'earlier'}"
+
+
+def explain_few_steps(test: DelayComparison) -> str:
+    """Say that a test wasn't possible, and what to drive for one."""
+    return (
+        f"delays: only {min(test.counts)} steps of the command, too few to compare: record speeds "
+        "that are held for 0.5 s, then jump by 2 rad/s or more"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,22 +184,6 @@ class EpisodeTrack:
         return measure_delays(
             self.command_stamps, self.commands, self.feedback_stamps, self.feedback
         )
-
-
-def find_damage(episode: Episode) -> str:
-    """Say what is wrong with the times of an episode; empty if nothing is."""
-    wire = episode.wire
-    times = (episode.stamps, wire.sent_stamps, wire.got_stamps)
-    if len(episode.stamps) < 2:
-        return "holds no ticks"
-    if not all(np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all() for stamps in times):
-        return "its times go backwards: the file is damaged"
-    ends = [end for stamps in times if len(stamps) for end in (stamps[0], stamps[-1])]
-    if max(ends) - min(ends) > LONGEST_EPISODE:
-        return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
-    if not np.isfinite(episode.poses).all():
-        return "its odometry isn't finite: the file is damaged"
-    return ""
 
 
 def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:

@@ -1,32 +1,32 @@
-"""The gap between recorded robots and their twins, before and after fitting."""
+"""The gap between recorded robots and their twins, before and after fitting; tables and page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.recording.pairs import check_same_robot, find_difference
 from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.delays import (
+from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.tools.sysid.tracks import (
     DelayComparison,
-    Floats,
+    EpisodeTrack,
     compare_delays,
     explain_few_steps,
     format_lag,
-)
-from acsar_gym.tools.sysid.tracks import (
-    EpisodeTrack,
-    find_damage,
     make_recorded_track,
     make_twin_track,
 )
@@ -40,12 +40,16 @@ GAP_COLUMNS = ("figure", "unit", "before", "after", "95 % interval", "after / be
 LOG_COLUMNS = ("log", "use", "duration", "wheel speeds", "end position", "against")
 NOTED_PAUSE = 0.1
 """Longer pauses between commands are noted [s]."""
-SHORTEST_EPISODE = 1.0
-"""Shorter episodes are left out [s]."""
+SHORTEST_EPISODE, LONGEST_EPISODE = 1.0, 4.0 * 3600.0
+"""Shorter and longer episodes are left out [s]."""
+WHEEL_PLACES = (1, 0, 2, 3)
+"""Wheels in the order of the four plots, as seen from above."""
+SIDE_COLORS = {"robot": "#333333", "before": "#c2410c", "after": "#1d6fb8"}
+MAX_DRAWN = 12
+"""Most episodes whose curves are in a page; the file would become too large."""
 
 
-@dataclass(frozen=True, slots=True)
-class GapMetric:
+class GapMetric(NamedTuple):
     """One figure of the gap: what it is called, and how it is shown."""
 
     label: str
@@ -231,7 +235,7 @@ class TwinGap:
 def measure_gap(
     logs: Sequence[tuple[str, Recording]],
     robot: tuple[str, RobotConfig],
-    before: tuple[str, RobotConfig | None],
+    before: tuple[str, RobotConfig],
     body: str = "planar",
 ) -> TwinGap:
     """Replay the commands of logs through two twins, and compare both with what was recorded.
@@ -239,7 +243,7 @@ def measure_gap(
     Args:
         logs: names and recordings.
         robot: name and config of the fitted twin.
-        before: name and config of the unfitted one; None for the config in each recording.
+        before: name and config of the unfitted one.
         body: physics of both, such as "planar".
 
     Raises:
@@ -249,8 +253,8 @@ def measure_gap(
     config = robot[1]
     fitted_on = {*config.motor_fit_logs, *(s for one in config.measured.values() for s in one.logs)}
     replays, notes = [], _note_limits(logs, robot, before, known=bool(fitted_on))
+    twins = {"before": before[1], "after": config}
     for log, recording in logs:
-        twins = {"before": before[1] or recording.config, "after": config}
         for number, episode in enumerate(recording.episodes):
             if why := _find_unusable(episode, config):
                 notes.append(f"{log} #{number}: left out, {why}")
@@ -279,14 +283,12 @@ def measure_gap(
 def _note_limits(
     logs: Sequence[tuple[str, Recording]],
     robot: tuple[str, RobotConfig],
-    before: tuple[str, RobotConfig | None],
+    before: tuple[str, RobotConfig],
     *,
     known: bool,
 ) -> list[str]:
     """Say what limits the comparison; `known`: whether the robot's file names logs."""
-    unfitted = [(name, log.config) for name, log in logs] if before[1] is None else [before]
-    sides = (robot, *unfitted)
-    notes = [f"{name}: {side.misfit}" for name, side in sides if side is not None and side.misfit]
+    notes = [f"{name}: {side.misfit}" for name, side in (robot, before) if side.misfit]
     for name, recording in logs:
         if recording.cut:
             note = f"{name}: its end is missing; the rest was used"
@@ -313,12 +315,19 @@ def _note_limits(
 
 def _find_unusable(episode: Episode, config: RobotConfig) -> str:
     """Say why an episode can't be replayed; empty if it can."""
-    if why := find_damage(episode):
-        return why
-    lasts = float(episode.stamps[-1] - episode.stamps[0])
+    wire = episode.wire
+    times = [t for t in (episode.stamps, wire.sent_stamps, wire.got_stamps) if len(t)]
+    lasts = float(np.ptp(episode.stamps)) if len(episode.stamps) else 0.0
+    ascending = all(
+        np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all() for stamps in times
+    )
+    if not (ascending and np.isfinite(episode.poses).all()):
+        return "its times go backwards, or its odometry isn't finite: the file is damaged"
     if lasts < SHORTEST_EPISODE - 2.0 * config.period:
         return f"holds less than {SHORTEST_EPISODE:g} s"
-    if not len(episode.wire.sent_stamps) or len(episode.wire.feedback(config)[0]) < 3:
+    if max(stamps[-1] for stamps in times) - min(stamps[0] for stamps in times) > LONGEST_EPISODE:
+        return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
+    if not len(wire.sent_stamps) or len(wire.feedback(config)[0]) < 3:
         return "holds no commands, or no feedback"
     return ""
 
@@ -346,46 +355,34 @@ def conclude_gap(gap: TwinGap) -> list[str]:
     return [f"{episodes}: {figures}", delays]
 
 
-def format_cell(value: float, scale: float = 1.0) -> str:
+def _format_cell(value: float, scale: float = 1.0) -> str:
     """Format a number with three digits; "-" for NaN."""
     if math.isnan(value):
         return "-"
     return "0" if abs(value * scale) < 1e-6 else f"{value * scale:.3g}"
 
 
-def format_interval(interval: Interval, scale: float = 1.0) -> str:
-    """Format an interval; empty if it isn't known."""
-    return "" if math.isnan(interval[0]) else " to ".join(format_cell(e, scale) for e in interval)
-
-
-def format_ratio(before: float, after: float, resolution: float) -> str:
-    """Format how much of a figure is left after fitting; "-" where there was nothing to lose."""
-    known = math.isfinite(before) and math.isfinite(after) and abs(before) >= resolution
-    return f"{abs(after / before):.1%}" if known else "-"
-
-
-def gap_rows(gap: TwinGap) -> list[tuple[str, str, str, str, str, str]]:
-    """Return label, unit, before, after, the interval after, and what is left, per metric."""
+def _gap_rows(gap: TwinGap) -> list[tuple[str, ...]]:
+    """The cells of `GAP_COLUMNS` for each metric; no ratio where there was nothing to lose."""
     before, after, around = gap.figures("before"), gap.figures("after"), gap.intervals("after")
-    return [
-        (
-            metric.label,
-            metric.unit,
-            format_cell(before[name], metric.scale),
-            format_cell(after[name], metric.scale),
-            format_interval(around[name], metric.scale),
-            format_ratio(before[name], after[name], metric.resolution),
-        )
-        for name, metric in GAP_METRICS.items()
-    ]
+    rows = []
+    for name, metric in GAP_METRICS.items():
+        values, ratio = (before[name], after[name]), "-"
+        if all(map(math.isfinite, values)) and abs(before[name]) >= metric.resolution:
+            ratio = f"{abs(after[name] / before[name]):.1%}"
+        ends = [_format_cell(end, metric.scale) for end in around[name]]
+        interval = "" if math.isnan(around[name][0]) else " to ".join(ends)
+        cells = [_format_cell(value, metric.scale) for value in values]
+        rows.append((metric.label, metric.unit, *cells, interval, ratio))
+    return rows
 
 
-def log_rows(gap: TwinGap) -> list[tuple[str, ...]]:
-    """Return the cells of `LOG_COLUMNS` for each episode."""
+def _log_rows(gap: TwinGap) -> list[tuple[str, ...]]:
+    """The cells of `LOG_COLUMNS` for each episode."""
     rows: list[tuple[str, ...]] = []
     for replay in gap.replays:
         speeds, ends = (
-            " -> ".join(format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
+            " -> ".join(_format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
             for name, scale in (("wheel_speed_rms", 1.0), ("end_pose", 100.0))
         )
         use = "fitted" if replay.fitted else "held out"
@@ -402,19 +399,14 @@ def gap_tables(gap: TwinGap) -> list[Table]:
     figures = Table(title=escape_text(title), title_justify="left")
     for name in GAP_COLUMNS:
         figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
-    for row in gap_rows(gap):
+    for row in _gap_rows(gap):
         figures.add_row(*row)
     logs = Table(title="Each episode, before -> after", title_justify="left")
     for name in LOG_COLUMNS:
         logs.add_column(name, justify="right" if name == "duration" else "left")
-    for cells in log_rows(gap):
+    for cells in _log_rows(gap):
         logs.add_row(*map(escape_text, cells))
     return [figures, logs]
-
-
-def limit_sizes(gap: TwinGap) -> GapFigures:
-    """Return the figures after fitting and the delay's difference, by LIMIT_NAMES."""
-    return gap.figures("after") | {"delay": gap.delays("after").difference}
 
 
 def format_gap(gap: TwinGap) -> dict[str, Any]:
@@ -423,7 +415,7 @@ def format_gap(gap: TwinGap) -> dict[str, Any]:
         side: {
             "figures": gap.figures(side),
             "intervals": gap.intervals(side),
-            "delays": asdict(gap.delays(side)),
+            "delays": gap.delays(side)._asdict(),
         }
         for side in TWIN_SIDES
     }
@@ -491,3 +483,119 @@ def find_exceeded(limits: Mapping[str, float], figures: Mapping[str, float]) -> 
         elif size > limit:
             lines.append(f"{name} = {size:.4g}: over the limit of {limit:g}")
     return lines
+
+
+def write_gap_page(path: Path, gap: TwinGap) -> None:
+    """Write a gap as a page. Errors as for `write_page`."""
+    judged = gap.judged
+    sections = [
+        page.Section(
+            "Figures",
+            "\n".join([*conclude_gap(gap), *gap.notes]),
+            page.Table(GAP_COLUMNS, _gap_rows(gap)),
+        ),
+        _describe_delays(gap),
+        page.Section("Episodes", "", page.Table(LOG_COLUMNS, _log_rows(gap))),
+        *(
+            page.Section(replay.name, "", None, [_plot_speeds(replay), _plot_ways(replay)])
+            for replay in judged[:MAX_DRAWN]
+        ),
+    ]
+    if len(judged) > MAX_DRAWN:
+        missing = f"the curves of {len(judged) - MAX_DRAWN} more episodes aren't in this file"
+        sections.append(page.Section("Not drawn", missing))
+    page.write_page(path, f"Gap of {gap.robot}", sections)
+
+
+def _line(name: str, x: Floats, y: Floats, color: str, **style: Any) -> dict[str, Any]:
+    """A curve for plotly."""
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "x": x.tolist(),
+        "y": y.tolist(),
+        "line": {"color": color, **style},
+    }
+
+
+def _describe_delays(gap: TwinGap) -> page.Section:
+    """Say what the test of the delays found, before and after, and plot their distribution."""
+    from plotly import graph_objects  # noqa: PLC0415 - optional
+
+    if math.isnan(gap.delays("after").p_value):
+        return page.Section("Delays", explain_few_steps(gap.delays("after")))
+    lines, traces = [], []
+    samples = {side: [replay.delays(side) for replay in gap.judged] for side in TWIN_SIDES}
+    curves = {"robot": [robot for _, robot in samples["after"]]}
+    curves |= {side: [twin for twin, _ in pairs] for side, pairs in samples.items()}
+    for name, parts in curves.items():
+        delays = np.sort(1000.0 * np.concatenate(parts))
+        shares = np.arange(1, len(delays) + 1) / max(1, len(delays))
+        label = name if name == "robot" else f"twin {name} fitting"
+        traces.append(_line(label, delays, shares, SIDE_COLORS[name], shape="hv"))
+    for side in samples:
+        test = gap.delays(side)
+        if not math.isnan(test.p_value):
+            lines.append(
+                f"{side} fitting, the robot answers {format_lag(test.difference)} than the twin "
+                f"(Kolmogorov-Smirnov p = {_format_cell(test.p_value)}, {test.counts[0]} steps)"
+            )
+    layout = {
+        "title": "From a step of the command to the first line that shows it",
+        "xaxis": {"title": "delay [ms]"},
+        "yaxis": {"title": "share of steps"},
+    }
+    return page.Section("Delays", "; ".join(lines), None, [graph_objects.Figure(traces, layout)])
+
+
+def _tracks(replay: EpisodeReplay) -> Sequence[tuple[str, Any, str]]:
+    """Name, track and colour of the robot, below, and of both twins."""
+    twins = [(f"twin {side}", replay.twins[side], SIDE_COLORS[side]) for side in replay.twins]
+    return [("robot", replay.recorded, SIDE_COLORS["robot"]), *twins]
+
+
+def _plot_speeds(replay: EpisodeReplay) -> Any:
+    """Plot the speeds of four wheels, in the places where the wheels are."""
+    from plotly.subplots import make_subplots  # noqa: PLC0415 - optional
+
+    recorded = replay.recorded
+    start = float(recorded.stamps[0])
+    titles = [f"{WHEELS[wheel]} ({MOTORS[wheel]})" for wheel in WHEEL_PLACES]
+    figure = make_subplots(2, 2, shared_xaxes="all", shared_yaxes="all", subplot_titles=titles)
+    for place, wheel in enumerate(WHEEL_PLACES):
+        row, column = divmod(place, 2)
+        commands = recorded.commands[:, wheel]
+        stamps = recorded.command_stamps - start
+        curves = [_line("command", stamps, commands, "#999999", width=1, shape="hv")]
+        for name, track, color in _tracks(replay):
+            curves.append(
+                _line(name, track.feedback_stamps - start, track.feedback[:, wheel], color)
+            )
+        for curve in curves:
+            curve["showlegend"] = place == 0
+            curve["legendgroup"] = curve["name"]
+            figure.add_trace(curve, row + 1, column + 1)
+    figure.update_xaxes(title="time [s]", row=2)
+    figure.update_yaxes(title="speed [rad/s]", col=1)
+    return figure.update_layout(title="Wheel speeds as the feedback lines say", height=560)
+
+
+def _plot_ways(replay: EpisodeReplay) -> Any:
+    """Plot the way driven, from above; the robot's odometry, too, where the true way is known."""
+    from plotly import graph_objects  # noqa: PLC0415 - optional
+
+    traces = [
+        _line(name, track.poses[:, 0], track.poses[:, 1], color)
+        for name, track, color in _tracks(replay)
+    ]
+    if replay.recorded.known:
+        x, y = replay.recorded.odometry[:, :2].T
+        traces.append(_line("robot's odometry", x, y, SIDE_COLORS["robot"], dash="dot"))
+    layout = {
+        "title": "The way driven, from above",
+        "xaxis": {"title": "x [m]"},
+        "yaxis": {"title": "y [m]", "scaleanchor": "x"},
+        "height": 480,
+    }
+    return graph_objects.Figure(traces, layout)

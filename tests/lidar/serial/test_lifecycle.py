@@ -17,7 +17,7 @@ from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_u
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.serial import RevolutionAssembler, _Reader
-from acsar_gym.tools.emulation.rplidar import RplidarTwin
+from acsar_gym.tools.emulation.lidar import RplidarTwin
 
 pytestmark = pytest.mark.usefixtures("deadline")
 

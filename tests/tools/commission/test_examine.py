@@ -20,7 +20,7 @@ from serial_tools import (
 )
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import BoardGarbledError, EmergencyStopError
+from acsar_gym.errors import EmergencyStopError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.tools.cli import main
@@ -60,19 +60,6 @@ def reported(path: Path) -> dict[str, dict[str, str]]:
 def number(text: str) -> float:
     """The first number of a finding."""
     return float(text.removeprefix("after ").split(" ")[0])
-
-
-def test_a_standing_robot(config: RobotConfig, shared_device: str) -> None:
-    checks = examined(shared_device, config)
-    assert [checks[name].status for name in ("open", "first valid line", "line quality")] == (
-        ["ok"] * 3
-    )
-    assert shared_device in checks["open"].found
-    assert number(checks["feedback rate"].found) > 0.0
-    assert number(checks["line quality"].found) == 0
-    assert checks["command to feedback"].status == "skip"
-    assert checks["stops when commands stop"].status == "skip"
-    assert "--spin" in checks["stops when commands stop"].fix
 
 
 def test_spin_measures_round_trip_and_stop(
@@ -216,30 +203,3 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
 def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
     robot = examine.at_baud_rate(ACSAR, baud)
     assert (robot.baud_rate, robot.control_rate) == (baud, rate)
-
-
-def test_a_board_of_another_language(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[int] = []
-
-    class Garbled:
-        def __init__(self, device: str, config: RobotConfig) -> None:
-            tried.append(config.baud_rate)
-
-        def open(self) -> None:
-            raise BoardGarbledError("no valid line")
-
-        def close(self) -> None:
-            pass
-
-    monkeypatch.setattr(examine, "SerialLink", Garbled)
-    check = examine.search_baud_rate("/dev/ttyUSB0", ACSAR)
-    assert check.status == "fail"
-    assert tried == [57600, 38400, 19200, 9600]
-
-
-@pytest.mark.parametrize(
-    ("measured", "rate"),
-    [(50.1, 50.0), (48.9, 50.0), (99.3, 100.0), (10.2, 10.0), (44.04, 44.0), (33.33, 33.3)],
-)
-def test_a_rate_close_to_a_usual_one_is_that_one(measured: float, rate: float) -> None:
-    assert board.round_rate(measured) == rate

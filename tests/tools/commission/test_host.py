@@ -131,21 +131,6 @@ def test_what_makes_ticks_late(
     assert fix in checks[name].fix
 
 
-@pytest.mark.parametrize(
-    ("port", "status", "said"),
-    [("1-2", "ok", "straight"), ("1-2.4", "ok", "one hub"), ("1-2.4.1", "warn", "2 hubs")],
-)
-def test_hubs_on_the_way(
-    port: str, status: str, said: str, root: Path, found: Callable[..., dict[str, Check]]
-) -> None:
-    if port != "1-2":
-        plug(root, port)
-    hub = found()["USB hub"]
-    assert hub.status == status
-    assert said in hub.found
-    assert bool(hub.fix) == (status == "warn")
-
-
 @linux
 @pytest.mark.parametrize(
     ("arguments", "user", "said"),

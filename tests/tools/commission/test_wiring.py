@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,12 @@ import pytest
 from board_tools import NoTrailingComma, Sibling, board, commissioned
 
 from acsar_gym import Robot, RobotConfig
-from acsar_gym.errors import BoardSilentError, ConfigError, LinkError
+from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.protocol import WHEELS
 from acsar_gym.tools.commission.wiring import (
     Commission,
     parse_all_seen,
-    report_delays,
 )
-from acsar_gym.tools.sysid.board import leave_out_early
 from acsar_gym.worlds import Pose
 
 SLOW_BOARD = {
@@ -75,16 +72,6 @@ def test_whether_a_board_needs_a_trailing_comma(
     assert commission.changes.get("trailing_comma") == (None if status == "ok" else needed)
 
 
-@pytest.mark.parametrize(
-    ("quirk", "shown"), [("unpadded", "'ap0.00,bp0.00"), ("padded-space", "'ap 0.00,bp 0.00")]
-)
-def test_numbers_of_its_own_are_shown_and_nothing_to_mend(quirk: str, shown: str) -> None:
-    checks = commissioned(board(quirk), Commission())
-    assert shown in checks["line format"].found
-    assert checks["line quality"].status == checks["line format"].status == "ok"
-    assert checks["line quality"].found.startswith("0 bad parts")
-
-
 def test_an_encoder_that_is_reversed_within_the_boards_loop() -> None:
     """No sign in a robot's file mends it: the wheel would run away forward."""
     commission = Commission()
@@ -113,16 +100,6 @@ def test_units_of_feedback_are_named(factor: str, said: str) -> None:
     assert {checks[name].status for name in WHEELS} == {"fail"}
     assert {said in checks[name].fix for name in WHEELS} == {True}
     assert not commission.finished
-
-
-@pytest.mark.parametrize("factor", [0.75, 1.35])
-@pytest.mark.parametrize("robot", [{}, SLOW_BOARD], ids=["usual", "slow"])
-def test_a_wheel_may_be_somewhat_slower_or_faster(factor: float, robot: dict[str, Any]) -> None:
-    link = board(f"feedback-factor={factor}", robot=RobotConfig(**robot))
-    checks = commissioned(link, Commission())
-    assert {checks[name].status for name in WHEELS} == {"ok"}
-    said = checks["front_left"].found.partition("measured/commanded ")[2]
-    assert float(said) == pytest.approx(factor, abs=0.06)
 
 
 def test_swapped_sides_need_eyes_and_are_compared_with_the_robots_file() -> None:
@@ -164,12 +141,6 @@ def test_a_board_that_is_reset_is_not_measured() -> None:
     assert not commission.finished
 
 
-def test_a_frozen_board_is_silent() -> None:
-    with pytest.raises(BoardSilentError, match=r"in mid-line after 'ap00\.00,bp00\.00,c") as caught:
-        commissioned(board("frozen=1"), Commission())
-    assert type(caught.value) is BoardSilentError
-
-
 def test_wheels_that_never_stop_are_an_error() -> None:
     quick = board("no-timeout", robot=RobotConfig(motor={"time_constant": 50.0}))
     quick.write(b"ap09.00,bp09.00,cp09.00,dp09.00,\r\n")
@@ -207,28 +178,6 @@ def test_the_feedback_rate(rate: int) -> None:
     commission = Commission()
     commissioned(board(f"feedback-rate={rate}"), commission)
     assert commission.changes["firmware"] == {"feedback_rate": rate}
-
-
-@pytest.mark.parametrize(
-    ("delays", "said", "status"),
-    [
-        ([0.04] * 9, "40 ms from a command's last byte .* median of 9; 95 % within 40 ms$", "ok"),
-        (
-            [*[0.04] * 7, 0.005, 0.01],
-            "40 ms .* median of 7; 95 % within 40 ms; 2 of 9 left out: wheels still crept$",
-            "ok",
-        ),
-        ([*[0.04] * 7, 0.12, 0.3], "40 ms .* median of 9; 95 % within 300 ms$", "ok"),
-        ([*[0.095] * 4, *[0.115] * 5], "115 ms .* median of 9; 95 % within 115 ms$", "warn"),
-    ],
-    ids=["alike", "early", "late", "slow"],
-)
-def test_early_delays_are_left_out_and_late_ones_count(
-    delays: list[float], said: str, status: str
-) -> None:
-    check = report_delays(leave_out_early(delays, 0.02))
-    assert re.match(said, check.found)
-    assert check.status == status
 
 
 @pytest.mark.parametrize("quirk", ["echo", "echo=0.3", "echo-newest"])
@@ -274,13 +223,6 @@ def test_a_board_whose_feedback_tells_nothing_gets_no_file(
     commission = Commission()
     check = commissioned(board(*quirks), commission)[name]
     assert (check.status, said in check.found) == ("fail", True)
-    assert not commission.finished
-
-
-def test_set_points_beside_an_echo_are_no_feedback() -> None:
-    commission = Commission()
-    with pytest.raises(BoardSilentError, match="this board's echo of the commands, or what equals"):
-        commissioned(board("set-points", "echo", "dead-wheel=a"), commission)
     assert not commission.finished
 
 

@@ -20,10 +20,10 @@ from serial_tools import (
     wait_until,
 )
 
-from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.serial import SerialLink
-from acsar_gym.protocol import ZERO, Decoder, encode
+from acsar_gym.protocol import Decoder, encode
 from acsar_gym.tools.emulation.board import LONGEST_CATCH_UP, Emulator
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -67,21 +67,6 @@ def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -
     assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
     assert own_emulator.end() == 0
     assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
-
-
-def test_the_log_holds_commands_and_true_poses(config: RobotConfig, own_emulator: Emulated) -> None:
-    with Robot(open_link(own_emulator.device, config), config) as robot:
-        speeds = robot.wheel_speeds(0.3, 0.4)
-        for _ in range(60):
-            robot.tick(speeds)
-        pose = robot.odometry.pose
-    wait_until(own_emulator.is_stopped, "the last command")
-    wait_until(own_emulator.stands, "a robot that stands")
-    rounded = Decoder().feed(encode(speeds))[0].speeds
-    assert set(own_emulator.commands()) == {ZERO, rounded}
-    assert own_emulator.poses()[-1] != (0.0, 0.0, 0.0)
-    nearest = min(abs(x - pose[0]) + abs(y - pose[1]) for x, y, _ in own_emulator.poses())
-    assert nearest < 0.1
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])

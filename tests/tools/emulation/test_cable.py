@@ -56,19 +56,6 @@ def heard(descriptor: int) -> bytes:
     return os.read(descriptor, 4096)
 
 
-def test_every_byte_passes_both_ways_as_it_is(cable: EmulatedCable) -> None:
-    everything = bytes(range(256))
-    with client(cable.device) as port:
-        assert cable.read() == b""
-        os.write(port, everything)
-        got = b""
-        while len(got) < len(everything):
-            got += cable.read()
-        assert got == everything
-        cable.write(everything)
-        assert heard(port) == everything
-
-
 def test_a_client_notices_the_pull_and_a_new_device_has_the_name(
     cable: EmulatedCable, name: Path
 ) -> None:

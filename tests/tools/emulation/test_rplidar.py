@@ -12,16 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 from lds2d.drivers.rplidar import RPLIDAR_A1
-from lidar_tools import Floats, nothing, room
+from lidar_tools import nothing, room
 
-from acsar_gym.errors import ConfigError
-from acsar_gym.tools.emulation.lidar import LidarEmulator, Look
-from acsar_gym.tools.emulation.rplidar import RplidarTwin
+from acsar_gym.tools.emulation.lidar import LidarEmulator, Look, RplidarTwin
 
 SCAN = b"\xa5\x20"
 SCAN_DESCRIPTOR = bytes.fromhex("a5 5a 05 00 00 40 81")
 STOP = b"\xa5\x25"
-STOP_MOTOR = bytes.fromhex("a5 f0 02 00 00 57")
 START_MOTOR = bytes.fromhex("a5 f0 02 94 02 c1")
 
 
@@ -73,37 +70,6 @@ def test_a_measurement_is_five_bytes_as_published() -> None:
     )
 
 
-@pytest.mark.parametrize("distance", [np.inf, np.nan, -1.0, 0.0, 12.001])
-def test_what_is_not_measured_has_distance_and_quality_zero(distance: float) -> None:
-    with np.errstate(all="raise"):
-        assert {
-            (head & ~3, word) for head, _, word in nodes(scanning(at(distance)).advance(1.0))
-        } == {(0, 0)}
-
-
-def test_it_looks_counter_clockwise_and_reports_clockwise() -> None:
-    asked: list[float] = []
-
-    def look(bearings: Floats, ages: Floats) -> Floats:
-        asked.extend(bearings)
-        return room(bearings)
-
-    reported = nodes(scanning(look, rate=1.0, samples=8).advance(1.0))
-    angles = [(word >> 1) / 64.0 for _, word, _ in reported]
-    assert angles == [45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0, 0.0]
-    assert np.degrees(asked) == pytest.approx([-angle for angle in angles])
-    assert [reported[n][2] / 4000.0 for n in (1, 3, 5, 7)] == [0.9, 1.3, 2.1, 2.7]
-
-
-@pytest.mark.parametrize("step", [0.005, 0.0173])
-def test_measurements_come_at_their_rate_whatever_the_steps(step: float) -> None:
-    twin = scanning(room, rate=10.0, samples=200)
-    data = b"".join(twin.advance(step) for _ in range(round(3.0 / step)))
-    places = [place for place, (head, _, _) in enumerate(nodes(data)) if head & 1]
-    assert len(nodes(data)) == pytest.approx(6000, abs=200 * 10.0 * step + 1)
-    assert set(np.diff(places)) == {200}
-
-
 def test_any_request_but_the_motors_ends_a_scan() -> None:
     for request in (STOP, b"\xa5\x50", b"\xa5\x52", b"\xa5\x59", b"\xa5\x40"):
         twin = scanning(room)
@@ -112,14 +78,6 @@ def test_any_request_but_the_motors_ends_a_scan() -> None:
     twin = scanning(room)
     twin.receive(START_MOTOR)
     assert twin.advance(0.1)
-
-
-def test_what_cannot_be_is_refused() -> None:
-    for options in ({"rate": 0.0}, {"samples": 0}, {"max_range": 17.0}, {"rate": math.inf}):
-        with pytest.raises(ConfigError, match="must be positive"):
-            RplidarTwin(room, **options)
-    with pytest.raises(ConfigError, match="baud = 12345"):
-        LidarEmulator(RplidarTwin(room), baud=12345)
 
 
 class Wire:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sysid_tools import ACSAR, SCALES, circle_wheels, leg_wheels, line_wheels, spin_wheels
+from sysid_tools import ACSAR, circle_wheels, leg_wheels, line_wheels, spin_wheels
 
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links import open_link
@@ -18,8 +19,7 @@ from acsar_gym.tools.sysid.calibration import (
     CalibrationJob,
     CalibrationRun,
     Geometry,
-    GivenReadings,
-    assign_readings,
+    check_given_readings,
     check_readings,
     configured_geometry,
     give_readings,
@@ -82,19 +82,18 @@ def test_it_agrees_with_the_driver_s_odometry() -> None:
 def test_numbers_become_readings_of_the_run(
     run: CalibrationRun, row: list[float], values: dict[str, float]
 ) -> None:
-    readings = give_readings(run, row, SCALES).readings
+    readings = give_readings(run, row).readings
     assert {reading.kind: reading.value for reading in readings} == values
 
 
 @pytest.mark.parametrize(
     ("run", "row", "said"),
     [
-        (LINE, [201.3], "in centimetres"),
-        (LINE, [2013.0], "in millimetres"),
-        (LINE, [2.7], "odometry says"),
-        (LINE, [2.0, 30.0], "farther than the robot drove"),
-        (LEFT, [5.0], "counted the full turns"),
-        (LEFT, [3600.0], "odometry says 1800 degrees"),
+        (LINE, [201.3], "is it in metres"),
+        (LINE, [2.7], "which says 2.000 m"),
+        (LINE, [2.0, 30.0], "it drove 2.0"),
+        (LEFT, [5.0], "full turns counted"),
+        (LEFT, [3600.0], "which says 1800 degrees"),
         (BACK_AT_START, [2.0], "ended where it began"),
     ],
 )
@@ -102,38 +101,23 @@ def test_readings_that_contradict_the_odometry_are_refused(
     run: CalibrationRun, row: list[float], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said) as error:
-        check_readings(give_readings(run, row, SCALES), ACSAR)
+        check_readings(give_readings(run, row), ACSAR)
     assert str(error.value).startswith(run.name)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("run", "row", "note"),
-    [
-        (LEFT, [1180.0], "multiplier of 2.35"),  # which skidding explains
-        (LINE, [2.05, 0.1], ""),
-        (RIGHT, [1712.0], ""),
-    ],
-)
-def test_readings_that_can_be_right_are_kept(
-    run: CalibrationRun, row: list[float], note: str
-) -> None:
-    found = check_readings(give_readings(run, row, SCALES), ACSAR)
-    assert note in found
-    assert bool(note) == bool(found)
-
-
 def test_readings_of_options_are_for_all_runs_of_a_manoeuvre() -> None:
-    given = GivenReadings(measured=(2.0, 2.1), degrees=(1712.0,))
-    runs = assign_readings([LINE, LEFT, LINE], given, SCALES)
-    assert [run.readings[0].kind for run in runs] == ["distance", "heading", "distance"]
+    given = check_given_readings((2.0, 2.1), (), (1712.0,))
+    job = CalibrationJob(ACSAR, given)
+    job.runs = [LINE, LEFT, LINE]
+    job.finish()
+    assert [run.readings[0].kind for run in job.runs] == ["distance", "heading", "distance"]
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
-        assign_readings([LINE, LEFT], given, SCALES)
-    assert given.of_first([LINE]) == GivenReadings((2.0,))
+        job.check_given(Counter(straight=1, turn=1))
     with pytest.raises(ConfigError, match="--aside has 1 readings, --measured 2"):
-        GivenReadings(measured=(2.0, 2.1), aside=(0.1,))
+        check_given_readings((2.0, 2.1), (0.1,), ())
     with pytest.raises(ConfigError, match="--measured-deg nan"):
-        GivenReadings(degrees=(math.nan,))
+        check_given_readings((), (), (math.nan,))
 
 
 def test_a_person_is_asked_again_until_the_answer_can_be_right() -> None:
@@ -144,7 +128,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be_right() -> None:
         questions.append(question)
         return next(answers)
 
-    job = CalibrationJob(ACSAR, GivenReadings(), SCALES, ask)
+    job = CalibrationJob(ACSAR, {}, ask)
     job.runs = [LINE, LEFT]
     job.finish()
     assert "straight 1" in questions[0]
@@ -164,7 +148,7 @@ def test_runs_that_ended_before_a_failure_are_there() -> None:
         if plan.name == "straight 2":
             raise LinkError("unplugged")
 
-    job = CalibrationJob(ACSAR, GivenReadings((0.5, 0.5)), SCALES)
+    job = CalibrationJob(ACSAR, check_given_readings((0.5, 0.5), (), ()))
     with pytest.raises(LinkError, match="unplugged"):
         drive_plans(job, Robot(open_link("planar", ACSAR), ACSAR), PLANS, None, fail)
     job.finish()
@@ -174,7 +158,7 @@ def test_runs_that_ended_before_a_failure_are_there() -> None:
 
 def test_a_recording_holds_the_same_runs(tmp_path: Path) -> None:
     path = tmp_path / "runs.mcap"
-    job = CalibrationJob(ACSAR, GivenReadings(), SCALES)
+    job = CalibrationJob(ACSAR, {})
     plans = [*plan_straights(0.3, 0.4, 1), *plan_turns(0.5, (1.2,), (0.0,), 2)]
     drive(job, plans, Recorder(path))
     runs = read_recorded_runs(path, "all", ACSAR)

@@ -37,17 +37,6 @@ PLANS = {
 LINE, TURN = PLANS["line"][0], PLANS["turn"][0]
 
 
-def test_lines_go_back_and_turns_alternate() -> None:
-    assert [plan.back for plan in LINES] == [False, True, False]
-    assert len({plan.linear for plan in LINES}) == 3
-    assert [plan.ahead().name for plan in LINES] == ["straight 1", "straight 2", "straight 3"]
-    plans = plan_turns(5.0, (0.5, 1.0), (0.0, 0.3), 2)
-    angles = [leg.angle for plan in plans for leg in plan.legs]
-    assert angles == pytest.approx([10.0 * math.pi, -10.0 * math.pi] * 4)
-    assert plans[2].legs[0].distance == pytest.approx(3.0 * math.pi)
-    assert plans[2].linear == pytest.approx(0.15)
-
-
 @pytest.mark.parametrize(
     ("plans", "ahead", "aside"),
     [
@@ -100,15 +89,6 @@ def test_a_run_ends_where_it_should_and_tells_its_wheels(
     readings = {reading.kind: reading.value for reading in run.readings}
     expected = {"distance": math.hypot(*ends[:2]), "aside": ends[1], "heading": ends[2]}
     assert readings == pytest.approx({kind: expected[kind] for kind in readings}, abs=0.02)
-
-
-def test_a_line_is_straight_by_odometry_although_motors_differ() -> None:
-    weak = ACSAR.with_(motor={"gain": (1.0, 0.95, 0.95, 1.0)})
-    run = drive_run(make_robot(twin=weak), LINE)
-    assert run.readings == ()  # nobody measured
-    _, y, theta = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
-    assert abs(theta) < 0.15
-    assert abs(y) < 0.05
 
 
 def test_the_fence_stops_it_with_an_error() -> None:

@@ -11,13 +11,13 @@ from acsar_gym.links import Link
 from acsar_gym.links.base import ForwardingLink
 from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.robot import Robot
+from acsar_gym.tools.sysid.board_log import decode_track
 from acsar_gym.tools.sysid.excitation import (
     TICK_STRETCH,
     StretchedLink,
     drive_excitation,
     plan_excitation,
 )
-from acsar_gym.tools.sysid.tracks import decode_track
 
 ACSAR = RobotConfig.preset("acsar")
 ZEROS = b"ap00.00,bp00.00,cp00.00,dp00.00"

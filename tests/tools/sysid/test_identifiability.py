@@ -9,14 +9,15 @@ import pytest
 from sysid_tools import ACSAR, drive_wire
 
 from acsar_gym.errors import IdentificationError
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.excitation import plan_excitation
-from acsar_gym.tools.sysid.identifiability import (
+from acsar_gym.tools.sysid.board_log import (
+    BoardTrack,
+    Floats,
     Identifiability,
     check_identifiability,
     check_wheel_order,
+    decode_track,
 )
-from acsar_gym.tools.sysid.tracks import BoardTrack, decode_track
+from acsar_gym.tools.sysid.excitation import plan_excitation
 
 TICKS = np.asarray(0.01 * np.arange(6000), np.float64)
 SLOW = {

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from quirks import apply_to_config, make_link, parse_quirks
-from sysid_tools import ACSAR, draw_motors, drive_wire, score_findings
+from sysid_tools import ACSAR, score_findings
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError, IdentificationError
@@ -32,7 +29,6 @@ from acsar_gym.tools.sysid.identify import (
 )
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
 
-INTERVAL = {"low": 0.4, "high": 0.6, "method": "identify"}
 HIDDEN = ACSAR.with_(
     motor={
         "time_constant": 0.15,
@@ -100,14 +96,6 @@ def test_new_findings_end_the_intervals_of_older_ones() -> None:
     assert set(with_gains(repaired, "abcd").measured) == set(first.measured)
 
 
-def test_a_board_without_a_time_out_has_no_interval_of_one() -> None:
-    known = ACSAR.with_(measured={"firmware.command_timeout": INTERVAL})
-    timeout = ParameterFinding("firmware.command_timeout", told=True)
-    findings = (timeout, ParameterFinding("encoder.quantum"))
-    robot = Identification(known, findings, None, (), 20.0).robot()
-    assert (robot.firmware.command_timeout, robot.measured) == (None, {})
-
-
 def test_recordings_must_be_of_one_robot(recording: Path, tmp_path: Path) -> None:
     other, path = ACSAR.with_(wheel_radius=0.06), tmp_path / "other.mcap"
     with Robot(open_link("planar", other), other, recorder=Recorder(path)) as robot:
@@ -151,19 +139,6 @@ def test_a_board_outside_the_model_is_named_and_not_written(
     assert said in robot.misfit
     assert not robot.measured
     assert robot.motor_fit_logs == found.logs != ()
-
-
-@pytest.mark.slow
-def test_wheels_that_are_weaker_and_stronger_backward_are_told_apart() -> None:
-    log = drive_excitation(open_link("planar", HIDDEN), ACSAR, 14.0)
-    stamps, speeds = log.feedback(ACSAR)
-    speeds = np.where(speeds < 0.0, speeds * (0.8, 0.8, 1.0, 1.25), speeds)
-    lines = tuple(encode(row) for row in speeds.tolist())
-    found = identify_logs([replace(log, got_stamps=stamps, got=lines)], ACSAR)
-    assert found.model is not None
-    weaker, stronger = found.model.pattern.split("; ")
-    assert re.fullmatch(r"backward weaker than forward, wheel a by \d+%, wheel b by \d+%", weaker)
-    assert re.fullmatch(r"backward stronger than forward, wheel d by \d+%", stronger)
 
 
 @pytest.mark.parametrize(
@@ -233,15 +208,6 @@ def test_what_was_only_configured_is_not_measured(window: float) -> None:
             assert "counts" not in one.note
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 104))
-def test_intervals_of_drawn_boards_hold_the_truth(seed: int) -> None:
-    hidden = draw_motors(seed)
-    found = identify_quirky(hidden)
-    found.check()
-    assert [one for one in score_findings(found, hidden) if not one.holds] == []
-
-
 @pytest.mark.parametrize("duration", [0.3, 2.0])
 def test_what_cannot_be_told_has_no_number(duration: float) -> None:
     commands = plan_excitation(ACSAR, 20.0, 0.01).before[: round(100 * duration)]
@@ -262,27 +228,8 @@ def identify_quirky(hidden: RobotConfig, *names: str) -> Identification:
     return identify_device(link, ACSAR, 14.0)
 
 
-def tell(speeds: Callable[[float], float | None], **true: object) -> dict[str, ParameterFinding]:
-    """What is told of a hidden robot that is driven for 12 s; the resolution, told or not."""
-    found = identify_logs([drive_wire(speeds, ACSAR.with_(**true), 12.0)], ACSAR).findings
-    return {one.name: one for one in found if one.told or one.name == "encoder.quantum"}
-
-
 def holds(one: ParameterFinding | None, value: float) -> bool:
     """Whether an interval holds the truth, if there is one."""
     if one is None or one.low is None or one.high is None:
         return True
     return one.low <= value <= one.high
-
-
-def slowly(time: float) -> float:
-    return 2.0 * math.sin(time)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lag", [0.15, 0.3])
-def test_a_slow_sine_tells_nothing_that_hangs_on_the_lag(lag: float) -> None:
-    found = tell(slowly, motor={"time_constant": lag, "deadband": 0.3})
-    hanging = {"motor.time_constant", "motor.deadband", "firmware.command_delay", "encoder.window"}
-    assert not hanging & set(found)
-    assert holds(found.get("motor.gain"), 1.0)

@@ -11,16 +11,15 @@ import gymnasium
 import integer_board
 import numpy as np
 import pytest
-from integer_board import SLOWER, BoardProgram, IntegerBoard, IntegerLink
+from integer_board import SLOWER, BoardProgram, IntegerLink
 from sysid_tools import ACSAR, find_missed_truths
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import Link, open_link
 from acsar_gym.links.base import arrivals_of
-from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import read
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.identify import Identification, identification_table, identify_device
 from acsar_gym.tools.sysid.model_check import GAP_NOISE
 from acsar_gym.tools.sysid.parameter_findings import CUT_NOTE, NO_RAMP
@@ -55,24 +54,6 @@ def describe(program: BoardProgram) -> RobotConfig:
 @pytest.fixture(scope="module")
 def found() -> Identification:
     return identify(BoardProgram())
-
-
-def read_speeds(data: bytes) -> list[tuple[float, ...]]:
-    return [tuple(s or 0.0 for s in reading.speeds) for reading in Decoder().feed(data)]
-
-
-def test_the_board_answers_in_integers_and_milliseconds() -> None:
-    board, lines = IntegerBoard(BoardProgram(fresh=1)), []
-    for time in range(2500):
-        line = board.run_millisecond(encode((3.0, -3.0, 0.1, 0.0)) if time == 1600 else b"")
-        lines += [(board.time, speeds) for speeds in read_speeds(line)]
-    assert lines[0][0] == 1500
-    assert {time % 20 for time, _ in lines} == {0}
-    after = dict(lines)
-    assert after[1600] == (0.0, 0.0, 0.0, 0.0)
-    assert after[1620] == (0.47, -0.47, 0.0, 0.0)  # two loops: 25, then 22 of 275
-    assert after[2100] == (2.89, -2.89, 0.0, 0.0)  # and never nearer
-    assert after[2200][0] < 2.0  # the time-out
 
 
 def test_it_is_identified(found: Identification) -> None:

@@ -9,7 +9,7 @@ import pytest
 from sysid_tools import ACSAR
 
 from acsar_gym.tools.sysid import parameter_findings
-from acsar_gym.tools.sysid.delays import Floats
+from acsar_gym.tools.sysid.board_log import Floats, Identifiability
 from acsar_gym.tools.sysid.fit import (
     FitSolution,
     MotorFit,
@@ -17,7 +17,6 @@ from acsar_gym.tools.sysid.fit import (
     configured_times,
     configured_wheel,
 )
-from acsar_gym.tools.sysid.identifiability import Identifiability
 from acsar_gym.tools.sysid.model_check import STEADY_FAST, PartError
 from acsar_gym.tools.sysid.parameter_findings import INTERVAL_FACTOR, NO_RAMP, ParameterFinding
 from acsar_gym.tools.sysid.response import PARAMETERS_PER_WHEEL, FitProblem
@@ -51,20 +50,6 @@ def find_all(fit: MotorFit, name: str) -> list[ParameterFinding]:
     return [one for one in found if one.name == name]
 
 
-@pytest.mark.parametrize(
-    ("slowness", "halves"),
-    [
-        ((0.001, 0.0005, 0.002, 0.012), (0.003, 0.003, 0.003, 0.014)),
-        ((0.0, 0.0, 0.0, 0.0008), (0.0005, 0.002, 0.009, 0.012)),
-    ],
-)
-def test_a_wheel_with_a_vaguer_ramp_has_that_of_the_others(
-    slowness: Sequence[float], halves: Sequence[float]
-) -> None:
-    (ramp,) = find_all(make_fit(SLOWNESS, slowness, halves, 4), "motor.acceleration")
-    assert (ramp.wheel, ramp.value, ramp.told) == ("", NO_RAMP, True)
-
-
 def test_wheels_that_cannot_be_told_apart_have_one_value() -> None:
     gains = find_all(make_fit(GAIN, (0.991, 0.998, 0.85, 1.003), (0.01,) * 4, 4), "motor.gain")
     assert [one.wheel for one in gains] == ["a", "b", "c", "d"]
@@ -87,14 +72,6 @@ def test_what_the_model_misses_widens_the_intervals_of_gains() -> None:
     gain = next(one for one in found if (one.name, one.wheel) == ("motor.gain", "a"))
     assert gain.low == pytest.approx(0.975)
     assert gain.high == pytest.approx(1.025)
-
-
-def test_delay_and_window_add_up_to_what_was_fitted() -> None:
-    """Whatever window the robot's file has: their sum is told best."""
-    fit = make_fit(MIDDLE, 0.06, 0.001)
-    for window in (0.05, 0.1):
-        found = parameter_findings._find_delay(ParameterFinding("", before=0.0), fit, window)
-        assert found.value == pytest.approx(0.06 - window / 2.0)
 
 
 @pytest.mark.parametrize(

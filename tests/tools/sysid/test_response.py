@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig, open_link
+from acsar_gym.tools.sysid.board_log import decode_track
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.response import (
     BoardTimes,
@@ -15,7 +16,6 @@ from acsar_gym.tools.sysid.response import (
     ramp_step,
     simulate_speeds,
 )
-from acsar_gym.tools.sysid.tracks import decode_track
 
 BASE = RobotConfig.preset("acsar")
 FINE = BASE.with_(

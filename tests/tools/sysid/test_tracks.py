@@ -14,7 +14,8 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import encode
 from acsar_gym.recording.types import Episode, Recording, WireLog
-from acsar_gym.tools.sysid.tracks import add_truth, decode_track, make_recorded_track
+from acsar_gym.tools.sysid.board_log import decode_track
+from acsar_gym.tools.sysid.tracks import add_truth, make_recorded_track
 
 ACSAR = RobotConfig.preset("acsar")
 

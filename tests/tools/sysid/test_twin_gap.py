@@ -16,15 +16,13 @@ from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
-from acsar_gym.tools.sysid.delays import Floats
-from acsar_gym.tools.sysid.identify import identify_logs
+from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.twin_gap import (
     TwinGap,
     conclude_gap,
     find_exceeded,
     measure_gap,
     parse_limits,
-    pool_figures,
 )
 
 ACSAR = RobotConfig.preset("acsar")
@@ -61,8 +59,6 @@ def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
     assert before["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
     assert abs(after["time_shift"]) < 1e-3
     assert fitted().delays("after").p_value == 1.0
-    own = measure_gap([("a", log())], ("robot.yaml", ROBOT), ("recorded", None))
-    assert own.figures("before") == measure_one(log()).figures("before")
 
 
 @pytest.mark.parametrize(
@@ -94,12 +90,10 @@ def test_what_is_odd_about_a_log_is_noted() -> None:
 def test_robots_whose_model_doesnt_fit_are_noted() -> None:
     odd = ACSAR.with_(motor_fit="doesn't fit: overshoots")
     said = "this robot's simulation doesn't fit: overshoots"
-    recorded = replace(log(), config=odd)
     robot = ROBOT.with_(motor_fit="doesn't fit: holds at reversals")
-    for before in (("old.yaml", odd), ("recorded", None)):
-        gap = measure_gap([("a", recorded)], ("robot.yaml", robot), before)
-        assert "robot.yaml: this robot's simulation doesn't fit: holds at reversals" in gap.notes
-        assert f"{'old.yaml' if before[1] else 'a'}: {said}" in gap.notes
+    gap = measure_gap([("a", log())], ("robot.yaml", robot), ("old.yaml", odd))
+    assert "robot.yaml: this robot's simulation doesn't fit: holds at reversals" in gap.notes
+    assert f"old.yaml: {said}" in gap.notes
     assert not measure_one(log()).notes
 
 
@@ -156,7 +150,7 @@ def test_a_short_log_is_refused() -> None:
     [
         (lambda stamps: stamps * 1e6, "is longer than 4 h"),
         (lambda stamps: stamps[::-1], "its times go backwards"),
-        (lambda stamps: stamps[:1], "holds no ticks"),
+        (lambda stamps: stamps[:1], "holds less than 1 s"),
     ],
 )
 def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:
@@ -178,40 +172,3 @@ def test_limits_are_names_and_numbers() -> None:
 @pytest.mark.parametrize(("value", "count"), [(0.01, 0), (-0.011, 1), (math.nan, 1)])
 def test_a_limit_is_kept_up_to_its_value_and_must_be_measured(value: float, count: int) -> None:
     assert len(find_exceeded({"end_pose": 0.01}, {"end_pose": value})) == count
-
-
-def measure_held_out(seed: int) -> TwinGap:
-    """Fit a hidden robot to one log, and measure its gap on three others."""
-    rng = np.random.default_rng(seed)
-    motor = {
-        "time_constant": float(rng.uniform(0.05, 0.18)),
-        "gain": float(rng.uniform(0.9, 1.1)),
-        "deadband": float(rng.uniform(0.0, 0.5)),
-        "acceleration": float(rng.uniform(30.0, 80.0)),
-    }
-    rate = float(rng.choice([20.0, 25.0, 50.0, 100.0]))
-    delay = float(rng.uniform(0.0, 0.03))
-    robot = ACSAR.with_(motor=motor, firmware={"feedback_rate": rate, "command_delay": delay})
-    known = ACSAR.with_(firmware={"feedback_rate": robot.feedback_rate})
-    logs = []
-    for number in range(4):
-        steps = random_steps(10 * seed + number, 20.0, robot)
-        episode = driven(robot, steps, phase=float(rng.uniform(0.0, 0.05)))
-        logs.append((f"{number}", recording(known, episode, name=f"{seed} {number}")))
-    first = logs[0][1]
-    fitted = identify_logs([one.wire for one in first.episodes], known, [first.sha256]).robot()
-    return measure_gap(logs, ("fitted", fitted), BEFORE)
-
-
-@pytest.mark.slow
-def test_fitted_twins_have_a_tenth_of_the_gap_on_held_out_logs() -> None:
-    judged = [replay for seed in range(6) for replay in measure_held_out(seed).judged]
-    assert len(judged) == 18
-    seconds = [replay.seconds for replay in judged]
-    before, after = (
-        pool_figures([replay.figures[side] for replay in judged], seconds)
-        for side in ("before", "after")
-    )
-    for name in ("wheel_speed_rms", "end_pose"):
-        assert after[name] <= 0.1 * before[name]
-    assert abs(after["time_shift"]) < 0.005

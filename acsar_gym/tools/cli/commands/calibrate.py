@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,12 +14,9 @@ import tyro
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, escape_unprintable
 from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.commands.identify import FoundRobotOptions, FoundRobotOutputs
 from acsar_gym.tools.cli.options import (
-    File,
-    Force,
     HostOptions,
-    RecordOptions,
-    RobotArg,
     check_not_given,
     check_writable,
     countdown,
@@ -27,7 +25,7 @@ from acsar_gym.tools.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.sysid.calibration import CalibrationJob, GivenReadings
+    from acsar_gym.tools.sysid.calibration import CalibrationJob
     from acsar_gym.tools.sysid.calibration_drive import RunPlan
 
 Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|FILE")]
@@ -44,94 +42,63 @@ TURN_RATE_SHARES = (0.4, 0.8)
 
 
 @dataclass(frozen=True)
-class StraightOptions:
-    """Straight lines: tell the wheels' mean radius."""
+class RunOptions:
+    """What is driven, on which floor, and what was measured.
+
+    Straight lines tell the wheels' mean radius; turns wheel_separation_multiplier and
+    body.turn_factor.
+    """
 
     distance: float = 2.0
-    """Length of each run, by odometry [m]."""
+    """Length of each straight run, by odometry [m]."""
     measured: Numbers = ()
     """Measured straight distances from start to end, one for each run [m]; positive, backwards
     runs as well."""
     aside: Numbers = ()
-    """How far to the left of the line ahead each run ended [m], negative to the right; tells left
-    against right radius."""
-
-
-@dataclass(frozen=True)
-class TurnOptions:
-    """Turns: tell wheel_separation_multiplier and body.turn_factor."""
-
+    """How far to the left of the line ahead each straight run ended [m], negative to the right;
+    tells left against right radius."""
     turns: float = 5.0
-    """Full turns of each run, by odometry; left and right alternate."""
+    """Full turns of each turning run, by odometry; left and right alternate."""
     measured_deg: Numbers = ()
-    """Measured angles, one for each run [degrees], full turns counted; right turns positive or
-    negative."""
+    """Measured angles, one for each turning run [degrees], full turns counted; right turns positive
+    or negative."""
     speeds: Numbers = ()
     """Turn rates [rad/s]; default: 40 % and 80 % of what max_angular and max_linear allow, or 60 %
     where readings are given."""
     radii: Numbers = (0.0,)
     """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
     sides also tell left against right radius."""
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How runs are driven, and on which floor."""
-
     space: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
     """Free floor ahead of the robot's centre, and to each of its sides [m]. Needed for a real
     robot, which is stopped at its edge."""
-    speed: float | None = None
-    """Linear speed [m/s]; default: 60 % of max_linear."""
     repeats: int | None = None
     """Runs of each kind; default: as many as readings, else 3 straight lines, 1 turn of each speed
     and radius."""
     yes: bool = False
     """Don't ask before driving, for scripts."""
 
-
-_flat = tyro.conf.arg(name="")
-
-
-@dataclass(frozen=True)
-class Manoeuvres:
-    """What is driven."""
-
-    straight: Annotated[StraightOptions, _flat] = StraightOptions()
-    turn: Annotated[TurnOptions, _flat] = TurnOptions()
-    run: Annotated[RunOptions, _flat] = RunOptions()
-
-    def given(self) -> GivenReadings:
-        """The readings among the options."""
-        from acsar_gym.tools.sysid.calibration import GivenReadings  # noqa: PLC0415
-
-        straight = self.straight
-        return GivenReadings(straight.measured, straight.aside, self.turn.measured_deg)
-
-    def plans(self, name: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
+    def plans(self, manoeuvre: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
         """The runs of a manoeuvre, or of both: as many as readings, or as asked for."""
         from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
 
-        straight, turn, run = self.straight, self.turn, self.run
-        if run.repeats is not None and run.repeats < 1:
-            raise ConfigError(f"--repeats {run.repeats}: must be 1 or more")
+        if self.repeats is not None and self.repeats < 1:
+            raise ConfigError(f"--repeats {self.repeats}: must be 1 or more")
         plans = []
-        if name != "turn":
-            speed = USUAL_SPEED_SHARE * config.max_linear if run.speed is None else run.speed
-            _check_speed("--speed", speed, config.max_linear, "max_linear")
-            repeats = run.repeats or len(straight.measured) or 3
-            plans += calibration_drive.plan_straights(straight.distance, speed, repeats)
-        if name != "straight":
-            shares = (USUAL_SPEED_SHARE,) if turn.measured_deg else TURN_RATE_SHARES
-            top = min(config.max_angular, config.max_linear / max(*turn.radii, 1e-9))
-            speeds = turn.speeds or tuple(share * top for share in shares)
+        if manoeuvre != "turn":
+            speed = USUAL_SPEED_SHARE * config.max_linear
+            repeats = self.repeats or len(self.measured) or 3
+            plans += calibration_drive.plan_straights(self.distance, speed, repeats)
+        if manoeuvre != "straight":
+            shares = (USUAL_SPEED_SHARE,) if self.measured_deg else TURN_RATE_SHARES
+            top = min(config.max_angular, config.max_linear / max(*self.radii, 1e-9))
+            speeds = self.speeds or tuple(share * top for share in shares)
             for speed in speeds:
                 _check_speed("--speeds", speed, config.max_angular, "max_angular")
-                fastest = max(speed * max(turn.radii, default=0.0), 1e-9)
+                fastest = max(speed * max(self.radii, default=0.0), 1e-9)
                 _check_speed("--speeds times --radii", fastest, config.max_linear, "max_linear")
-            kinds = max(1, len(speeds) * len(turn.radii))
-            repeats = run.repeats or max(1, len(turn.measured_deg) // kinds)
-            plans += calibration_drive.plan_turns(turn.turns, speeds, turn.radii, repeats)
+            kinds = max(1, len(speeds) * len(self.radii))
+            repeats = self.repeats or max(1, len(self.measured_deg) // kinds)
+            plans += calibration_drive.plan_turns(self.turns, speeds, self.radii, repeats)
         return plans
 
 
@@ -141,41 +108,14 @@ def _check_speed(option: str, value: float, most: float, field: str) -> None:
         raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")
 
 
-@dataclass(frozen=True)
-class CalibrationSetup(RecordOptions):
-    """The robot, the scales of who measures, and recording."""
-
-    robot: RobotArg = None
-    """Preset or config file: what is known so far; default: the robot of the recording, else
-    acsar."""
-    twin: RobotArg = None
-    """Simulation: the robot that is driven, where it isn't --robot: a hidden one to be found."""
-    tape: float = 0.005
-    """Divisions of the tape [m]."""
-    protractor: float = 1.0
-    """Divisions of the protractor [degrees]."""
-
-
-@dataclass(frozen=True)
-class CalibrationOutputs:
-    """Results."""
-
-    out: File = None
-    """Write what was found into this robot's file, to be used as --robot; if it exists, its
-    comments stay, and what was not found. Only where runs have readings."""
-    json: File = None
-    """Also write the result and all runs to this file."""
-    force: Force = False
-
-
 @command("calibrate", "robots", drives=True)
 def calibrate_robot(
     device: Device,
     manoeuvre: Manoeuvre,
-    what: Manoeuvres,
-    setup: CalibrationSetup,
+    runs: RunOptions,
+    setup: FoundRobotOptions,
     host: HostOptions,
-    output: CalibrationOutputs,
+    output: FoundRobotOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
@@ -188,8 +128,8 @@ def calibrate_robot(
         device: serial device, planar, bullet, mujoco; or a recording of runs that were driven
             before, to give readings to.
         manoeuvre: what to drive.
-        what: manoeuvres, and how they are driven.
-        setup: robot and measuring.
+        runs: how it is driven, and readings.
+        setup: the robot, and recording.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
@@ -200,35 +140,32 @@ def calibrate_robot(
     from acsar_gym.tools.sysid import calibration, calibration_drive  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
-    if not (0.0 < setup.tape <= 1.0 and 0.0 < setup.protractor <= 90.0):
-        raise ConfigError("--tape must be 0 to 1 m, --protractor 0 to 90 degrees, both above 0")
     recorded, simulated = device.endswith(".mcap"), device in BODIES
     if recorded:
         driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
         check_not_given(driving)
-    elif setup.twin is not None and not simulated:
-        raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
     if recorded and setup.robot is None:
         config = read(Path(device)).config
     else:
         config = RobotConfig.of(setup.robot)
-    scales = calibration.ReadingScales(setup.tape, setup.protractor)
     ask = _ask_reading if sys.stdin.isatty() else None
-    job = calibration.CalibrationJob(config, what.given(), scales, ask)
+    given = calibration.check_given_readings(runs.measured, runs.aside, runs.measured_deg)
+    job = calibration.CalibrationJob(config, given, ask)
     if recorded:
         job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
+        job.check_given(Counter(run.manoeuvre for run in job.runs))
         return _finish_calibration(job, output)
+    link = open_link(device, setup.driven(config, device))
     host.prepare(device)
     recorder = setup.recorder("calibrate", link=device)
-    driven = RobotConfig.of(setup.twin) if setup.twin is not None else config
-    robot = Robot(open_link(device, driven), config, recorder=recorder)
-    plans = what.plans(manoeuvre, config)
+    robot = Robot(link, config, recorder=recorder)
+    plans = runs.plans(manoeuvre, config)
 
     def announce(plan: RunPlan) -> None:
-        _announce_run(device, what.run, plan, simulated=simulated)
+        _announce_run(device, runs, plan, simulated=simulated)
 
     try:
-        calibration_drive.drive_plans(job, robot, plans, what.run.space, announce, recorder)
+        calibration_drive.drive_plans(job, robot, plans, runs.space, announce, recorder)
     except LinkError:
         if job.runs:
             say(f"{len(job.runs)} finished runs are used")
@@ -239,15 +176,13 @@ def calibrate_robot(
 
 
 def _finish_calibration(
-    job: CalibrationJob, output: CalibrationOutputs, record: Path | None = None
+    job: CalibrationJob, output: FoundRobotOutputs, record: Path | None = None
 ) -> int:
     """Read, fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
 
     config = job.config
     job.finish()
-    for line in job.notes:
-        say(line)
     if not any(run.readings for run in job.runs):
         print_results(
             json=output.json, data=calibration_fit.format_calibration(None, job.runs, config)

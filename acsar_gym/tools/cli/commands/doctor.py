@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import tyro
@@ -123,7 +123,11 @@ def _run_checks(
             said = f"{spinning.out} isn't written: not all was found"
             fix = "mend what failed, and start again"
             found.append(checks.Check("robot file", "skip", said, fix))
-    print_results(checks.draw_checks(found), json=output.json, data=checks.checks_as_json(found))
+    print_results(
+        checks.draw_checks(found),
+        json=output.json,
+        data={"checks": [asdict(check) for check in found]},
+    )
     if stop is not None:
         raise stop
     return 1 if any(check.status == "fail" for check in found) else 0

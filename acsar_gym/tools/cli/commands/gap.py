@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 Logs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
 Limits = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC=VALUE [...]")]
-UnfittedRobot = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE|recorded")]
 RobotFile = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")]
 
 
@@ -51,7 +50,7 @@ def measure_gap(
     robot: RobotFile,
     outputs: GapOutputs,
     bag: BagOptions,
-    before: UnfittedRobot = "acsar",
+    before: RobotFile = "acsar",
     body: str = "planar",
     truth: File = None,
 ) -> int:
@@ -65,12 +64,12 @@ def measure_gap(
         outputs: files and limits.
         bag: of ROS 2.
         before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
-            first recording; "recorded" is the robot in each recording.
+            first recording.
         body: physics of the twins, planar, bullet or mujoco.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
     """
     from acsar_gym.tools import page  # noqa: PLC0415
-    from acsar_gym.tools.sysid import gap_page, tracks, twin_gap  # noqa: PLC0415
+    from acsar_gym.tools.sysid import tracks, twin_gap  # noqa: PLC0415
 
     limits = twin_gap.parse_limits(outputs.fail_over)
     check_writable(outputs.json, outputs.html, force=outputs.force)
@@ -80,20 +79,19 @@ def measure_gap(
     recordings = _read_logs([bag.open(log, robot) for log in logs])
     if truth is not None:
         recordings = [(name, tracks.add_truth(log, truth)) for name, log in recordings]
-    unfitted = None
-    if before != "recorded":
-        unfitted = RobotConfig.of(before)
-        if not (Path(before).suffix or "/" in before):  # a preset
-            recorded = recordings[0][1].config
-            wire = "wheels", "baud_rate", "trailing_comma"
-            unfitted = unfitted.with_(**{field: getattr(recorded, field) for field in wire})
+    unfitted = RobotConfig.of(before)
+    if not (Path(before).suffix or "/" in before):  # a preset
+        recorded = recordings[0][1].config
+        wire = "wheels", "baud_rate", "trailing_comma"
+        unfitted = unfitted.with_(**{field: getattr(recorded, field) for field in wire})
     gap = twin_gap.measure_gap(recordings, after, (Path(before).name, unfitted), body)
     print_results(*twin_gap.gap_tables(gap), json=outputs.json, data=twin_gap.format_gap(gap))
     for line in (*twin_gap.conclude_gap(gap), *gap.notes):
         say(line)
     if outputs.html is not None:
-        gap_page.write_gap_page(outputs.html, gap)
-    failures = twin_gap.find_exceeded(limits, twin_gap.limit_sizes(gap))
+        twin_gap.write_gap_page(outputs.html, gap)
+    sizes = gap.figures("after") | {"delay": gap.delays("after").difference}
+    failures = twin_gap.find_exceeded(limits, sizes)
     for line in failures:
         print(f"acsar-gym: {line}", file=sys.stderr)
     return 1 if failures else 0

@@ -37,33 +37,49 @@ LATE_MANOEUVRE = 1.1
 
 
 @dataclass(frozen=True)
-class IdentifySetup(RecordOptions):
-    """The robot, and recording of the manoeuvre."""
+class FoundRobotOptions(RecordOptions):
+    """The robot that something is found of, and recording."""
 
     robot: RobotArg = None
     """Preset or config file: what is known so far. Default: the one recorded, or acsar."""
     twin: RobotArg = None
     """Simulation: the robot that is driven, a hidden one to be found."""
 
+    def driven(self, config: RobotConfig, device: str) -> RobotConfig:
+        """The robot that is driven, which isn't what is known of it where there is a twin."""
+        if self.twin is None:
+            return config
+        from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
+
+        if device not in BODIES:
+            raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
+        return RobotConfig.of(self.twin)
+
 
 @dataclass(frozen=True)
-class IdentifyOutputs:
+class FoundRobotOutputs:
     """Results."""
 
     out: File = None
     """Write what was found into this robot's file, to be used as --robot; if it exists, its
     comments stay, and what was not found."""
-    anyway: bool = False
-    """Write it even where the model doesn't fit: without intervals, and the file says so."""
     json: File = None
     """Also write the findings to this file."""
     force: Force = False
 
 
+@dataclass(frozen=True)
+class IdentifyOutputs(FoundRobotOutputs):
+    """Results."""
+
+    anyway: bool = False
+    """Write it even where the model doesn't fit: without intervals, and the file says so."""
+
+
 @command("identify", "robots", drives=True)
 def identify_robot(
     sources: Sources,
-    setup: IdentifySetup,
+    setup: FoundRobotOptions,
     host: HostOptions,
     output: IdentifyOutputs,
     bag: BagOptions,
@@ -104,14 +120,11 @@ def identify_robot(
         found = identify.identify_files([bag.open(path, robot) for path in recorded], known)
     else:
         device = sources[0]
-        config, simulated = RobotConfig.of(robot), device in BODIES
-        if setup.twin is not None and not simulated:
-            raise ConfigError(f"--twin is for simulated robots: {' or '.join(BODIES)}")
-        if simulated:
+        config = RobotConfig.of(robot)
+        link = open_link(device, setup.driven(config, device))
+        if device in BODIES:
             host.prepare()
-            link = open_link(device, config if setup.twin is None else RobotConfig.of(setup.twin))
         else:
-            link = open_link(device, config)
             host.prepare(device)
             what = f"{device}: the wheels will turn for {duration:g} s in both directions"
             countdown(f"{what}; lift the robot, so that they turn freely", yes=yes)
