@@ -65,7 +65,7 @@ def seconds(column: Column) -> list[float]:
 
 
 def test_what_was_driven_is_in_the_file(tape: Path, tmp_path: Path) -> None:
-    assert save_recording(tape, None, tmp_path / "tape.rrd", camera=False) == 1
+    assert save_recording(tape, None, tmp_path / "tape.rrd") == 1
     (entities,) = read_rrd(tmp_path / "tape.rrd")
     (episode,) = read(tape).episodes
     robot = entities["/run/robot"]
@@ -92,7 +92,7 @@ def test_what_was_driven_is_in_the_file(tape: Path, tmp_path: Path) -> None:
 
 def test_episodes_are_recordings_of_their_own_with_world_and_goal(tmp_path: Path) -> None:
     path = record_env(tmp_path / "env.mcap", "obstacle_goal", worlds="clutter:test")
-    assert save_recording(path, None, tmp_path / "env.rrd", camera=False) == 2
+    assert save_recording(path, None, tmp_path / "env.rrd") == 2
     names = []
     for entities in read_rrd(tmp_path / "env.rrd"):
         names += [row[0] for row in entities["/__properties"]["name"]]
@@ -105,7 +105,7 @@ def test_episodes_are_recordings_of_their_own_with_world_and_goal(tmp_path: Path
 def test_two_runs_lie_over_each_other_with_their_gap(
     tape: Path, other: Path, tmp_path: Path
 ) -> None:
-    save_recording(tape, other, tmp_path / "two.rrd", camera=False)
+    save_recording(tape, other, tmp_path / "two.rrd")
     (entities,) = read_rrd(tmp_path / "two.rrd")
     ends = [read(path).episodes[0].poses[-1, :2] for path in (tape, other)]
     gaps = numbers(entities["/gap/odometry"]["scalars"])
@@ -154,10 +154,10 @@ def test_what_cannot_be_paired_is_a_line(
                 robot.drive(0.1, 0.0)
     paths = tmp_path / "mine.mcap", tmp_path / "other.mcap"
     if not message:
-        assert save_recording(*paths, tmp_path / "two.rrd", camera=False) >= 1
+        assert save_recording(*paths, tmp_path / "two.rrd") >= 1
         return
     with pytest.raises(ConfigError) as error:
-        save_recording(*paths, tmp_path / "two.rrd", camera=False)
+        save_recording(*paths, tmp_path / "two.rrd")
     assert str(error.value).startswith(message)
     assert "\n" not in str(error.value)
 
@@ -216,7 +216,7 @@ def test_what_cannot_be_shown_is_a_line(damage: str, tape: Path, tmp_path: Path)
     path = tmp_path / "bad.mcap"
     path.write_bytes({"": b"", "no recording": b"x" * 99, "cut": tape.read_bytes()[:300]}[damage])
     with pytest.raises(ConfigError) as error:
-        save_recording(path, None, tmp_path / "bad.rrd", camera=False)
+        save_recording(path, None, tmp_path / "bad.rrd")
     assert "\n" not in str(error.value)
     assert not (tmp_path / "bad.rrd").exists()
 
@@ -272,13 +272,3 @@ def test_the_page_is_on_loopback_may_ask_nobody_and_ends_with_the_command(tape: 
     for number in (-1, 70_000):
         with pytest.raises(ConfigError, match="--port"):
             open_viewer(number).__enter__()
-
-
-def test_pictures_of_the_camera_are_drawn_once_a_second(tmp_path: Path) -> None:
-    pytest.importorskip("pybullet")
-    path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=150)
-    save_recording(path, None, tmp_path / "tape.rrd", camera=True)
-    (entities,) = read_rrd(tmp_path / "tape.rrd")
-    pictures = numbers(entities["/run/camera"]["blob"])
-    assert len(pictures) == 2
-    assert all(bytes(picture).startswith(b"\x89PNG") for picture in pictures)
