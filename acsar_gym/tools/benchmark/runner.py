@@ -66,8 +66,9 @@ def run_plan(
     Raises CancelledError after Ctrl-C, which says how much is finished.
     """
     plan.check()
-    done = {result.cell: result for result in store.open(plan.as_dict())}
     jobs = list(plan.jobs())
+    stored = {job.cell: store.find(job.key) for job in jobs}
+    done = {cell: result for cell, result in stored.items() if result is not None}
     waiting = [job for job in jobs if job.cell not in done]
     columns = (
         BarColumn(),
@@ -84,9 +85,9 @@ def run_plan(
             contextlib.closing(running),
         ):
             task = progress.add_task("", total=len(jobs), completed=len(jobs) - len(waiting))
-            for _, result in running:
+            for number, result in running:
                 cell = result.cell
-                done[cell] = store.add(result)
+                done[cell] = store.add(waiting[number].key, result)
                 seed = "" if cell.training_seed is None else f" {cell.training_seed}"
                 newest = f"{cell.scenes} {cell.link} {cell.condition} {cell.agent}{seed}"
                 progress.update(task, advance=1, description=report.escape_text(newest))
