@@ -19,6 +19,7 @@ from typing import Any
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 
 BENCHMARK_SCHEMA = 3  # version of these files
 MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB
@@ -69,20 +70,15 @@ class CellResult:
 
 
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return episodes as lists by field, for JSON: floats of 6 digits, NaN and infinity as None."""
-
-    def plain(value: Any) -> Any:
-        if not isinstance(value, float):
-            return value
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-
+    """Return episodes as lists by field, for JSON: NaN and infinity become None."""
     columns: dict[str, Any] = {
-        name: [plain(getattr(episode, name)) for episode in episodes]
+        name: [getattr(episode, name) for episode in episodes]
         for name in (*COLUMNS, *DERIVED_COLUMNS)
     }
-    told = episodes[0].told if episodes else ()
-    columns["told"] = {name: [plain(episode.told[name]) for episode in episodes] for name in told}
-    return columns
+    names = episodes[0].told if episodes else ()
+    columns["told"] = {name: [episode.told[name] for episode in episodes] for name in names}
+    cleaned: dict[str, Any] = replace_nonfinite(columns)
+    return cleaned
 
 
 def read_episodes(columns: Mapping[str, Any]) -> list[Episode]:
@@ -91,11 +87,10 @@ def read_episodes(columns: Mapping[str, Any]) -> list[Episode]:
     def read_value(name: str, value: Any) -> Any:
         return math.nan if value is None and name not in ("seed", "world") else value
 
-    told = columns["told"]
     return [
         Episode(
             **{name: read_value(name, columns[name][number]) for name in COLUMNS},
-            told={name: read_value(name, values[number]) for name, values in told.items()},
+            told={n: read_value(n, values[number]) for n, values in columns["told"].items()},
         )
         for number in range(len(columns["success"]))
     ]

@@ -254,7 +254,7 @@ def show_recording(path: Path, other: Path | None, port: int | None, *, live: bo
                 text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
                 print(escape_unprintable(text), flush=True)
             problem = ""
-            while viewer.is_open:
+            while viewer.process.poll() is None:
                 time.sleep(POLL_INTERVAL)
                 try:
                     if live:
