@@ -71,18 +71,3 @@ def test_it_shows_the_pixels(window: Window) -> None:
     assert (root.winfo_width(), root.winfo_height()) == (40, 30)
     assert photo.get(39, 29) == (255, 255, 255)
     del root, photo
-
-
-@needs_display
-def test_the_user_may_close_it(window: Window) -> None:
-    window.show(HALVES)
-    root = window._root
-    assert root is not None
-    call, button = root.tk.call, root.protocol("WM_DELETE_WINDOW")
-    root.after(1, lambda: call(button))
-    del root
-    for _ in range(1000):
-        window.show(HALVES)
-    assert window.closed
-    window.show(HALVES)
-    window.close()

@@ -42,28 +42,18 @@ def find_recording(source: str) -> Path:
         LinkError: nobody drives that robot, or doesn't record it.
         ConfigError: it is a simulated link, which only its recording shows.
     """
-    if source in BODIES:
-        simulated = f"{source} is simulated by the program that drives it"
-        raise ConfigError(f"{simulated}: {RECORD_HINT}, and view that file")
-    if source == "serial":
-        raise ConfigError("serial: name the device, which 'acsar-gym estop --list' tells")
+    if source in BODIES or source == "serial":
+        raise ConfigError(f"{source}: names no robot that is driven: {RECORD_HINT}, and view that")
     path = Path(source.removeprefix("replay:"))
     if not is_device(source) or path.suffix == ".mcap" or path.is_file() or path.is_dir():
         return path
     real, where = os.path.realpath(source), shorten_text(source)
-    drivers = estop.list_drivers()
-    for driver in drivers:
+    for driver in estop.list_drivers():
         if driver.device and os.path.realpath(driver.device) == real:
             if driver.recording:
                 return Path(driver.recording)
             process = f"process {driver.process}"
             raise LinkError(f"{where}: {process} drives it without a recording", RECORD_HINT)
-    for driver in drivers:
-        if not driver.device:
-            raise LinkError(
-                f"{where}: process {driver.process} drives a robot, but doesn't answer",
-                "name the file that it records to",
-            )
     raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD_HINT)
 
 
@@ -83,14 +73,15 @@ class Overlay:
 
     def find_partner(self, key: SeedKey, block: Block) -> list[Block]:
         """Find the episode of the same seed and goal; ConfigError where there is none."""
-        seed, again = key
-        named = f"episode {again + 1} without a seed" if seed is None else f"seed {seed}"
-        named += f" for the {again + 1}th time" if seed is not None and again else ""
         partner = self._episodes.get(key)
-        if partner is None:
-            raise ConfigError(f"{self.name}: has no {named}: record both with the same seeds")
-        if not have_same_goal(block.numbers("goal", 2), partner[0].numbers("goal", 2)):
-            raise ConfigError(f"{self.name}: {named} has another goal: record both with the same")
+        if partner is None or not have_same_goal(
+            block.numbers("goal", 2), partner[0].numbers("goal", 2)
+        ):
+            seed = "" if key[0] is None else f" (seed {key[0]})"
+            raise ConfigError(
+                f"{self.name}: has no partner of episode {block.episode + 1}{seed}: record both "
+                "with the same seeds and goals"
+            )
         return partner
 
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
 import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import pytest
 
 from acsar_gym.errors import AcsarError, CancelledError, ConfigError, WorldError
@@ -123,18 +121,6 @@ def test_a_fault_of_this_machine_is_no_refusal(
     assert len(part.episodes) == 2
 
 
-def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
-    """Another machine has no such file."""
-    file = tmp_path / "mine.onnx"
-    shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
-    own = BenchmarkPlan(tuple(plan.given_agents(str(file), [ID])), (SET,), ("planar",), count=1)
-    job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
-    file.unlink()
-    part = runner.run_job(job)
-    assert not part.refused
-    assert len(part.episodes) == 1
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("scenes", "name"), [("open/acsar", "turn_drive"), ("barn", "dwa")])
 def test_over_an_emulated_port(scenes: str, name: str) -> None:
@@ -242,9 +228,3 @@ def test_agents_that_cannot_be_compared_are_one_line(
         plan.choose_agents(names, [ID], None, 1)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_an_env_of_another_kind_has_no_scenes() -> None:
-    gymnasium.register("other/Cart-v0", "gymnasium.envs.classic_control:CartPoleEnv")
-    with pytest.raises(ConfigError, match="--env 'other/Cart-v0': not an environment of acsar_gym"):
-        find_sets("other/Cart-v0")

@@ -131,12 +131,12 @@ def test_the_gap_is_that_of_the_same_time_since_the_first_tick(tape: Path) -> No
         ({"seed": 3, "goal": [1.0, 2.0]}, {"seed": 3, "goal": [1.0, 2.0]}, ""),
         ({"seed": 3, "goal": [1.0, 2.0]}, {"seed": 3}, ""),
         ({}, {}, ""),
-        ({"seed": 3}, {"seed": 4}, "other.mcap: has no seed 3: record both with the same seeds"),
-        ({}, {"seed": 4}, "other.mcap: has no episode 1 without a seed: "),
+        ({"seed": 3}, {"seed": 4}, "other.mcap: has no partner of episode 1 (seed 3): record"),
+        ({}, {"seed": 4}, "other.mcap: has no partner of episode 1: record both"),
         (
             {"seed": 3, "goal": [1.0, 2.0]},
             {"seed": 3, "goal": [1.0, 2.1]},
-            "other.mcap: seed 3 has another goal: ",
+            "other.mcap: has no partner of episode 1 (seed 3): ",
         ),
     ],
 )
@@ -246,14 +246,6 @@ def test_a_device_is_the_recording_of_whoever_drives_it() -> None:
     assert find_recording("/dev/ttyX") == Path("/data/a b\tc.mcap")
     with pytest.raises(LinkError, match="/dev/ttyY"):
         find_recording("/dev/ttyY")
-
-
-def test_files_are_themselves_and_simulations_need_one() -> None:
-    for name in ("drive.mcap", "replay:drive.mcap", "/data/drive.mcap"):
-        assert find_recording(name) == Path(name.removeprefix("replay:"))
-    for name in ("planar", "serial"):
-        with pytest.raises(ConfigError, match=name):
-            find_recording(name)
 
 
 def test_the_page_is_on_loopback_may_ask_nobody_and_ends_with_the_command(tape: Path) -> None:
