@@ -68,9 +68,9 @@ def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
 def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
     worlds = atlas.collect_worlds(str(BARN), None, None, 1)
     findings = atlas.check_worlds(worlds, None)
-    assert [finding.obstacles for finding in findings] == [237, 208, 209, 236, 277]
-    assert all(finding.fault == "" for finding in findings)
-    assert all(finding.shortest <= finding.path for finding in findings)
+    assert [finding["obstacles"] for finding in findings] == [237, 208, 209, 236, 277]
+    assert all(finding["fault"] == "" for finding in findings)
+    assert all(finding["shortest"] <= finding["path"] for finding in findings)
     atlas.draw_worlds(worlds, 5, 200, tmp_path / "published.png")
     with Image.open(tmp_path / "published.png") as picture:
         assert picture.size == (1000, 200)
