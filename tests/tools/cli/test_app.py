@@ -84,43 +84,6 @@ def test_a_command_that_is_mistyped_is_one_line(call: Call) -> None:
     assert_one_line(error, "'drve': no such command; did you mean 'drive'?")
 
 
-NEW_COMMAND = '''"""Things of all kinds."""
-from acsar_gym.tools.cli.commands import command
-
-
-@command("{name}", "worlds", drives=True)
-def count_things(most: int = 3) -> int:
-    """Count things."""
-    if most < 0:
-        raise KeyboardInterrupt
-    print(most)
-    return 7
-'''
-RUN_WITH_MORE = """
-import sys
-from acsar_gym.tools.cli import app, commands
-commands.__path__.append(sys.argv.pop(1))
-app.find_commands()
-app.main()
-"""
-
-
-@pytest.mark.parametrize("name", ["count", "things count"], ids=["alone", "group"])
-def test_a_command_is_one_file(name: str, tmp_path: Path) -> None:
-    (tmp_path / "things.py").write_text(NEW_COMMAND.format(name=name))
-
-    def call_more(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", RUN_WITH_MORE, str(tmp_path), *words]
-        return subprocess.run(command, check=False, capture_output=True, text=True)
-
-    done = call_more(*name.split(), "--most", "5")
-    assert (done.returncode, done.stdout, done.stderr) == (7, "5\n", "")
-    assert "Count things." in call_more(*name.split()[:-1], "--help").stdout
-    stopped = call_more(*name.split(), "--most", "-1")
-    assert stopped.returncode == 130
-    assert "the wheels were commanded to stop" in stopped.stderr
-
-
 def figures(path: Path) -> dict[str, Any]:
     """The figures of a run that odometry and the clock know."""
     data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
