@@ -6,7 +6,7 @@ import filecmp
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from acsar_gym.render import top_view
 from acsar_gym.render.canvas import View, check_picture_size, shorten_text
 from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.pool import Pool, read_worlds
@@ -34,30 +33,6 @@ TITLE_HEIGHT = 24
 """Height of a tile's title [pixels]."""
 MAX_AT_ONCE = 10_000
 """Most worlds that one command makes or reads."""
-
-
-@dataclass(frozen=True, slots=True)
-class WorldFinding:
-    """Result of checking one world. Lengths in m; NaN for what couldn't be computed."""
-
-    name: str
-    obstacles: int
-    path: float
-    """Length of the path that comes with the world."""
-    shortest: float
-    """Length of the shortest path from start to goal for the robot's footprint."""
-    closest_obstacle: float
-    visibility: float
-    dispersion: float
-    characteristic_dimension: float
-    tortuosity: float
-    fault: str
-    """Why the world can't be used; empty if it can."""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields for JSON; NaN and infinity become None."""
-        told: dict[str, Any] = replace_nonfinite(asdict(self))
-        return told
 
 
 def collect_worlds(
@@ -134,8 +109,14 @@ def draw_tile(world: World, size: int) -> RgbImage:
     return canvas.picture()
 
 
-def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFinding]:
-    """Check whether a robot can cross each world; measure path lengths and BARN's difficulty."""
+def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, Any]]:
+    """Check whether a robot can cross each world; measure path lengths and BARN's difficulty.
+
+    Returns:
+        For each world: `name`; number of `obstacles`; length of the `path` that comes with it, and
+        of the `shortest` one for the robot's footprint [m]; the fields of `Difficulty`; `fault`,
+        why it can't be used, empty if it can. NaN for what couldn't be computed.
+    """
     radius = footprint_radius(RobotConfig.of(robot))
     findings = []
     for world in report.watch_progress("checking worlds", worlds, len(worlds)):
@@ -145,12 +126,9 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[WorldFindin
             shortest, difficulty = path_length(path), measure_difficulty(world, path)
         except WorldError as error:
             fault = str(error).removeprefix(f"{world.name}: ")
-        measures = asdict(difficulty)
-        findings.append(
-            WorldFinding(
-                world.name, world.obstacles, world.length, shortest, **measures, fault=fault
-            )
-        )
+        lengths = {"path": world.length, "shortest": shortest}
+        about = {"name": world.name, "obstacles": world.obstacles}
+        findings.append({**about, **lengths, **asdict(difficulty), "fault": fault})
     return findings
 
 
@@ -177,7 +155,7 @@ def convert_world(
     files.save_world(world, out)
 
 
-def findings_table(source: str, findings: Sequence[WorldFinding]) -> Table:
+def findings_table(source: str, findings: Sequence[Mapping[str, Any]]) -> Table:
     """Format findings as a table with one row per world."""
     title = f"worlds: {source}; lengths in m, difficulty along the shortest way"
     table = Table(title=report.escape_text(title), title_justify="left")
@@ -186,7 +164,7 @@ def findings_table(source: str, findings: Sequence[WorldFinding]) -> Table:
     for column in (*columns, "tortuosity"):
         table.add_column(column, justify="right")
     for finding in findings:
-        name, obstacles, path, *others, fault = asdict(finding).values()
+        name, obstacles, path, *others, fault = finding.values()
         cells = [f"[red]{report.escape_text(fault)}"] if fault else map(_format_length, others)
         table.add_row(report.escape_text(name), str(obstacles), _format_length(path), *cells)
     return table

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import os
-import sys
-import weakref
 from collections.abc import Iterator
 
 import numpy as np
@@ -61,12 +58,6 @@ def test_without_a_display_it_says_what_to_do(
     assert window.closed
 
 
-def test_without_tkinter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "tkinter", None)
-    with pytest.raises(RenderError, match=r"needs tkinter.*python3-tk.*rgb_array"):
-        Window("a title").show(HALVES)
-
-
 @needs_display
 def test_it_shows_the_pixels(window: Window) -> None:
     window.show(HALVES)
@@ -80,37 +71,3 @@ def test_it_shows_the_pixels(window: Window) -> None:
     assert (root.winfo_width(), root.winfo_height()) == (40, 30)
     assert photo.get(39, 29) == (255, 255, 255)
     del root, photo
-
-
-@needs_display
-def test_the_user_may_close_it(window: Window) -> None:
-    window.show(HALVES)
-    root = window._root
-    assert root is not None
-    call, button = root.tk.call, root.protocol("WM_DELETE_WINDOW")
-    root.after(1, lambda: call(button))
-    del root
-    for _ in range(1000):
-        window.show(HALVES)
-    assert window.closed
-    window.show(HALVES)
-    window.close()
-
-
-@needs_display
-@pytest.mark.parametrize("how", ["closed", "dropped"])
-def test_nothing_is_left_behind(how: str) -> None:
-    gc.disable()
-    try:
-        window = Window("a title")
-        window.show(HALVES)
-        assert window._root is not None
-        root = weakref.ref(window._root)
-        if how == "closed":
-            window.close()
-            window.close()
-        else:
-            del window
-        assert root() is None
-    finally:
-        gc.enable()

@@ -21,10 +21,8 @@ from acsar_gym.render.top_view import (
     ODOM_COLOUR,
     RAY_COLOUR,
     SEEN_COLOURS,
-    TYRE_COLOUR,
     RgbImage,
     TopView,
-    TopViewFrame,
     save_picture,
 )
 from acsar_gym.worlds import Pose
@@ -83,22 +81,6 @@ def test_ahead_is_up_and_a_map_has_x_to_the_right(config: RobotConfig, top: TopV
         assert colour(image, view.view, 4.0, 0.25) == GOAL_COLOUR
 
 
-@pytest.mark.parametrize("theta", [0.0, 0.7, -2.4])
-def test_the_robot_has_wheels_and_a_heading(
-    config: RobotConfig, top: TopView, theta: float
-) -> None:
-    pose = (0.5, -0.4, theta)
-    big = TopView(config, (960, 960))
-    image = big.draw(TopViewFrame(odom=pose))
-    a, b = config.wheelbase / 2.0, config.wheel_separation / 2.0
-    for x, y in ((a, b), (a, -b), (-a, b), (-a, -b)):
-        assert colour(image, big.view, *placed(pose, x, y)) == TYRE_COLOUR
-    nose = 0.25 * config.body.length
-    assert colour(image, big.view, *placed(pose, nose, 0.0)) == FLOOR_COLOUR
-    assert colour(image, big.view, *placed(pose, 0.0, 0.0)) == CHASSIS_COLOUR
-    assert colour(image, big.view, *placed(pose, config.lidar_x_offset, 0.0)) == TYRE_COLOUR
-
-
 def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopView) -> None:
     pose = (1.0, 0.0, 0.4)
     alone = top.draw(replace(FRAME, odom=pose))
@@ -131,42 +113,6 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     assert colour(image, top.view, *at(0.0, 1.0)) == SEEN_COLOURS[0]
     for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
-
-
-def test_numbers_that_are_none_are_left_out(top: TopView) -> None:
-    nan = math.nan
-    top.draw(
-        replace(
-            FRAME,
-            odom=(nan, nan, nan),
-            truth=(1.0, 0.0, 0.0),
-            odom_path=[(0.0, 0.0), (nan, 1.0), (1.0, 1.0)],
-            rays=(np.linspace(-1.0, 1.0, 4), np.array([1.0, nan, math.inf, 0.5])),
-            reach=5.0,
-        )
-    )
-    top.draw(replace(FRAME, rays=(np.zeros(0), np.zeros(0))))
-    top.draw(replace(FRAME, odom=(nan, 0.0, 0.0)))
-    assert top.layers == 2
-
-
-def test_the_view_grows_after_a_robot_that_strays(config: RobotConfig) -> None:
-    top = TopView(config)
-    frame = TopViewFrame(goal=(1.0, 1.0))
-    first = top.draw(frame).tobytes()
-    for step in range(200):
-        away = (-0.1 * step, 0.0, 0.0)
-        image = top.draw(replace(frame, odom=away))
-        assert top.view.shows(*away[:2], 10.0)
-    assert top.layers < 12
-    assert near(image, top.view, (1.0, 1.0), GOAL_COLOUR)
-    assert near(image, top.view, away[:2], CHASSIS_COLOUR)
-    layers = top.layers
-    top.draw(frame)
-    assert top.layers == layers, "it doesn't shrink before the next episode"
-    top.draw(replace(frame, goal=(0.5, 0.0)))
-    assert top.layers == layers + 1
-    assert top.draw(frame).tobytes() == first
 
 
 @pytest.mark.parametrize("size", [(480,), (63, 480), (480, 5000), (480.5, 480), 480, "ab", None])

@@ -14,7 +14,6 @@ from acsar_gym.testing import wait_until
 from acsar_gym.tools import demo
 from acsar_gym.tools.emulation.board import run_emulator
 from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.training import run as training
 
 HOLDS_AN_EMULATOR = """
 import time
@@ -43,14 +42,6 @@ def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     )
     assert [summary.episodes for _, summary in rows] == [3, 1]
     assert report.summary_table("demo", rows).row_count == 2
-
-
-def test_a_signal_while_training_ends_the_demo(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(training, "train", lambda _: 143)
-    with pytest.raises(SystemExit, match="143"):
-        demo.run_demo(1, 1, 1, tmp_path)
 
 
 def test_the_emulator_ends_with_the_demo_even_if_it_is_killed() -> None:

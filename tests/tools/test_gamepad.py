@@ -92,18 +92,26 @@ def test_twist(events: list[bytes], linear: float, angular: float) -> None:
     assert asked.dropped == (OVERFLOW in events)
 
 
-def test_bytes_may_come_in_any_pieces() -> None:
-    asked, data = controls(), LB + FULL + LEFT
-    for begin in range(0, len(data), 7):
-        asked.feed(data[begin : begin + 7])
-    assert asked.twist() == (1.0, 1.0)
-
-
 def test_buttons_act_when_pressed_and_in_their_order() -> None:
     asked = controls()
     codes = (BTN_EAST, BTN_START, BTN_SELECT)
     data = b"".join(event(EV_KEY, code, value) for code in codes for value in (1, 2, 0))
     assert asked.feed(data) == [PadEvent.STOP, PadEvent.RELEASE, PadEvent.QUIT]
+
+
+def test_an_emergency_stop_is_heard_without_the_deadman() -> None:
+    assert controls().feed(event(EV_KEY, BTN_EAST, 1)) == [PadEvent.STOP]
+
+
+def test_after_a_release_of_the_emergency_stop_the_deadman_is_pressed_anew() -> None:
+    asked = controls()
+    asked.feed(LB + FULL)
+    asked.disarm()
+    assert asked.twist() == (0.0, 0.0)
+    asked.feed(HALF)
+    assert asked.twist() == (0.0, 0.0)
+    asked.feed(LET_GO + REST + LB + FULL)
+    assert asked.twist() == (1.0, 0.0)
 
 
 # Pads as the kernel's drivers tell them, in words of 64 bits, the highest first.

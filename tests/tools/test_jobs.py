@@ -27,17 +27,6 @@ def _workers_find_the_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS), str(TESTS.parent)]))
 
 
-def test_one_worker_is_this_process(tmp_path: Path) -> None:
-    assert list(completed(square, [Job(n, tmp_path) for n in range(3)])) == [(0, 0), (1, 1), (2, 4)]
-    started = {path.name.rpartition("-")[2] for path in tmp_path.glob("start-*")}
-    assert started == {str(os.getpid())}
-
-
-def test_no_jobs_start_no_process() -> None:
-    assert not list(completed(square, [], workers=2))
-    assert not list(completed(square, [], address="nowhere:1"))
-
-
 def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
     """The first job waits for the last one, which another process runs."""
     waiting = Job(0, tmp_path, waits=tmp_path / "end-4")
@@ -63,10 +52,6 @@ def test_an_error_of_this_package_arrives_as_it_is(workers: int) -> None:
 def test_another_error_names_the_job_and_the_line() -> None:
     with pytest.raises(JobError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
         list(completed(broken, [5, 5], workers=2))
-
-
-def test_processes_leave_each_other_the_cores() -> None:
-    assert dict(completed(threads, ["NUMBA_NUM_THREADS"] * 2, workers=2)) == {0: "1", 1: "1"}
 
 
 INTERRUPTED = """
@@ -120,10 +105,4 @@ def test_an_address_that_doesnt_answer_is_one_error(
             list(completed(threads, [""], address=f"{kind}{host}"))
     monkeypatch.setenv("RAY_ADDRESS", f"{kind}{host}")
     with pytest.raises(ClusterError, match="'auto': doesn't answer: start a cluster"):
-        list(completed(threads, [""], address="auto"))
-
-
-def test_without_ray_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'acsar_gym\[scale\]'"):
         list(completed(threads, [""], address="auto"))

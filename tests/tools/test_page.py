@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from acsar_gym.errors import MissingExtraError
 from acsar_gym.reading import check_replaceable
 from acsar_gym.tools.page import Section, Table, write_page
 
@@ -63,9 +61,3 @@ def test_a_page_loads_nothing_and_text_from_files_is_only_text(tmp_path: Path) -
     assert traces is not None
     assert json.loads(traces[1])[0]["name"] == EVIL
     check_replaceable(path)  # it was written by this command
-
-
-def test_plotly_is_an_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    with pytest.raises(MissingExtraError, match=r"\[report\]"):
-        write_page(tmp_path / "page.html", "title", [])

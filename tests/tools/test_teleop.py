@@ -22,14 +22,12 @@ from serial_tools import (
     TIMEOUT,
     Emulated,
     RobotFile,
-    cli,
     no_leak,
     program,
     wait_until,
 )
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import CommandError
 from acsar_gym.guard.estop import stop_all
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording import Recorder
@@ -121,24 +119,6 @@ def test_a_fixed_twist_is_reached_within_the_limits_and_then_stopped(
     assert fastest == sorted(fastest)  # a ramp, and nothing faster before its end
 
 
-@pytest.mark.parametrize(
-    ("linear", "angular", "duration"),
-    [
-        (float("nan"), 0.0, 0.1),
-        (0.1, float("inf"), 0.1),
-        (0.1, 0.0, -1.0),
-        (0.1, 0.0, float("inf")),
-    ],
-)
-def test_numbers_that_are_refused_before_anything_opens(
-    linear: float, angular: float, duration: float, config: RobotConfig
-) -> None:
-    robot = Robot(open_link("planar", config), config)
-    with pytest.raises(CommandError, match="finite"):
-        teleop.drive_twist(robot, linear, angular, duration)
-    assert not robot.active
-
-
 def test_ctrl_c_stops_a_fixed_twist(emulator: Emulated, robot_file: RobotFile) -> None:
     options = ("--link", emulator.device, "--linear", "0.2", "--robot", str(robot_file()))
     with program(HEEDING_CTRL_C, "drive", *options) as process:
@@ -149,13 +129,6 @@ def test_ctrl_c_stops_a_fixed_twist(emulator: Emulated, robot_file: RobotFile) -
     assert "interrupted" in error
     assert "Traceback" not in error
     wait_until(emulator.is_stopped, "zero as the last command")
-
-
-def test_without_a_keyboard_there_is_one_clear_error() -> None:
-    done = cli("drive", "--link", "planar")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
-    assert "--linear" in done.stderr
 
 
 @dataclass
@@ -322,6 +295,32 @@ def test_a_recorded_drive_stops_in_the_tick_in_which_the_deadman_is_let_go_or_th
     assert len(episode.asked) == 400
 
 
+def test_real_wheels_stop_when_the_deadman_is_let_go_and_when_the_pad_is_lost(
+    pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile, config: RobotConfig
+) -> None:
+    options = ("--link", emulator.device, "--robot", str(robot_file()))
+    fastest = on_the_wire(config, config.max_linear, 0.0)
+    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
+        wait_until(lambda: "feedback" in screen.look(), "the status line")
+        stops: tuple[Callable[[], None], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
+        for stop in stops:
+            pad.send(LB + FULL)
+            wait_until(lambda: fastest in emulator.commands()[-10:], "full speed")
+            stop()
+            wait_until(emulator.is_stopped, "zero as the newest command")
+            stood = len(emulator.commands())
+            wait_for_commands(emulator, stood + 20)
+            assert set(emulator.commands()[stood:]) == {ZERO}
+        wait_until(lambda: "lost" in screen.look(), "the message")
+        pad.plug()
+        wait_until(lambda: "press LB to drive on" in screen.look(), "a pad that is back")
+        pad.send(LB + FULL)
+        wait_until(emulator.is_driven, "a command that turns the wheels")
+        pad.send(QUIT)
+        assert screen.wait() == 0
+    wait_until(emulator.is_stopped, "zero as the last command")
+
+
 def test_after_an_emergency_stop_start_releases_it_and_the_deadman_is_pressed_anew(
     pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile
 ) -> None:
@@ -353,10 +352,3 @@ def last_line(screen: Screen) -> str:
     """The newest status line that is whole; "EMERGENCY" as long as there is none."""
     lines = screen.look().split("\r")
     return lines[-2] if len(lines) > 2 else "EMERGENCY"
-
-
-def test_a_gamepad_and_a_fixed_twist_are_two_drivers() -> None:
-    for beside in (("--linear", "0.1"), ("--duration", "1"), ("one", "two")):
-        done = cli("drive", "--link", "planar", "--gamepad", *beside)
-        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert "--gamepad takes one device" in done.stderr

@@ -2,7 +2,6 @@
 
 | file | content |
 |---|---|
-| `plan.json` | what was asked for: agents, scenes, links, conditions; see `BenchmarkPlan` |
 | `cells/` | a file for each finished cell; see `CellResult` |
 | `benchmark.json` | the result; see `figures.make_result` |
 """
@@ -12,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -21,10 +19,11 @@ from typing import Any
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 
 BENCHMARK_SCHEMA = 3  # version of these files
 MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB
-PLAN_FILE, CELLS_FOLDER = "plan.json", "cells"
+CELLS_FOLDER = "cells"
 COLUMNS = tuple(
     column.name for column in fields(Episode) if column.name not in ("pose", "timing", "told")
 )
@@ -71,20 +70,15 @@ class CellResult:
 
 
 def episode_columns(episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Return episodes as lists by field, for JSON: floats of 6 digits, NaN and infinity as None."""
-
-    def plain(value: Any) -> Any:
-        if not isinstance(value, float):
-            return value
-        return float(f"{value:.6g}") if math.isfinite(value) else None
-
+    """Return episodes as lists by field, for JSON: NaN and infinity become None."""
     columns: dict[str, Any] = {
-        name: [plain(getattr(episode, name)) for episode in episodes]
+        name: [getattr(episode, name) for episode in episodes]
         for name in (*COLUMNS, *DERIVED_COLUMNS)
     }
-    told = episodes[0].told if episodes else ()
-    columns["told"] = {name: [plain(episode.told[name]) for episode in episodes] for name in told}
-    return columns
+    names = episodes[0].told if episodes else ()
+    columns["told"] = {name: [episode.told[name] for episode in episodes] for name in names}
+    cleaned: dict[str, Any] = replace_nonfinite(columns)
+    return cleaned
 
 
 def read_episodes(columns: Mapping[str, Any]) -> list[Episode]:
@@ -93,83 +87,50 @@ def read_episodes(columns: Mapping[str, Any]) -> list[Episode]:
     def read_value(name: str, value: Any) -> Any:
         return math.nan if value is None and name not in ("seed", "world") else value
 
-    told = columns["told"]
     return [
         Episode(
             **{name: read_value(name, columns[name][number]) for name in COLUMNS},
-            told={name: read_value(name, values[number]) for name, values in told.items()},
+            told={n: read_value(n, values[number]) for n, values in columns["told"].items()},
         )
         for number in range(len(columns["success"]))
     ]
 
 
 class Store:
-    """The folder of a benchmark, which must exist; it keeps finished cells."""
+    """The folder of a benchmark, which must exist; it keeps finished cells.
+
+    A cell's file is named by a hash of all that its result depends on, so a cell of another policy,
+    scene set or version is another cell.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._cells = folder / CELLS_FOLDER
 
-    def clear(self) -> None:
-        """Forget plan and cells; ConfigError if they can't be removed."""
-        try:
-            (self.folder / PLAN_FILE).unlink(missing_ok=True)
-            shutil.rmtree(self._cells, ignore_errors=not self._cells.exists())
-        except OSError as error:
-            raise ConfigError(f"{self.folder}: {reading.explain_error(error)}") from error
-
-    def open(self, plan: Mapping[str, Any]) -> list[CellResult]:
-        """Note the plan, or check that it is the noted one; returns the finished cells.
-
-        Raises ConfigError where the folder has another plan, or can't be read or written.
-        """
-        noted = self.folder / PLAN_FILE
-        files = sorted(self._cells.glob("*.json"))
-        if noted.exists():
-            _check_plan(noted, plan)
-        elif files:
-            raise ConfigError(f"{self._cells}: has no {PLAN_FILE} beside it: use another folder")
-        else:
-            text = json.dumps(plan, indent=2, sort_keys=True, allow_nan=False) + "\n"
-            reading.write_atomically(noted, text.encode())
-        return [self._read(file) for file in files]
-
-    def _read(self, file: Path) -> CellResult:
-        """Read a cell; ConfigError if it isn't one."""
+    def find(self, key: str) -> CellResult | None:
+        """Read a finished cell; None where there is none, ConfigError where it can't be read."""
+        file = self._file(key)
+        if not file.exists():
+            return None
         data = reading.read_file(file, MAX_CELL_BYTES)
         try:
             return CellResult.of(reading.parse_json(data))
         except (ConfigError, ValueError, TypeError, LookupError, AttributeError) as error:
-            raise ConfigError(f"{file}: isn't a benchmark's: use another folder") from error
+            raise ConfigError(f"{file}: isn't a benchmark's: remove it") from error
 
-    def add(self, result: CellResult) -> CellResult:
+    def add(self, key: str, result: CellResult) -> CellResult:
         """Write a cell, whole or not at all; returns it as it will be read.
 
         Raises ConfigError where it can't be written, as on a full disk.
         """
-        name = hashlib.sha256(repr(result.cell).encode()).hexdigest()[:16]
-        file = self._cells / f"{name}.json"
+        file = self._file(key)
         try:
-            self._cells.mkdir(exist_ok=True)
+            file.parent.mkdir(exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{self._cells}: {reading.explain_error(error)}") from error
+            raise ConfigError(f"{file.parent}: {reading.explain_error(error)}") from error
         line = json.dumps(result.as_dict(), allow_nan=False, separators=(",", ":"))
         reading.write_atomically(file, line.encode())
-        return self._read(file)
+        return CellResult.of(reading.parse_json(line.encode()))
 
-
-def _check_plan(noted: Path, plan: Mapping[str, Any]) -> None:
-    """Check that a plan is the noted one; ConfigError names the first key that differs."""
-    content = reading.read_file(noted, MAX_CELL_BYTES)
-    try:
-        before = reading.parse_json(content)
-        keys = sorted({*before, *plan})
-    except (ConfigError, TypeError) as error:
-        raise ConfigError(f"{noted}: isn't a benchmark's plan: use another folder") from error
-    now = json.loads(json.dumps(plan))
-    differing = next((key for key in keys if before.get(key) != now.get(key)), None)
-    if differing is not None:
-        raise ConfigError(
-            f"{noted.parent}: holds a benchmark with another plan ({differing} differs): give it "
-            "the same options, or another --out"
-        )
+    def _file(self, key: str) -> Path:
+        name = hashlib.sha256(key.encode()).hexdigest()[:16]
+        return self.folder / CELLS_FOLDER / f"{name}.json"

@@ -87,23 +87,15 @@ def score_episode(episode: Episode, scoring: Scoring) -> float:
 
 def summarise_cells(episodes: Sequence[Episode]) -> dict[str, Any]:
     """Return the mean of every figure over the episodes that have it, NaN where none has."""
-    figures: dict[str, Callable[[Episode], float]] = {
-        **metrics.EPISODE_RATES,
-        **metrics.EPISODE_FIGURES,
-        "score": lambda e: e.score,
-        "late_ticks": lambda e: e.late_ticks,
-    }
-    means = {
-        name: metrics.finite_mean(float(figure(episode)) for episode in episodes)
-        for name, figure in figures.items()
-    }
-    told = {
-        name: metrics.finite_mean(episode.told[name] for episode in episodes)
-        for name in episodes[0].told
-    }
     wins = sum(episode.success for episode in episodes)
-    interval = metrics.wilson_interval(wins, len(episodes))
-    return {"episodes": len(episodes), **means, "told": told, "success_interval": interval}
+    return {
+        "episodes": len(episodes),
+        **metrics.average_figures(episodes),
+        "score": metrics.finite_mean(episode.score for episode in episodes),
+        "late_ticks": metrics.finite_mean(episode.late_ticks for episode in episodes),
+        "told": metrics.average_told(episodes),
+        "success_interval": metrics.wilson_interval(wins, len(episodes)),
+    }
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -232,6 +233,8 @@ class BenchmarkJob:
     """The policy, with what its file contains: another machine may not have the file."""
     scenes: SceneSet
     count: int  # how many scenes are driven
+    key: str = ""
+    """All that its result depends on."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +298,15 @@ class BenchmarkPlan:
                     cell = Cell(
                         agent.name, agent.training_seed, scenes.id, link, condition, scenes.name
                     )
-                    yield BenchmarkJob(cell, policy, scenes, count)
+                    given = {
+                        "versions": [BENCHMARK_SCHEMA, acsar_gym.__version__],
+                        "cell": asdict(cell),
+                        "agent": agent.about,
+                        "scenes": scenes.about | {"count": count},
+                        "condition": condition_fields(CONDITIONS[condition]),
+                    }
+                    key = json.dumps(given, sort_keys=True)
+                    yield BenchmarkJob(cell, policy, scenes, count, key)
 
 
 def condition_fields(condition: Condition) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import page
 from acsar_gym.tools.benchmark.figures import COMPARED_FIGURES, PLACE
 from acsar_gym.tools.benchmark.plan import NOMINAL
-from acsar_gym.tools.evaluation.report import escape_text
+from acsar_gym.tools.evaluation.report import escape_text, fill_columns
 
 Row = Mapping[str, Any]
 LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {"port": "emulated port"}
@@ -132,18 +132,11 @@ def list_refusals(result: Mapping[str, Any]) -> list[str]:
     return list(dict.fromkeys(row["refused"] for row in result["rows"] if row["refused"]))
 
 
-def _fill_columns(
-    rows: Sequence[Row], columns: Mapping[str, Callable[[Row], str]]
-) -> dict[str, list[str]]:
-    cells = {name: [cell(row) for row in rows] for name, cell in columns.items()}
-    return {name: [c or "-" for c in column] for name, column in cells.items() if any(column)}
-
-
 def result_table(result: Mapping[str, Any]) -> Table:
     """Format the result as a table."""
     table = Table(title="Benchmark", title_justify="left")
     groups = group_rows(result)
-    cells = _fill_columns([row for group in groups.values() for row in group], MAIN_COLUMNS)
+    cells = fill_columns([row for group in groups.values() for row in group], MAIN_COLUMNS)
     names = [f"{env_id} {scenes}" for (env_id, scenes), group in groups.items() for _ in group]
     for name in ("scenes", *cells):
         is_text = name in ("scenes", "agent", "link", "condition")
@@ -160,7 +153,7 @@ def write_benchmark_page(path: Path, result: Mapping[str, Any]) -> None:
     refused = list_refusals(result)
     sections = [page.Section("How to read it", "\n".join([INTRODUCTION, *refused]))]
     for (env_id, scenes), rows in groups.items():
-        columns = _fill_columns(rows, PAGE_COLUMNS)
+        columns = fill_columns(rows, PAGE_COLUMNS)
         sections.append(
             page.Section(
                 f"{env_id}, {scenes}",

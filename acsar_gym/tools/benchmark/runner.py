@@ -19,14 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CancelledError, PolicyError
@@ -66,30 +58,15 @@ def run_plan(
     Raises CancelledError after Ctrl-C, which says how much is finished.
     """
     plan.check()
-    done = {result.cell: result for result in store.open(plan.as_dict())}
     jobs = list(plan.jobs())
+    stored = {job.cell: store.find(job.key) for job in jobs}
+    done = {cell: result for cell, result in stored.items() if result is not None}
     waiting = [job for job in jobs if job.cell not in done]
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("cells"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}"),
-    )
     running = completed(run_job, waiting, workers=workers, address=address)
     try:
-        with (
-            Progress(*columns, console=report.SafeConsole(stderr=True)) as progress,
-            contextlib.closing(running),
-        ):
-            task = progress.add_task("", total=len(jobs), completed=len(jobs) - len(waiting))
-            for _, result in running:
-                cell = result.cell
-                done[cell] = store.add(result)
-                seed = "" if cell.training_seed is None else f" {cell.training_seed}"
-                newest = f"{cell.scenes} {cell.link} {cell.condition} {cell.agent}{seed}"
-                progress.update(task, advance=1, description=report.escape_text(newest))
+        with contextlib.closing(running):
+            for number, result in report.watch_progress("cells", running, len(waiting)):
+                done[result.cell] = store.add(waiting[number].key, result)
     except KeyboardInterrupt as error:
         raise CancelledError(
             f"interrupted: {len(done)} of {len(jobs)} cells are kept in {store.folder}; the same "

@@ -1,19 +1,25 @@
-"""Episodes of a policy, one after the other or as a batch."""
+"""Episodes of a policy, one after the other, or as a batch with the same results."""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.links.base import meter_of
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.evaluation import batches
+from acsar_gym.tasks.episode import Assignment, RunningEpisode
+from acsar_gym.tasks.goal import GoalTask
+from acsar_gym.tasks.state import State
+from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
     POSE_KEYS,
     Episode,
@@ -23,8 +29,15 @@ from acsar_gym.tools.evaluation.episode import (
 )
 from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.tools.policies.policy import PolicyContext
+from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds import World
 
 MAX_LATE_SHARE = 0.01  # largest share of late ticks in a valid episode
+MIN_EPISODES = 16  # fewer episodes are driven one by one: making a batch takes longer than it saves
+MAX_BATCH = 128  # robots of a batch, at most; one that has ended begins the next episode
+MAX_BATCH_WORLDS = 10_000  # worlds that a batch takes, at most
+SINGLE_OPTIONS = ("faults", "lidar", "on_fault", "record", "render_mode", "view")
+"""Options of an env whose episodes are driven one by one."""
 
 
 def run_episodes(
@@ -41,7 +54,7 @@ def run_episodes(
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each in order.
 
     Many episodes of planar robots are driven as a batch, with the same results, where the policy
-    has no memory; see `batches`. A fault, or too many late ticks, make an episode not valid; the
+    has no memory; see `can_batch`. A fault, or too many late ticks, make an episode not valid; the
     next reset connects again.
 
     Args:
@@ -91,8 +104,8 @@ def run_resets(
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
     if not isinstance(policy, FilePolicy) and (bind := getattr(policy, "bind", None)) is not None:
         bind(PolicyContext.of(inner))
-    if batches.can_batch(env, policy, resets):
-        yield from batches.run_batch(env, policy, resets)
+    if can_batch(env, policy, resets):
+        yield from run_batch(env, policy, resets)
         return
     for seed, options in resets:
         yield _run_episode(env, inner, policy, seed, dict(options), late_share)
@@ -140,3 +153,174 @@ def _run_episode(
         timing=timing,
         **measure_episode(inner, inner.episode, track, info, way),
     )
+
+
+def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> bool:
+    """Whether these episodes can be driven as a batch, and are worth it."""
+    spec, inner = env.spec, env.unwrapped
+    if spec is None or not isinstance(inner, RobotEnv) or len(resets) < MIN_EPISODES:
+        return False
+    kwargs, task = spec.kwargs, inner.task
+    ways_known = not says_shortest_path(task) or type(task).shortest_path is GoalTask.shortest_path
+    return (
+        kwargs.get("link") == "planar"
+        and getattr(policy, "act_many", None) is not None
+        and spec.vector_entry_point is not None
+        and not spec.additional_wrappers
+        and all(kwargs.get(name) is None for name in SINGLE_OPTIONS)
+        and ways_known
+        and all(set(options) <= {"world"} for _, options in resets)
+        and not any(isinstance(options.get("world"), World) for _, options in resets)
+        and len(_list_worlds(inner, resets)) <= MAX_BATCH_WORLDS
+    )
+
+
+def _list_worlds(env: RobotEnv, resets: Resets) -> range | list[int]:
+    """Numbers of the worlds that are driven in: those that are named, or all."""
+    if env.pool is None:
+        return range(0)
+    named = {int(options["world"]) for _, options in resets if "world" in options}
+    return sorted(named) if all(options for _, options in resets) else env.pool.numbers
+
+
+def run_batch(env: gymnasium.Env[Any, Any], policy: Any, resets: Resets) -> Iterator[Episode]:
+    """Drive episodes as a batch, and yield them in order."""
+    inner: Any = env.unwrapped
+    numbers = _list_worlds(inner, resets)
+    batch = _make_batch(env, inner, numbers, min(len(resets), MAX_BATCH))
+    try:
+        yield from _BatchRun(inner, batch, policy, resets, numbers).episodes()
+    finally:
+        batch.close()
+
+
+def _make_batch(
+    env: gymnasium.Env[Any, Any], inner: RobotEnv, numbers: range | list[int], robots: int
+) -> RobotVectorEnv:
+    """Make the batch of an env, with these worlds of it alone."""
+    spec = copy.copy(env.spec)
+    assert spec is not None  # noqa: S101 - `can_batch` has seen it
+    spec.kwargs = {**spec.kwargs, "autoreset_mode": AutoresetMode.NEXT_STEP}
+    if inner.pool is not None and numbers != inner.pool.numbers:
+        spec.kwargs |= {"worlds": [inner.pool[number] for number in numbers], "difficulty": None}
+    batch = gymnasium.make_vec(spec, robots, vectorization_mode="vector_entry_point").unwrapped
+    assert isinstance(batch, RobotVectorEnv)  # noqa: S101 - no other class is registered
+    batch.batch.measure_work()
+    return batch
+
+
+class _BatchRun:
+    """The episodes that the robots of a batch are driving."""
+
+    def __init__(
+        self,
+        env: RobotEnv,
+        batch: RobotVectorEnv,
+        policy: Any,
+        resets: Resets,
+        numbers: range | list[int],
+    ) -> None:
+        self._env, self._batch, self._policy = env, batch, policy
+        self._resets, self._numbers = resets, numbers
+        robots = batch.num_envs
+        self._which = np.full(robots, -1)
+        """Number of the episode that each robot drives; -1 for none."""
+        self._begun = 0
+        self._steps = np.zeros(robots, np.int64)
+        self._returns = np.zeros(robots)
+        self._tracks = np.zeros((robots, 256, len(POSE_KEYS)))
+        """POSE_KEYS of each robot at the reset and after every step."""
+        self._first_ticks = np.zeros(robots, np.int64)
+        """Ticks of each robot's reset."""
+
+    def episodes(self) -> Iterator[Episode]:
+        """Drive, and yield each episode once all before it have ended."""
+        batch, waiting, next_number = self._batch, dict[int, Episode](), 0
+        observations = self._begin(np.ones(batch.num_envs, np.bool_))
+        while next_number < len(self._resets):
+            actions = np.zeros((batch.num_envs, 2), np.float32)
+            driving = self._which >= 0
+            actions[driving] = self._policy.act_many(observations[driving])
+            observations, rewards, terminated, truncated, info = batch.step(actions)
+            self._returns += rewards
+            self._steps += 1
+            self._note(info, driving)
+            ended = driving & (terminated | truncated)
+            for robot in np.flatnonzero(ended):
+                waiting[int(self._which[robot])] = self._finish(int(robot), info)
+            self._which[ended] = -1
+            while next_number in waiting:
+                yield waiting.pop(next_number)
+                next_number += 1
+            if ended.any() and self._begun < len(self._resets):
+                observations = self._begin(ended)
+
+    def _begin(self, free: NDArray[np.bool_]) -> NDArray[Any]:
+        """Begin the next episodes with free robots, as far as there are some."""
+        robots = np.flatnonzero(free)[: len(self._resets) - self._begun]
+        mask = np.zeros(self._batch.num_envs, np.bool_)
+        mask[robots] = True
+        seeds: list[int | None] = [None] * self._batch.num_envs
+        worlds = np.full(self._batch.num_envs, math.nan)
+        for robot in robots:
+            seed, reset = self._resets[self._begun]
+            self._which[robot] = self._begun
+            self._begun += 1
+            seeds[robot] = seed
+            if "world" in reset:
+                worlds[robot] = self._place(int(reset["world"]))
+        options: dict[str, Any] = {"reset_mask": mask}
+        if not np.isnan(worlds).all():
+            options["world"] = worlds
+        observations, info = self._batch.reset(seed=seeds, options=options)
+        self._steps[mask], self._returns[mask] = 0, 0.0
+        self._note(info, mask)
+        (loops,) = self._batch.batch.read("loops")
+        config = self._env.robot.config
+        per_tick = round(config.firmware.loop_rate * config.period)
+        self._first_ticks[mask] = loops[mask] / per_tick
+        return observations
+
+    def _place(self, number: int) -> int:
+        """The batch's number of a world."""
+        numbers = self._numbers
+        return number if isinstance(numbers, range) else numbers.index(number)
+
+    def _note(self, info: dict[str, Any], mask: NDArray[np.bool_]) -> None:
+        """Note the poses of robots."""
+        if self._steps.max() >= self._tracks.shape[1]:
+            self._tracks = np.concatenate([self._tracks, np.zeros_like(self._tracks)], axis=1)
+        robots = np.flatnonzero(mask)
+        poses = np.column_stack([info[key][robots] for key in POSE_KEYS])
+        self._tracks[robots, self._steps[robots]] = poses
+
+    def _finish(self, robot: int, infos: dict[str, Any]) -> Episode:
+        """Compute the result of a robot's episode."""
+        env, batch = self._env, self._batch.batch
+        info = {key: values[robot] for key, values in infos.items() if not key.startswith("_")}
+        names = ("start_x", "start_y", "start_theta", "goal_x", "goal_y", "work")
+        x, y, theta, goal_x, goal_y, work = batch.read(*names)[:, robot].tolist()
+        world, number = None, -1
+        if env.pool is not None:
+            number = int(info["world"])
+            number = number if isinstance(self._numbers, range) else self._numbers[number]
+            info["world"], world = number, env.pool[number]
+        assignment = Assignment((goal_x, goal_y), world, number=number, start=(x, y, theta))
+        episode = RunningEpisode(env.task, assignment)
+        episode.state = State(goal=assignment.goal)
+        length, first = int(self._steps[robot]), int(self._first_ticks[robot])
+        track = self._tracks[robot, : length + 1]
+        ticks, period = length * env.ticks_per_step, env.robot.config.period
+        clock = np.cumsum(np.full(first + ticks, period))  # as the link adds up its periods
+        return Episode(
+            seed=self._resets[int(self._which[robot])][0],
+            started=float(clock[first]) - period,
+            ended=float(clock[-1]),
+            length=length,
+            ticks=ticks,
+            episode_return=float(self._returns[robot]),
+            energy=work,
+            **measure_episode(
+                env, episode, track, info, episode.shortest_path(known_pose(track[0].tolist()))
+            ),
+        )

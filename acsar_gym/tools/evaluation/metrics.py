@@ -118,22 +118,34 @@ EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
 """Figures of an episode whose means are given, see `Summary`; NaN where an episode has none."""
 
 
+def average_figures(episodes: Sequence[Episode]) -> dict[str, float]:
+    """Return the mean of every rate and figure over the episodes that have it; NaN for none."""
+    figures: dict[str, Callable[[Episode], float]] = {**EPISODE_RATES, **EPISODE_FIGURES}
+    return {
+        name: finite_mean(float(figure(episode)) for episode in episodes)
+        for name, figure in figures.items()
+    }
+
+
+def average_told(episodes: Sequence[Episode]) -> dict[str, float]:
+    """Return the means of what the task told at the episodes' ends."""
+    names = episodes[0].told if episodes else ()
+    return {name: finite_mean(episode.told[name] for episode in episodes) for name in names}
+
+
 def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
-    rates = {name: [rate(episode) for episode in episodes] for name, rate in EPISODE_RATES.items()}
-    samples = {
-        name: [float(figure(episode)) for episode in episodes]
-        for name, figure in EPISODE_FIGURES.items()
+    intervals = {
+        name: wilson_interval(sum(map(rate, episodes)), len(episodes))
+        for name, rate in EPISODE_RATES.items()
     }
-    names = episodes[0].told if episodes else ()
-    told = {name: [episode.told[name] for episode in episodes] for name in names}
-    intervals = {name: wilson_interval(sum(hits), len(hits)) for name, hits in rates.items()}
-    prefixed = {f"{TOLD_PREFIX}{name}": values for name, values in told.items()}
-    for name, values in (samples | prefixed).items():
-        intervals[name] = bootstrap_interval(values)
-    means: dict[str, Any] = {
-        name: finite_mean(map(float, values)) for name, values in (rates | samples).items()
-    }
+    for name, figure in EPISODE_FIGURES.items():
+        intervals[name] = bootstrap_interval([float(figure(episode)) for episode in episodes])
+    told = average_told(episodes)
+    for name in told:
+        values = [episode.told[name] for episode in episodes]
+        intervals[f"{TOLD_PREFIX}{name}"] = bootstrap_interval(values)
+    means: dict[str, Any] = dict(average_figures(episodes))
     timings = [episode.timing for episode in episodes if episode.timing]
     latest = [timing.lateness for timing in timings]
     trips = [trip for timing in timings for trip in timing.round_trips]
@@ -150,7 +162,7 @@ def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
         round_trip_p95=float(np.percentile(trips, 95.0)) if trips else math.nan,
         round_trips=len(trips),
         invalid=sum(not episode.valid for episode in episodes),
-        told={name: finite_mean(values) for name, values in told.items()},
+        told=told,
         intervals=intervals,
     )
 

@@ -88,13 +88,17 @@ def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None
     )
 
 
-def summary_cells(rows: Sequence[tuple[str, Summary]]) -> dict[str, list[str]]:
-    """Format summaries as columns of cells by name; columns without any value are left out."""
-    columns = {
-        name: [cell(summary) for _, summary in rows] for name, cell in SUMMARY_COLUMNS.items()
-    }
-    filled = {name: [c or "-" for c in cells] for name, cells in columns.items() if any(cells)}
-    return {"behind the wire": [link for link, _ in rows], **filled}
+def fill_columns(
+    rows: Sequence[Item], columns: Mapping[str, Callable[[Item], str]]
+) -> dict[str, list[str]]:
+    """Format rows as columns of cells by name; columns without any value are left out."""
+    cells = {name: [cell(row) for row in rows] for name, cell in columns.items()}
+    return {name: [c or "-" for c in column] for name, column in cells.items() if any(column)}
+
+
+def _summary_cells(rows: Sequence[tuple[str, Summary]]) -> dict[str, list[str]]:
+    columns = fill_columns([summary for _, summary in rows], SUMMARY_COLUMNS)
+    return {"behind the wire": [link for link, _ in rows], **columns}
 
 
 def summary_table(
@@ -102,7 +106,7 @@ def summary_table(
 ) -> Table:
     """Format the summary of the runs on each link as a table, with lines below it."""
     table = Table(title=escape_text(title), title_justify="left")
-    cells = summary_cells(rows)
+    cells = _summary_cells(rows)
     for name in cells:
         table.add_column(name, justify="right" if table.columns else "left")
     for row in zip(*cells.values(), strict=True):
@@ -130,7 +134,7 @@ def write_evaluation_page(
     page.check_report_extra()
     from plotly import graph_objects  # noqa: PLC0415 - optional
 
-    cells = summary_cells([(link, summary)])
+    cells = _summary_cells([(link, summary)])
     told = {f"{TOLD_PREFIX}{name}": value for name, value in summary.told.items()}
     values = {**asdict(summary), **told}
     intervals = [

@@ -7,14 +7,13 @@ import hashlib
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig, RobotSource
@@ -346,8 +345,10 @@ def evaluate_policy(
         running = _run_shards(shards, workers, address)
     _warn_differences(policy)
     with contextlib.closing(running):
-        shown = _show_progress(link, running, len(seeds))
-        done = _collect_run(env, policy, link, seeds, how, shown)
+        watched = report.watch_progress(
+            f"episodes, {report.escape_text(link)}", running, len(seeds)
+        )
+        done = _collect_run(env, policy, link, seeds, how, watched)
     done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
     done.header.update(workers=workers if address else workers or 1, address=address)
     return done
@@ -438,24 +439,6 @@ def refuse_outside(policy: FilePolicy) -> None:
     """Raise PolicyError where the robot isn't one of those that the policy is for."""
     if policy.outside:
         raise PolicyError(f"{policy.path}: {'; '.join(policy.outside)}: {RETRAIN_HINT}")
-
-
-def _show_progress(name: str, running: Iterable[Episode], count: int) -> Iterator[Episode]:
-    """Yield episodes, with a progress bar that shows the success rate."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("episodes, success {task.fields[rate]}"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=report.SafeConsole()) as progress:
-        task = progress.add_task(report.escape_text(name), total=count, rate="-")
-        wins = 0
-        for number, episode in enumerate(running, start=1):
-            yield episode
-            wins += episode.success
-            progress.update(task, advance=1, rate=f"{wins / number:.0%}")
 
 
 def _collect_run(

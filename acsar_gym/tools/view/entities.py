@@ -316,7 +316,7 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> 
         return None
 
 
-def make_blueprint(block: Block, *, live: bool, camera: bool, gap: bool) -> rrb.Blueprint:
+def make_blueprint(block: Block, *, live: bool, gap: bool) -> rrb.Blueprint:
     """Lay the views out: from above, wheels, command and why, log."""
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
@@ -349,10 +349,9 @@ def make_blueprint(block: Block, *, live: bool, camera: bool, gap: bool) -> rrb.
     last = rrb.TimeSeriesView(name="Gap [cm]", contents="/gap/**")
     last = last if gap else plot("Lateness [ms]", "lateness")
     log = rrb.TextLogView(name="Log", contents=[f"+ /{run}/log" for run in RUNS])
-    picture = [rrb.Spatial2DView(name="Camera", contents="/run/camera")] if camera else []
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(above, *picture, log, row_shares=[3, *[2] * camera, 1]),
+            rrb.Vertical(above, log, row_shares=[3, 1]),
             rrb.Vertical(
                 rrb.Grid(*wheels, grid_columns=2),
                 rrb.Horizontal(*twist),

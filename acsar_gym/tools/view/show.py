@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, escape_unprintable, shorten_text
 from acsar_gym.guard import estop
 from acsar_gym.links.factory import is_device
@@ -25,21 +24,15 @@ from acsar_gym.tools.view.entities import (
     APPLICATION,
     TIMELINE,
     EpisodeLogger,
-    find_world,
     make_blueprint,
     to_odometry_points,
 )
 from acsar_gym.tools.view.tail import Block, RecordingTail
 from acsar_gym.tools.view.viewer import merge_files, open_viewer
-from acsar_gym.worlds import Scene
-from acsar_gym.worlds.world import point_in_world
 
 RECORD_HINT = "start it with --record FILE"
 POLL_INTERVAL = 0.3
 """Time between two looks at a recording that is being written [s]."""
-CAMERA_INTERVAL = 1.0
-"""Time between two pictures of the simulator's camera [s]."""
-CAMERA_SIZE = (480, 360)
 
 
 def find_recording(source: str) -> Path:
@@ -49,28 +42,18 @@ def find_recording(source: str) -> Path:
         LinkError: nobody drives that robot, or doesn't record it.
         ConfigError: it is a simulated link, which only its recording shows.
     """
-    if source in BODIES:
-        simulated = f"{source} is simulated by the program that drives it"
-        raise ConfigError(f"{simulated}: {RECORD_HINT}, and view that file")
-    if source == "serial":
-        raise ConfigError("serial: name the device, which 'acsar-gym estop --list' tells")
+    if source in BODIES or source == "serial":
+        raise ConfigError(f"{source}: names no robot that is driven: {RECORD_HINT}, and view that")
     path = Path(source.removeprefix("replay:"))
     if not is_device(source) or path.suffix == ".mcap" or path.is_file() or path.is_dir():
         return path
     real, where = os.path.realpath(source), shorten_text(source)
-    drivers = estop.list_drivers()
-    for driver in drivers:
+    for driver in estop.list_drivers():
         if driver.device and os.path.realpath(driver.device) == real:
             if driver.recording:
                 return Path(driver.recording)
             process = f"process {driver.process}"
             raise LinkError(f"{where}: {process} drives it without a recording", RECORD_HINT)
-    for driver in drivers:
-        if not driver.device:
-            raise LinkError(
-                f"{where}: process {driver.process} drives a robot, but doesn't answer",
-                "name the file that it records to",
-            )
     raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD_HINT)
 
 
@@ -90,14 +73,15 @@ class Overlay:
 
     def find_partner(self, key: SeedKey, block: Block) -> list[Block]:
         """Find the episode of the same seed and goal; ConfigError where there is none."""
-        seed, again = key
-        named = f"episode {again + 1} without a seed" if seed is None else f"seed {seed}"
-        named += f" for the {again + 1}th time" if seed is not None and again else ""
         partner = self._episodes.get(key)
-        if partner is None:
-            raise ConfigError(f"{self.name}: has no {named}: record both with the same seeds")
-        if not have_same_goal(block.numbers("goal", 2), partner[0].numbers("goal", 2)):
-            raise ConfigError(f"{self.name}: {named} has another goal: record both with the same")
+        if partner is None or not have_same_goal(
+            block.numbers("goal", 2), partner[0].numbers("goal", 2)
+        ):
+            seed = "" if key[0] is None else f" (seed {key[0]})"
+            raise ConfigError(
+                f"{self.name}: has no partner of episode {block.episode + 1}{seed}: record both "
+                "with the same seeds and goals"
+            )
         return partner
 
 
@@ -115,7 +99,7 @@ def measure_gap(
     A robot whose episode is over stays where it was. Yields "odometry" and "truth", times [s] and
     distances [m], (n,) each, where both places are known.
     """
-    for name in ("odometry", "truth"):
+    for name in ("odometry", "truth") if partner else ():
         times, places = _list_places([block], name)
         stamps, others = _list_places(partner, name)
         if len(times) and len(stamps):
@@ -133,40 +117,6 @@ def _list_places(blocks: Sequence[Block], name: str) -> tuple[Floats, Floats]:
     return truth[:, 0], to_odometry_points(blocks[0].start, truth[:, 1:3])
 
 
-class Camera:
-    """What PyBullet's camera behind the robot sees of a simulated episode."""
-
-    def __init__(
-        self, stream: rr.RecordingStream, config: RobotConfig, header: Any, block: Block
-    ) -> None:
-        from acsar_gym.physics.bodies import make_body  # noqa: PLC0415
-
-        self._stream = stream
-        self._body: Any = make_body("bullet", config)
-        self._world = find_world(header, config, block)
-        goal = block.numbers("goal", 2)
-        self._goal = None if goal is None else point_in_world(block.start, (goal[0], goal[1]))
-        self._next = 0.0
-
-    def log(self, block: Block) -> None:
-        """Draw the block's pictures."""
-        from acsar_gym.render.canvas import encode_png  # noqa: PLC0415
-
-        for moment, x, y, theta, _ in block.truth[np.isfinite(block.truth[:, 1])].tolist():
-            if moment >= self._next:
-                self._next = moment + CAMERA_INTERVAL
-                self._body.reset(Scene(start=(x, y, theta), goal=self._goal, world=self._world))
-                picture = rr.EncodedImage(
-                    contents=encode_png(self._body.image(*CAMERA_SIZE)), media_type="image/png"
-                )
-                self._stream.set_time(TIMELINE, duration=moment)
-                self._stream.log("run/camera", picture)
-
-    def close(self) -> None:
-        """End the simulation."""
-        self._body.close()
-
-
 class RerunWriter:
     """Writes the episodes of a recording into recordings of Rerun, each of which `connect` gets."""
 
@@ -177,12 +127,11 @@ class RerunWriter:
         connect: Callable[[rr.RecordingStream], None],
         *,
         live: bool = False,
-        camera: bool = False,
     ) -> None:
         self.problems: list[str] = []
         self.count = 0
         self._tail, self._overlay, self._connect = tail, overlay, connect
-        self._live, self._with_camera = live, camera
+        self._live = live
         self._begin_run()
 
     def _begin_run(self) -> None:
@@ -190,7 +139,6 @@ class RerunWriter:
         self._number = -1
         self._seeds: list[int | None] = []
         self._stream: Any = None
-        self._camera: Camera | None = None
         self._partner: list[Block] = []
         self._end = self._shift = 0.0
         self._has_ended = False
@@ -206,10 +154,10 @@ class RerunWriter:
                 self._begin_episode(block)
             self._logger.log(block)
             self._end = max(self._end, block.ticks["stamp"][-1:].sum())
-            if self._camera is not None:
-                self._camera.log(block)
-            if self._partner:
-                self._log_gap(block)
+            for name, times, distances in measure_gap(block, self._partner, self._shift):
+                index = rr.TimeColumn(TIMELINE, duration=times)
+                columns = rr.Scalars.columns(scalars=distances * 100.0)
+                self._stream.send_columns(f"gap/{name}", [index], columns)
         if self._tail.is_complete:
             self._log_end()
 
@@ -220,12 +168,6 @@ class RerunWriter:
             text = self._tail.describe_end()
             level = "INFO" if text == "the recording ends" else "WARN"
             self._logger.log_text(self._end, text, level)
-
-    def _log_gap(self, block: Block) -> None:
-        for name, times, distances in measure_gap(block, self._partner, self._shift):
-            index = rr.TimeColumn(TIMELINE, duration=times)
-            columns = rr.Scalars.columns(scalars=distances * 100.0)
-            self._stream.send_columns(f"gap/{name}", [index], columns)
 
     def _begin_episode(self, block: Block) -> None:
         tail, overlay = self._tail, self._overlay
@@ -244,13 +186,10 @@ class RerunWriter:
         self.count += 1
         seed = "" if key[0] is None else f", seed {key[0]}"
         stream.send_recording_name(f"episode {block.episode + 1}{seed}")
-        camera = self._with_camera and block.is_simulated
-        gap = bool(self._partner)
-        stream.send_blueprint(make_blueprint(block, live=self._live, camera=camera, gap=gap))
+        stream.send_blueprint(make_blueprint(block, live=self._live, gap=bool(self._partner)))
         self._logger = EpisodeLogger(stream, "run", tail.config, tail.header)
         if problem:
             self._logger.log_text(0.0, problem, "WARN")
-        self._camera = Camera(stream, tail.config, tail.header, block) if camera else None
         if overlay is not None and self._partner:
             stamps = _list_places(self._partner, "odometry")[0]
             self._shift = float(block.ticks["stamp"][:1].sum() - stamps[:1].sum())
@@ -261,12 +200,10 @@ class RerunWriter:
 
     def finish_episode(self) -> None:
         """Send all of the episode; idempotent."""
-        if self._camera is not None:
-            self._camera.close()
         if self._stream is not None:
             self._stream.flush()
             self._stream.disconnect()
-        self._camera = self._stream = None
+        self._stream = None
 
     def close(self) -> None:
         """Send all of a recording that isn't written any more."""
@@ -278,7 +215,7 @@ class RerunWriter:
             raise ConfigError(self.problems[0])
 
 
-def save_recording(path: Path, other: Path | None, target: Path, *, camera: bool) -> int:
+def save_recording(path: Path, other: Path | None, target: Path) -> int:
     """Write a recording to an .rrd file; returns the number of its episodes."""
     tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
     with tempfile.TemporaryDirectory(prefix="acsar-view-", dir=target.parent) as folder:
@@ -288,22 +225,18 @@ def save_recording(path: Path, other: Path | None, target: Path, *, camera: bool
             parts.append(Path(folder) / f"{len(parts)}.rrd")
             stream.save(parts[-1])
 
-        writer = RerunWriter(tail, overlay, connect, camera=camera)
+        writer = RerunWriter(tail, overlay, connect)
         writer.update()
         writer.close()
         merge_files(parts, target)
     return len(parts)
 
 
-def show_recording(
-    path: Path, other: Path | None, port: int | None, *, live: bool, camera: bool
-) -> None:
+def show_recording(path: Path, other: Path | None, port: int | None, *, live: bool) -> None:
     """Show a recording until the viewer is closed, or, at the page of a port, until Ctrl-C."""
     tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
     with open_viewer(port) as viewer:
-        writer = RerunWriter(
-            tail, overlay, lambda s: s.connect_grpc(viewer.address), live=live, camera=camera
-        )
+        writer = RerunWriter(tail, overlay, lambda s: s.connect_grpc(viewer.address), live=live)
         try:
             writer.update()
             if not live:
@@ -312,7 +245,7 @@ def show_recording(
                 text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
                 print(escape_unprintable(text), flush=True)
             problem = ""
-            while viewer.is_open:
+            while viewer.process.poll() is None:
                 time.sleep(POLL_INTERVAL)
                 try:
                     if live:

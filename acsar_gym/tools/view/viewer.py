@@ -10,11 +10,12 @@ import socket
 import subprocess
 import tempfile
 import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple
 
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import explain_error
@@ -39,72 +40,62 @@ def find_rerun() -> str:
     return str(next((folder / name for name in names if (folder / name).is_file()), "rerun"))
 
 
-class Viewer:
-    """A running viewer: a window, or for a port, a page whose data has the next port.
+class Viewer(NamedTuple):
+    """A running viewer."""
 
-    Attributes: `address`, for `RecordingStream.connect_grpc`; `url`, of the page, "" for a window.
+    address: str
+    """For `RecordingStream.connect_grpc`."""
+    url: str
+    """Of its page; "" for a window."""
+    process: subprocess.Popen[bytes]
+
+
+@contextlib.contextmanager
+def open_viewer(port: int | None) -> Iterator[Viewer]:
+    """Open a window, or for a port a page, whose data has the next port; closes it afterwards.
+
     Its settings are in an empty folder, so that its analytics are off whatever the user's say.
     """
-
-    def __init__(self, folder: Path, port: int | None) -> None:
-        program = find_rerun()
-        homes = {"XDG_CONFIG_HOME": str(folder), "XDG_DATA_HOME": str(folder)}
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="acsar-view-"))
+        log = stack.enter_context(tempfile.TemporaryFile())
+        homes = {"XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder}
         environment = {**os.environ, **homes, "RUST_LOG": "error"}
-        options: dict[str, Any] = {"env": environment, "stdout": subprocess.DEVNULL}
-        subprocess.run(
-            [program, "analytics", "disable"], check=False, stderr=subprocess.DEVNULL, **options
-        )
+        options: dict[str, Any] = {"env": environment, "stdout": subprocess.DEVNULL, "stderr": log}
+        program = find_rerun()
+        subprocess.run([program, "analytics", "disable"], check=False, **options)
         data_port = _find_port(port + 1 if port else 0)
         command = [program, "--bind", HOST, "--port", str(data_port)]
-        self.url = ""
-        self._server: ThreadingHTTPServer | None = None
+        url = ""
         if port is None:
             command.append("--expect-data-soon")
         else:
             files_port = _find_port(0)
             command += ["--serve-web", "--web-viewer-port", str(files_port)]
-            self._server = _serve_page(port, files_port, data_port)
-            self.url = f"http://{HOST}:{self._server.server_address[1]}"
-        self.address = f"rerun+http://{HOST}:{data_port}/proxy"
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process
-        self._process = subprocess.Popen(
-            command, start_new_session=True, stderr=self._log, **options
-        )
-        try:
-            self._wait_for(data_port)
-        except BaseException:
-            self.close()
-            raise
+            server = _serve_page(port, files_port, data_port)
+            stack.callback(server.server_close)
+            stack.callback(server.shutdown)
+            url = f"http://{HOST}:{server.server_address[1]}"
+        process = subprocess.Popen(command, start_new_session=True, **options)
+        stack.callback(process.wait)
+        stack.callback(process.terminate)
+        _wait_for(process, data_port, log)
+        yield Viewer(f"rerun+http://{HOST}:{data_port}/proxy", url, process)
 
-    def _wait_for(self, port: int) -> None:
-        """Wait until data can be sent."""
-        for _ in range(int(START_TIMEOUT / 0.1)):
-            if self._process.poll() is not None:
-                self._log.seek(0)
-                text = self._log.read().decode(errors="replace").strip().splitlines() or ["?"]
-                raise ConfigError(
-                    f"the viewer doesn't start: {text[-1][:200]}: use --web for a browser, "
-                    "or --save FILE.rrd"
-                )
-            with contextlib.suppress(OSError), socket.create_connection((HOST, port), 1.0):
-                return
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(0.1)
-        raise ConfigError(f"the viewer doesn't start within {START_TIMEOUT:g} s")
 
-    @property
-    def is_open(self) -> bool:
-        """Whether nobody has closed its window."""
-        return self._process.poll() is None
-
-    def close(self) -> None:
-        """End it; idempotent."""
-        self._process.terminate()
-        self._process.wait()
-        self._log.close()
-        if self._server is not None:
-            self._server.shutdown()
-            self._server.server_close()
+def _wait_for(process: subprocess.Popen[bytes], port: int, log: IO[bytes]) -> None:
+    """Wait until data can be sent to a viewer."""
+    deadline = time.monotonic() + START_TIMEOUT
+    while process.poll() is None and time.monotonic() < deadline:
+        with contextlib.suppress(OSError), socket.create_connection((HOST, port), 1.0):
+            return
+        time.sleep(0.1)
+    log.seek(0)
+    lines = log.read().decode(errors="replace").strip().splitlines()
+    why = lines[-1][:200] if lines else f"not within {START_TIMEOUT:g} s"
+    raise ConfigError(
+        f"the viewer doesn't start: {why}: use --web for a browser, or --save FILE.rrd"
+    )
 
 
 @contextlib.contextmanager
@@ -163,17 +154,6 @@ def _serve_page(port: int, files_port: int, data_port: int) -> ThreadingHTTPServ
         server = ThreadingHTTPServer((HOST, port), PageHandler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     return server
-
-
-@contextlib.contextmanager
-def open_viewer(port: int | None) -> Iterator[Viewer]:
-    """Open a viewer, as a context manager; see `Viewer`."""
-    with tempfile.TemporaryDirectory(prefix="acsar-view-") as folder:
-        viewer = Viewer(Path(folder), port)
-        try:
-            yield viewer
-        finally:
-            viewer.close()
 
 
 def merge_files(parts: list[Path], path: Path) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import pickle
 import shutil
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import pytest
 
-from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError, WorldError
+from acsar_gym.errors import AcsarError, CancelledError, ConfigError, WorldError
 from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
@@ -94,31 +91,11 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
     assert len(driven.episodes) == 1
 
 
-def test_a_refusal_names_no_folder_of_this_machine() -> None:
-    own = plan.choose_agents(["packaged"], ["acsar_gym/Barn-v1"], None, 1)[0]
-    job = next(BenchmarkPlan((own,), (set_named("barn"),), ("planar",), count=1).jobs())
-    elsewhere = replace(job.policy, env="acsar_gym/PathFollow-v0")
-    part = runner.run_job(replace(job, policy=elsewhere))
-    assert part.refused.startswith("barn.onnx: ")
-    assert str(AGENTS) not in part.refused
-
-
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
 def test_every_condition_can_be_driven(name: str) -> None:
     job = next(make_plan(conditions=(name,), count=1).jobs())
     (episode,) = runner.run_job(job).episodes
     assert episode.seed == SET.numbers[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["clutter/husky", "clutter/jackal", "barn-fast", "barn-husky"])
-def test_other_robots_drive(name: str) -> None:
-    some = set_named(name)
-    dwa = plan.choose_agents(["dwa"], [f"acsar_gym/{some.id}"], None, 1)
-    job = next(BenchmarkPlan(tuple(dwa), (some,), ("bullet",), count=1).jobs())
-    (episode,) = runner.run_job(job).episodes
-    if some.score == "barn_score":
-        assert episode.score == pytest.approx(episode.told["barn_score"])
 
 
 def test_randomization_is_refused_behind_the_port() -> None:
@@ -142,36 +119,6 @@ def test_a_fault_of_this_machine_is_no_refusal(
     (part,) = runner.run_plan(make_plan(), Store(tmp_path))
     assert not part.refused
     assert len(part.episodes) == 2
-
-
-def test_an_error_while_it_drives_is_no_refusal(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text("ENV_ID = 'acsar_gym/PointGoal-v0'\ndef act(seen):\n    return open('none')\n")
-    own = BenchmarkPlan(tuple(plan.given_agents(f"{file}:act", [ID])), (SET,), ("planar",), count=1)
-    store = make_store(tmp_path / "out")
-    with pytest.raises(PolicyError, match="act"):
-        runner.run_plan(own, store)
-    assert store.open(own.as_dict()) == []
-
-
-def test_a_job_brings_its_policy_along(tmp_path: Path) -> None:
-    """Another machine has no such file."""
-    file = tmp_path / "mine.onnx"
-    shutil.copy(AGENTS / "policies" / "point_goal.onnx", file)
-    own = BenchmarkPlan(tuple(plan.given_agents(str(file), [ID])), (SET,), ("planar",), count=1)
-    job = pickle.loads(pickle.dumps(next(own.jobs())))  # noqa: S301 - our own
-    file.unlink()
-    part = runner.run_job(job)
-    assert not part.refused
-    assert len(part.episodes) == 1
-
-
-@pytest.mark.slow
-def test_several_processes_find_the_same(tmp_path: Path) -> None:
-    own = make_plan("turn_drive", "packaged")
-    one = runner.run_plan(own, make_store(tmp_path / "one"))
-    both = runner.run_plan(own, make_store(tmp_path / "two"), workers=2)
-    assert untimed(one) == untimed(both)
 
 
 @pytest.mark.slow
@@ -281,9 +228,3 @@ def test_agents_that_cannot_be_compared_are_one_line(
         plan.choose_agents(names, [ID], None, 1)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_an_env_of_another_kind_has_no_scenes() -> None:
-    gymnasium.register("other/Cart-v0", "gymnasium.envs.classic_control:CartPoleEnv")
-    with pytest.raises(ConfigError, match="--env 'other/Cart-v0': not an environment of acsar_gym"):
-        find_sets("other/Cart-v0")

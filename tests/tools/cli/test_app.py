@@ -16,7 +16,6 @@ from recording_tools import drive
 from serial_tools import RobotFile, cli
 from zip_tools import poison, save
 
-import acsar_gym
 from acsar_gym import RobotConfig
 from acsar_gym.errors import LateTicksError, RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
@@ -85,43 +84,6 @@ def test_a_command_that_is_mistyped_is_one_line(call: Call) -> None:
     assert_one_line(error, "'drve': no such command; did you mean 'drive'?")
 
 
-NEW_COMMAND = '''"""Things of all kinds."""
-from acsar_gym.tools.cli.commands import command
-
-
-@command("{name}", "worlds", drives=True)
-def count_things(most: int = 3) -> int:
-    """Count things."""
-    if most < 0:
-        raise KeyboardInterrupt
-    print(most)
-    return 7
-'''
-RUN_WITH_MORE = """
-import sys
-from acsar_gym.tools.cli import app, commands
-commands.__path__.append(sys.argv.pop(1))
-app.find_commands()
-app.main()
-"""
-
-
-@pytest.mark.parametrize("name", ["count", "things count"], ids=["alone", "group"])
-def test_a_command_is_one_file(name: str, tmp_path: Path) -> None:
-    (tmp_path / "things.py").write_text(NEW_COMMAND.format(name=name))
-
-    def call_more(*words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", RUN_WITH_MORE, str(tmp_path), *words]
-        return subprocess.run(command, check=False, capture_output=True, text=True)
-
-    done = call_more(*name.split(), "--most", "5")
-    assert (done.returncode, done.stdout, done.stderr) == (7, "5\n", "")
-    assert "Count things." in call_more(*name.split()[:-1], "--help").stdout
-    stopped = call_more(*name.split(), "--most", "-1")
-    assert stopped.returncode == 130
-    assert "the wheels were commanded to stop" in stopped.stderr
-
-
 def figures(path: Path) -> dict[str, Any]:
     """The figures of a run that odometry and the clock know."""
     data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -143,25 +105,6 @@ def test_a_recorded_run_replays_with_the_same_figures(
     again, _, replay_error = call(*to_goal, "--link", f"replay:{tape}", "--json", replayed)
     assert (again, replay_error) == (0, "")  # late ticks or not: nobody can mend what was recorded
     assert figures(replayed) == figures(live)
-
-
-def test_a_drive_with_a_lidar_becomes_a_demonstration(call: Call, tmp_path: Path) -> None:
-    tape = tmp_path / "drive.mcap"
-    twist = ("--linear", "0.4", "--duration", "2")
-    drive = ("drive", "--link", "planar", "--lidar", "simulated", *twist, "--record", tape)
-    assert call(*drive)[0] == 0
-    export = ("record", "export", tape, "--to", "lerobot", "--env", "obstacle_goal")
-    code, text, error = call(*export, "--out", tmp_path / "data")
-    assert (code, error) == (0, "")
-    assert "1 episode," in text
-
-
-def test_a_recording_of_another_run_ends_early(call: Call, tmp_path: Path) -> None:
-    tape = tmp_path / "tape.mcap"
-    call("run", "0.6", "0.2", "--link", "planar", "--record", tape)
-    code, _, error = call("run", "-1.5", "2.0", "--link", f"replay:{tape}")
-    assert code == 3
-    assert_one_line(error, f"{tape}: other commands than recorded, tick ")
 
 
 def test_a_drive_goes_on_in_new_files_and_parts_are_cut_out(call: Call, tmp_path: Path) -> None:
@@ -299,7 +242,3 @@ def test_it_imports_nothing_heavy(words: str, found: str) -> None:
     command = [sys.executable, "-c", HEAVY, *words.split()]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert done.stderr == found
-
-
-def test_the_version(call: Call) -> None:
-    assert call("--version") == (0, f"acsar-gym {acsar_gym.__version__}\n", "")

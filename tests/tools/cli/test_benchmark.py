@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from cli_tools import Call, assert_one_line
+from cli_tools import Call
 
 SMALL = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar", "--scenes", "2")
 
@@ -34,11 +34,3 @@ def test_it_writes_json_and_a_page(ran: Path) -> None:
     page = (ran.parent / "page.html").read_text()
     assert "turn_drive" in page
     assert str(ran.parent) not in page
-
-
-def test_another_plan_in_the_same_folder(ran: Path, call: Call) -> None:
-    other = ("benchmark", *SMALL, "--agents", "navfn", "--out", ran)
-    code, _, error = call(*other)
-    assert code == 2
-    assert_one_line(error, "holds a benchmark with another plan (agents differs)")
-    assert call(*other, "--no-resume")[0] == 0

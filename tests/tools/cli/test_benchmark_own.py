@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from cli_tools import Call
 
-from acsar_gym.errors import ConfigError
-from acsar_gym.registration import SCENE_CHOICES, register
+from acsar_gym.registration import SCENE_CHOICES
 from acsar_gym.tools.benchmark.scenes import find_sets
 
 TASK = """
@@ -115,13 +114,6 @@ def test_the_score_is_completion_time_where_the_shortest_path_is_known(
     (some,) = find_sets(f"{other}:{other}/Park-v0")
     assert some.score == "completion_time"
     SCENE_CHOICES.pop(f"{other}/Park-v0")
-
-
-@pytest.mark.parametrize("scenes", [{"fast": {"robot": "jackal"}}, {"fast": "jackal"}])
-def test_scenes_of_another_form_are_one_line(scenes: dict[str, dict[str, str]]) -> None:
-    with pytest.raises(ConfigError, match="scenes 'fast'") as raised:
-        register("mine/Other-v0", task="acsar_gym.tasks:PointGoal", scenes=scenes)
-    assert "\n" not in str(raised.value)
 
 
 def test_its_benchmark(module: str, call: Call, tmp_path: Path) -> None:

@@ -10,9 +10,8 @@ from cli_tools import Call, assert_one_line
 from recording_tools import drive
 from zip_tools import save
 
-from acsar_gym import RobotConfig, reading
+from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.cli import COMMANDS
 from acsar_gym.tools.emulation.cable import EmulatedCable
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -67,13 +66,6 @@ def test_a_file_of_somebody_else_is_refused_before_the_work(
         assert (place / name).read_bytes() != MINE.encode()
 
 
-def test_every_command_that_writes_json_is_here(call: Call) -> None:
-    tried = {line.split(" --json")[0] for line in WRITES if "--json" in line}
-    for name in COMMANDS:
-        if name != "completion" and "--json" in call(*name.split(), "--help")[1]:
-            assert any(line.startswith(name) for line in tried)
-
-
 @pytest.mark.parametrize(
     "line",
     [
@@ -111,22 +103,6 @@ def test_a_world_that_was_converted_and_then_edited_is_kept(call: Call, place: P
     assert call(*convert)[0] == 2
     assert Path("out.yaml").read_text().endswith("# a remark\n")
     assert call(*convert, "--force")[0] == 0
-
-
-def test_devices_and_pipes_are_written(call: Call, place: Path) -> None:
-    assert call("worlds", "check", "open:1", "--json", "/dev/null")[0] == 0
-
-
-def test_a_file_that_cannot_be_read_is_somebody_elses(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise PermissionError
-
-    (place / "mine").write_text(MINE)
-    monkeypatch.setattr(Path, "open", fail)
-    with pytest.raises(ConfigError, match="exists"):
-        reading.check_replaceable(place / "mine")
 
 
 def test_an_emulator_replaces_no_link_of_somebody_else(place: Path) -> None:

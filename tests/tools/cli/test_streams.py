@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import io
 import os
 import pty
 import sys
@@ -143,29 +141,6 @@ def test_a_closed_stream_gives_its_number_to_no_other_file(place: Path) -> None:
     os.close(write)
     assert opened > 2
     assert (inherited, empty) == (1, 1)
-
-
-def test_an_error_of_another_file_is_not_one_of_the_output() -> None:
-    def fail() -> int:
-        raise OSError(errno.ENOSPC, "of a file")
-
-    with pytest.raises(OSError, match="of a file"):
-        streams.run_guarded(fail)
-
-
-@pytest.mark.parametrize("number", [errno.EPIPE, errno.EINVAL])
-def test_windows_has_no_signal_for_a_closed_pipe(
-    number: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Broken(io.StringIO):
-        def write(self, text: str) -> int:
-            raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(sys, "stdout", Broken())
-    monkeypatch.setattr(os, "name", "nt")
-    ended = streams.run_guarded(lambda: print("something") or 0)
-    monkeypatch.setattr(os, "name", "posix")
-    assert ended == CLOSED_PIPE
 
 
 @pytest.mark.parametrize("way", ["terminate", "kill -HUP", "q", "q >&-"])

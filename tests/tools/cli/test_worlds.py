@@ -118,25 +118,6 @@ def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
     assert_one_line(error, f"{option} is for a world of a file: name the file, too")
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "said"),
-    [
-        ("--start", "1", "must be X,Y or X,Y,THETA [m, rad]"),
-        ("--start", "1,2,3,4", "must be X,Y or X,Y,THETA [m, rad]"),
-        ("--start", "1,nan", "worlds.start.1 = nan"),
-        ("--start", "1,1e9", "worlds.start.1 = 1000000000.0"),
-        ("--goal", "1,2,3", "must be X,Y [m]"),
-        ("--goal", "here", "must be X,Y [m]"),
-    ],
-)
-def test_bad_places_are_one_line(
-    option: str, value: str, said: str, call: Call, tmp_path: Path
-) -> None:
-    code, _, error = call("worlds", "check", write_room(tmp_path, "map"), option, value)
-    assert code == 2
-    assert_one_line(error, said)
-
-
 def test_a_training_takes_them_too(room: tuple[str, ...], tmp_path: Path) -> None:
     file, *models = room
     options = TrainingOptions(

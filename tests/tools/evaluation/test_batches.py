@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.evaluation import batches, runs
+from acsar_gym.tools.evaluation import episodes, runs
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes, run_resets
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy
@@ -40,10 +40,10 @@ def both(
     """Episodes as a batch of few robots, and one after the other."""
     how = {"in_order": options.pop("in_order", False)}
     env = runs.make_env(policy, "planar", None, options)
-    monkeypatch.setattr(batches, "MAX_BATCH", 7)
-    assert batches.can_batch(env, policy, [(0, {})] * count)
+    monkeypatch.setattr(episodes, "MAX_BATCH", 7)
+    assert episodes.can_batch(env, policy, [(0, {})] * count)
     batched = list(run_episodes(env, policy, count, 3, **how))
-    monkeypatch.setattr(batches, "can_batch", lambda *_: False)
+    monkeypatch.setattr(episodes, "can_batch", lambda *_: False)
     single = list(run_episodes(env, policy, count, 3, **how))
     env.close()
     return batched, single
@@ -71,14 +71,14 @@ def test_named_worlds_alone_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     policy = OnnxPolicy("obstacle_goal")
     env = runs.make_env(policy, "planar", None, {"worlds": "clutter:100000-100999"})
     resets = [(number, {"world": number}) for number in (100_004, 100_002) * 8]
-    made = batches._make_batch
+    made = episodes._make_batch
     numbers: list[Any] = []
 
     def noticed(*given: Any) -> Any:
         numbers.append(given[2])
         return made(*given)
 
-    monkeypatch.setattr(batches, "_make_batch", noticed)
+    monkeypatch.setattr(episodes, "_make_batch", noticed)
     batched = list(run_resets(env, policy, resets))
     assert numbers == [[100_002, 100_004]]
     assert [episode.world for episode in batched] == [number for number, _ in resets]
@@ -100,7 +100,7 @@ def test_others_are_driven_one_by_one(
 ) -> None:
     loaded = runs.load_policy(policy, trust=False, env="point_goal")
     env = runs.make_env(loaded, "planar", None, options)
-    assert not batches.can_batch(env, loaded, resets)
+    assert not episodes.can_batch(env, loaded, resets)
     env.close()
 
 

@@ -13,15 +13,13 @@ import pytest
 
 from acsar_gym import Outcome, RobotConfig, RobotEnv, State, Task
 from acsar_gym.config.footprint import make_rectangle
-from acsar_gym.errors import TaskError
 from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
-from acsar_gym.tasks import Observation, ObstacleGoal, PathFollow, PointGoal
+from acsar_gym.tasks import Observation, PathFollow, PointGoal
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
     Episode,
     footprint_clearance,
     mean_jerk,
-    total_turning,
 )
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import (
@@ -45,19 +43,6 @@ def result(**known: Any) -> Episode:
 LOST = {"success": False, "left": 4.0, "path": 0.0, "driven": 0.0}
 LOST |= {"episode_return": 1.0, "length": 30}
 CRASH = {"success": False, "collision": True, "left": 3.0, "driven": 1.0, "path": 1.0}
-
-
-@pytest.mark.parametrize(("wins", "crashes", "losses"), [(1, 0, 0), (0, 3, 0), (2, 4, 1)])
-def test_the_four_rates_add_up_to_one(wins: int, crashes: int, losses: int) -> None:
-    runs = [result()] * wins + [result(**CRASH)] * crashes + [result(**LOST)] * losses
-    summary = summarise_episodes([*runs, result(**LOST, fault="no feedback")])
-    rates = (summary.success_rate, summary.collision_rate, summary.timeout_rate, summary.fault_rate)
-    assert sum(rates) == pytest.approx(1.0)
-    assert summary.fault_rate == 1.0 / (len(runs) + 1)
-    assert summary.timeout_rate == losses / (len(runs) + 1)
-    summary = summarise_episodes(runs)
-    assert summary.success_rate == wins / len(runs)
-    assert summary.collision_rate == crashes / len(runs)
 
 
 def test_spl_of_hand_made_episodes() -> None:
@@ -134,15 +119,6 @@ def ahead(*circles: tuple[float, float, float]) -> World:
     return World(np.array(circles).reshape(-1, 3), start=Region(0, 0, 0, 0), goal=Region(2.0, 0.0))
 
 
-def test_a_straight_drive_is_perfect() -> None:
-    episode = drive(ahead())
-    assert episode.success
-    assert episode.shortest == pytest.approx(2.0)
-    assert episode.left == pytest.approx(0.3, abs=0.06)
-    assert episode.spl == 1.0
-    assert episode.turning == pytest.approx(0.0, abs=1e-6)
-
-
 @pytest.mark.parametrize("link", ["planar", "bullet"])
 def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     episode = drive(ahead((1.0, 0.0, 0.2)), link=link)
@@ -208,14 +184,6 @@ def test_a_way_is_places_or_a_length(way: Any, length: float) -> None:
     assert patrol(kind()).shortest == pytest.approx(length, nan_ok=True)
 
 
-@pytest.mark.parametrize("way", [-1.0, "far", [(1.0, 2.0, 3.0)]])
-def test_another_way_is_one_line(way: Any) -> None:
-    kind = type("Other", (SaidPatrol,), {"way": way})
-    with pytest.raises(TaskError, match="shortest_path returned") as error:
-        patrol(kind())
-    assert "\n" not in str(error.value)
-
-
 def test_a_subclass_with_an_end_of_its_own_says_its_path_anew() -> None:
     class Elsewhere(PointGoal):
         def outcome(self, state: State, memory: Any) -> Outcome:
@@ -227,18 +195,6 @@ def test_a_subclass_with_an_end_of_its_own_says_its_path_anew() -> None:
     assert says_shortest_path(Named())
     assert says_shortest_path(SaidPatrol())
     assert not any(map(says_shortest_path, (Elsewhere(), Patrol(), PathFollow())))
-
-
-def test_a_way_leads_around_obstacles() -> None:
-    class Twice(ObstacleGoal):
-        def shortest_path(self, state: State, memory: Any) -> Any:
-            return [state.goal, (0.0, 0.0)]
-
-    env = RobotEnv(Twice(), link="planar", worlds=ahead((1.0, 0.0, 0.2)))
-    wrapped = gymnasium.wrappers.TimeLimit(env, 2)
-    (episode,) = run_episodes(wrapped, lambda _: FORWARD, 1, seed=0)
-    env.close()
-    assert episode.shortest == pytest.approx(2.0 * drive(ahead((1.0, 0.0, 0.2))).shortest, rel=0.01)
 
 
 def test_paths_are_judged_by_the_distance_beside_them() -> None:
@@ -276,11 +232,6 @@ def test_jerk_is_the_third_derivative_of_the_way() -> None:
     assert mean_jerk(poses(0.4 * times**2), PERIOD) == pytest.approx(0.0, abs=1e-9)
     assert mean_jerk(poses(0.4 * times**3), PERIOD) == pytest.approx(6.0 * 0.4)
     assert math.isnan(mean_jerk(poses([0.0, 0.1, 0.2]), PERIOD))
-
-
-def test_turning_counts_both_ways_and_across_pi() -> None:
-    headings = [[0.0, 0.0, theta] for theta in (3.0, -3.1, 3.0)]
-    assert total_turning(np.array(headings)) == pytest.approx(2.0 * (math.tau - 6.1))
 
 
 def test_the_clearance_of_a_footprint_is_that_of_its_nearest_side_or_corner() -> None:

@@ -27,21 +27,6 @@ def test_a_robot_whose_odometry_is_far_off_is_pointed_out() -> None:
     assert caption(None, 1.5378) == ""
 
 
-@pytest.mark.parametrize(("columns", "width"), [(None, 160), ("90", 90), ("0", 160), ("x", 160)])
-def test_a_pipe_is_as_wide_as_columns_says(
-    columns: str | None,
-    width: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    if columns is None:
-        monkeypatch.delenv("COLUMNS", raising=False)
-    else:
-        monkeypatch.setenv("COLUMNS", columns)
-    report.print_tables(report.fact_table("facts", [("long", "word " * 100)]))
-    assert max(map(len, capsys.readouterr().out.splitlines())) == width
-
-
 def test_the_page_of_an_evaluation(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     env = PointGoalEnv("planar")

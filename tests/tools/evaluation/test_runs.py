@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import pickle
 import re
@@ -21,8 +20,7 @@ from acsar_gym.tools.evaluation import provenance, runs
 from acsar_gym.tools.evaluation.runs import EvaluationRun, PortablePolicy
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.tools.policies.policy import PolicyContext
-from acsar_gym.worlds import Region, World, files
+from acsar_gym.worlds import Region, World
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 
@@ -139,33 +137,6 @@ def test_worlds_in_order_have_their_own_numbers() -> None:
         drive(3, worlds="open:1250-1251", how={"in_order": True})
 
 
-class Counting(Idle):
-    """A policy that notes what it is told."""
-
-    env_named = True
-    env_id = "acsar_gym/PointGoal-v0"
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-
-    def bind(self, setting: PolicyContext) -> None:
-        self.told.append(f"bound to a step of {setting.period:g} s")
-
-    def reset(self) -> None:
-        self.told.append("reset")
-
-    def __call__(self, observation: Any) -> Any:
-        self.told.append("called")
-        return super().__call__(observation)
-
-
-def test_a_policy_is_bound_once_and_reset_before_every_episode() -> None:
-    policy = Counting()
-    runs.evaluate_policy(policy, "planar", None, range(2))
-    told = [key for key, _ in itertools.groupby(policy.told)]
-    assert told == ["bound to a step of 0.1 s", *["reset", "called"] * 2]
-
-
 ACT = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
 
 
@@ -201,26 +172,6 @@ def test_two_processes_give_the_results_of_one(
     assert one.worlds == two.worlds
     assert [done.header.pop("workers") for done in (one, two)] == [1, 2]
     assert json.dumps(one.as_dict()) == json.dumps(two.as_dict())
-
-
-def test_worlds_of_a_file_are_sent_and_keep_their_order(
-    policy: FilePolicy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sent: list[Any] = []
-
-    def noticed(function: Any, jobs: list[Any], **_: Any) -> Any:
-        sent.extend(jobs)
-        return completed(function, jobs)
-
-    monkeypatch.setattr(runs, "completed", noticed)
-    folder = tmp_path / "worlds"
-    folder.mkdir()
-    for number in range(3):
-        files.save_world(World(goal=Region(0.8 + 0.1 * number, 0.3)), folder / f"{number}.json")
-    one, two = both(policy, 3, worlds=str(folder), how={"in_order": True})
-    assert [result.world for result in two.results] == [0, 1, 2]
-    assert all(isinstance(world, World) for job in sent for world in job.options["worlds"])
-    assert repr(one.results) == repr(two.results)
 
 
 def test_one_robot_has_one_process(policy: FilePolicy) -> None:

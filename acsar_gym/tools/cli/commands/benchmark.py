@@ -56,8 +56,6 @@ class BenchmarkOutputs(PageOptions):
 
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
     """Folder of the finished cells, and of the result as benchmark.json."""
-    resume: bool = True
-    """Keep the finished cells of the folder's benchmark; --no-resume begins anew."""
     workers: int | None = None
     """Processes at a time; default: 1, on a cluster one per CPU."""
     address: str | None = None
@@ -99,8 +97,6 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
         what.port_scenes,
     )
     store = cells.Store(how.out)
-    if not how.resume:
-        store.clear()
     finished = runner.run_plan(asked, store, workers=how.workers, address=how.address)
     result = figures.make_result(asked.as_dict(), finished)
     for path in (how.out / RESULT_FILE, how.json):

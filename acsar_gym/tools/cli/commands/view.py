@@ -25,8 +25,6 @@ class ViewOptions:
 
     live: bool = False
     """Follow a recording that is being written; that of a device always is."""
-    camera: bool = False
-    """In simulation, draw what PyBullet's camera behind the robot sees, once a second."""
     web: bool = False
     """Open it in a browser, at a page on this computer only, instead of a window."""
     port: int = 8050
@@ -69,7 +67,7 @@ def view_run(
     if other is not None and path.exists():
         other = bag.open(other, robot)
     if options.save is not None:
-        count = show.save_recording(path, other, options.save, camera=options.camera)
+        count = show.save_recording(path, other, options.save)
         say(f"{options.save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
         return 0
     is_device = path != Path(source.removeprefix("replay:")) and not is_bag
@@ -77,5 +75,5 @@ def view_run(
     for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
         signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
-        show.show_recording(path, other, port, live=live, camera=options.camera)
+        show.show_recording(path, other, port, live=live)
     return 0

@@ -73,15 +73,16 @@ def check_worlds(
         robot: preset or config file, for its footprint.
     """
     from acsar_gym.tools import atlas  # noqa: PLC0415
+    from acsar_gym.tools.evaluation.metrics import replace_nonfinite  # noqa: PLC0415
 
     output.check()
     worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
     findings = atlas.check_worlds(worlds, robot)
     told = atlas.describe_source(source, 12)
     table = atlas.findings_table(str(told["source"]), findings)
-    data = told | {"worlds": [finding.as_dict() for finding in findings]}
+    data = told | {"worlds": replace_nonfinite(findings)}
     print_results(table, json=output.json, data=data)
-    return int(any(finding.fault for finding in findings))
+    return int(any(finding["fault"] for finding in findings))
 
 
 @command("worlds convert", "worlds")
