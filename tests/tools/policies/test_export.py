@@ -76,7 +76,7 @@ def test_a_network_that_is_called_in_its_own_way_decides_the_same(tmp_path: Path
         ({"normalizer": [0.0]}, "normalizer: must be (mean, std)"),
         ({"normalizer": 3}, "normalizer: must be (mean, std)"),
         ({"normalizer": ("a", 1.0)}, "normalizer: mean"),
-        ({"normalizer": (0.0, 1.0, "a")}, "normalizer: clip"),
+        ({"normalizer": (0.0, 1.0, "a")}, "std and clip must be finite"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
