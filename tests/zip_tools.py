@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.tools.policies.describe import describe_policy
+from acsar_gym.tools.policies.bundle import describe_policy
 
 NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")

@@ -133,7 +133,6 @@ class BaselinePolicy(FilePolicy):
             source = Path(inspect.getsourcefile(type(self)) or "")
             content = source.read_bytes() + CONSTANTS_FILE.read_bytes()
             self.sha256 = hashlib.sha256(content).hexdigest()
-        self._rng: np.random.Generator | None = None
 
     def bind(self, setting: PolicyContext) -> None:
         """Check the setting of the env, and prepare for it; see `equip`.
@@ -157,17 +156,6 @@ class BaselinePolicy(FilePolicy):
         if self.constants_type is not None:
             found = find_constants(self.name, self.env_id, setting.config)
             self.constants: Any = self.constants_type(**found)
-
-    def reset(self) -> None:
-        """Begin an episode; subclasses forget the last one here."""
-        self._rng = None
-
-    @property
-    def rng(self) -> np.random.Generator:
-        """The generator of this episode, seeded like the env's, so that results repeat."""
-        if self._rng is None:
-            self._rng = self.setting.rng(self.name)
-        return self._rng
 
     @abstractmethod
     def act(self, seen: DecodedObservation) -> tuple[float, float]:

@@ -44,7 +44,7 @@ from acsar_gym.tools.policies import (
     resolve,
     statistics_beside,
 )
-from acsar_gym.tools.policies.describe import RETRAIN_HINT, describe_policy, env_policy_rate
+from acsar_gym.tools.policies.bundle import RETRAIN_HINT, describe_policy, env_policy_rate
 from acsar_gym.tools.policies.policy import PolicyContext, format_error, quote_text
 from acsar_gym.worlds import registry
 from acsar_gym.worlds.pool import read_worlds

@@ -29,20 +29,18 @@ class Normalizer(torch.nn.Module):
         super().__init__()
         self.mean: torch.Tensor
         self.std: torch.Tensor
-        self.clip: float | None = None
-        for name, values in (("mean", mean), ("std", std), ("clip", 1.0 if clip is None else clip)):
-            try:
-                numbers = np.atleast_1d(np.asarray(values, np.float32))
-            except (TypeError, ValueError):
-                numbers = np.full(1, np.nan, np.float32)
-            if numbers.ndim > 1 or not np.isfinite(numbers).all():
-                raise PolicyError(f"normalizer: {name} must be finite numbers, one each")
-            if name != "mean" and not (numbers > 0.0).all():
-                raise PolicyError(f"normalizer: {name} must be positive")
-            if name != "clip":
-                self.register_buffer(name, torch.from_numpy(numbers.copy()))
-            elif clip is not None:
-                self.clip = float(numbers.max())
+        try:
+            numbers = [np.asarray(given, np.float32) for given in (mean, std)]
+            self.clip = None if clip is None else float(clip)
+        except (TypeError, ValueError):
+            numbers, self.clip = [np.full(2, np.nan, np.float32)] * 2, None
+        finite = all(array.ndim < 2 and np.isfinite(array).all() for array in numbers)
+        if not (finite and (numbers[1] > 0.0).all() and (self.clip is None or self.clip > 0.0)):
+            raise PolicyError(
+                "normalizer: mean, std and clip must be finite numbers, std and clip positive"
+            )
+        for name, array in zip(("mean", "std"), numbers, strict=True):
+            self.register_buffer(name, torch.from_numpy(np.atleast_1d(array).copy()))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""

@@ -6,7 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -24,11 +24,16 @@ from acsar_gym.tools.policies.bundle import (
     Bundle,
     StateLayout,
     TrainingSummary,
+    describe_policy,
     parse_bundle,
 )
-from acsar_gym.tools.policies.describe import describe_policy
-from acsar_gym.tools.policies.kinds import describe_other_file
-from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES, FilePolicy, format_error, resolve
+from acsar_gym.tools.policies.policy import (
+    MAX_POLICY_BYTES,
+    NO_POLICY,
+    FilePolicy,
+    format_error,
+    resolve,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -42,112 +47,91 @@ EXTERNAL_DATA = b"\n\x08location\x12"
 """How protobuf writes the key of a tensor's place in another file."""
 
 
-class Network(NamedTuple):
-    """An ONNX network that maps `observation` (batch, n) and states to `action` and next states."""
-
-    session: Any
-    """Of onnxruntime."""
-    bundle: Bundle
-
-
-def open_policy_file(path: Path) -> tuple[str, Network]:
-    """Read a policy file.
+def load_network(data: bytes) -> tuple[Any, Bundle]:
+    """Load an ONNX file, and no other format, with one thread, and decide once.
 
     Returns:
-        SHA-256 of the file, and its network.
-
-    Raises:
-        PolicyError: the file can't be read, or isn't a policy that this package runs.
-        MissingExtraError: onnxruntime isn't installed.
-    """
-    data = reading.read_file(path, MAX_POLICY_BYTES, PolicyError)
-    if (other := describe_other_file(data)) is not None:
-        raise PolicyError(f"{path}: {other}")
-    try:
-        return hashlib.sha256(data).hexdigest(), load_network(data)
-    except ImportError as error:
-        raise MissingExtraError("running a policy", "deploy") from error
-    except PolicyError as error:
-        raise PolicyError(f"{path}: {error}") from error
-    except Exception as error:  # onnxruntime's errors have no common base of their own
-        if "INVALID_PROTOBUF" in str(error):
-            raise PolicyError(
-                f"{path}: isn't a whole ONNX file: copy or export it again"
-            ) from error
-        raise PolicyError(f"{path}: not a policy to run: {format_error(error)}") from error
-
-
-def load_network(data: bytes) -> Network:
-    """Load an ONNX file, and no other format, with one thread, and decide once.
+        onnxruntime's session, which maps `observation` (batch, n) and states to `action` and next
+        states, and the bundle.
 
     Raises:
         PolicyError: it isn't a policy that this package runs; the message doesn't name the file.
     """
-    import onnxruntime  # noqa: PLC0415 - optional
-
+    if data.startswith(b"PK"):
+        raise PolicyError(
+            "isn't an ONNX file but a zip, as stable-baselines3 writes it, which can run code when "
+            "it's loaded: convert it once with 'acsar-gym export MODEL.zip policy.onnx --trust'"
+        )
+    if not data.startswith(b"\x08"):  # the key of `ir_version`
+        raise PolicyError(NO_POLICY)
     if EXTERNAL_DATA in data:
         raise PolicyError("has weights in another file: export it as one file")
+    try:
+        import onnxruntime  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingExtraError("running a policy", "deploy") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.load_model_format", "ONNX")
     options.log_severity_level = 4
-    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    names = [[put.name[:40] for put in puts[:5]] for puts in (inputs, outputs)]
-    if [found[:1] for found in names] != [["observation"], ["action"]]:
-        raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
-    for put in (*inputs, *outputs):
-        if put.type != "tensor(float)":
-            raise PolicyError(f"{put.name[:40]} must be float32")
-    if len(inputs[0].shape) != 2 or not isinstance(inputs[0].shape[1], int):
-        raise PolicyError("observation must be of shape (batch, n)")
-    if len(inputs) != len(outputs):
-        raise PolicyError(f"must have an output for every state, maps {names[0]} to {names[1]}")
+    try:
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        bundle = _check_signature(session)
+        _check_decisions(session, bundle)
+    except PolicyError:
+        raise
+    except Exception as error:  # onnxruntime's errors have no common base of their own
+        if "INVALID_PROTOBUF" in str(error):
+            raise PolicyError("isn't a whole ONNX file: copy or export it again") from error
+        raise PolicyError(f"not a policy to run: {format_error(error)}") from error
+    return session, bundle
+
+
+def _check_signature(session: Any) -> Bundle:
+    """Check that a network's inputs and outputs are those of its bundle, in float32."""
     metadata = session.get_modelmeta().custom_metadata_map
     if BUNDLE_KEY not in metadata:
         raise PolicyError(
             "an ONNX network without a bundle, which says what it was trained for: write it with "
             "'acsar-gym export' or acsar_gym.tools.policies.save"
         )
-    bundle, width = parse_bundle(metadata[BUNDLE_KEY]), inputs[0].shape[1]
-    if width != bundle.observation.width:
+    bundle = parse_bundle(metadata[BUNDLE_KEY])
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    names = [[put.name[:40] for put in side[:5]] for side in (inputs, outputs)]
+    if [side[:1] for side in names] != [["observation"], ["action"]]:
+        raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
+    if any(put.type != "tensor(float)" for put in (*inputs, *outputs)):
+        raise PolicyError("must have inputs and outputs of float32")
+    width, shape = bundle.observation.width, inputs[0].shape
+    if len(shape) != 2 or shape[1] != width:
         raise PolicyError(
-            f"takes {width} numbers, but its bundle describes {bundle.observation.width}: export "
-            "the policy again"
+            f"takes {shape[-1]} numbers, but its bundle describes {width}: export the policy again"
         )
-    states = [
-        (one.name, after.name, tuple(one.shape)) for one, after in zip(inputs, outputs, strict=True)
-    ][1:]
-    if states != [(one.input, one.output, one.shape) for one in bundle.state]:
+    states = [(put.name, tuple(put.shape)) for put in inputs[1:]]
+    if [(state.input, state.shape) for state in bundle.state] != states or [
+        state.output for state in bundle.state
+    ] != [put.name for put in outputs[1:]]:
         raise PolicyError(
             f"has {len(states)} states, which aren't the {len(bundle.state)} of its bundle: export "
             "the policy again"
         )
-    network = Network(session, bundle)
-    check_decisions(network)
-    return network
+    return bundle
 
 
-def check_decisions(network: Network) -> None:
-    """Check what a network decides for zeros.
-
-    Raises:
-        PolicyError: the action isn't two finite numbers of shape (1, 2), a state comes out in
-            another shape than it goes in, or the same observation gets different actions.
-    """
-    zeros = {one.input: np.zeros(one.shape, np.float32) for one in network.bundle.state}
-    zeros["observation"] = np.zeros((1, network.bundle.observation.width), np.float32)
-    action, *states = network.session.run(None, zeros)
+def _check_decisions(session: Any, bundle: Bundle) -> None:
+    """Check that an observation of zeros gets the same two finite numbers twice."""
+    zeros = {state.input: np.zeros(state.shape, np.float32) for state in bundle.state}
+    zeros["observation"] = np.zeros((1, bundle.observation.width), np.float32)
+    action, *states = session.run(None, zeros)
     if action.shape != (1, 2):
         raise PolicyError(f"gives shape {action.shape}: must be (1, 2)")
     if not np.isfinite(action).all():
         raise PolicyError(f"gives {action[0].tolist()} for an observation of zeros")
-    for state, after in zip(network.bundle.state, states, strict=True):
-        if state.shape != after.shape:
-            raise PolicyError(f"gives a state of shape {after.shape}: must be {state.shape}")
-    if not np.array_equal(action, network.session.run(None, zeros)[0]):
+    if [state.shape for state in states] != [state.shape for state in bundle.state]:
+        raise PolicyError("gives states of other shapes than it takes")
+    if not np.array_equal(action, session.run(None, zeros)[0]):
         raise PolicyError("decides at random: must give the same action for the same observation")
 
 
@@ -166,19 +150,22 @@ class OnnxPolicy(FilePolicy):
 
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
-        self.sha256, network = open_policy_file(self.path)
-        self.bundle, self.width = network.bundle, network.bundle.observation.width
-        self.env_id = self.bundle.env.id
+        data = reading.read_file(self.path, MAX_POLICY_BYTES, PolicyError)
+        try:
+            self._session, self.bundle = load_network(data)
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from error
+        self.sha256 = hashlib.sha256(data).hexdigest()
+        self.width, self.env_id = self.bundle.observation.width, self.bundle.env.id
         # Arrays that are made once: faster than new ones for every decision.
-        self._session = network.session
-        self._run, self._binding = network.session.run_with_iobinding, network.session.io_binding()
+        self._run, self._binding = self._session.run_with_iobinding, self._session.io_binding()
         self._observation = self._bind("input", "observation", (1, self.width))
         self._action = self._bind("output", "action", (1, 2))
         self._states = [
             (self._bind("input", one.input, one.shape), self._bind("output", one.output, one.shape))
             for one in self.bundle.state
         ]
-        if not self.bundle.state and isinstance(network.session.get_inputs()[0].shape[0], str):
+        if not self.bundle.state and isinstance(self._session.get_inputs()[0].shape[0], str):
             self.act_many = self._act_many
 
     def _bind(self, side: str, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
@@ -218,23 +205,6 @@ class OnnxPolicy(FilePolicy):
         seen = np.ascontiguousarray(observations[:, : self.width])
         actions: NDArray[np.float32] = self._session.run(None, {"observation": seen})[0]
         return actions
-
-
-def read_bundle(path: str | Path) -> tuple[Path, Bundle]:
-    """Read what a policy file says about itself.
-
-    Args:
-        path: an ONNX file, or the name of a policy that comes with the package.
-
-    Returns:
-        Path of the file, and its bundle.
-
-    Raises:
-        PolicyError: the file is missing, or isn't a policy that this package accepts.
-        MissingExtraError: onnxruntime isn't installed.
-    """
-    found = resolve(path)
-    return found, open_policy_file(found)[1].bundle
 
 
 def actor(network: torch.nn.Module, call: Callable[[Any, torch.Tensor], Any]) -> torch.nn.Module:

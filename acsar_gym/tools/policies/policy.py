@@ -30,9 +30,13 @@ from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD, POINT_TIME
 from acsar_gym.tasks.state import Floats
-from acsar_gym.tools.policies import describe
-from acsar_gym.tools.policies.bundle import Bundle
-from acsar_gym.tools.policies.describe import observation_scale
+from acsar_gym.tools.policies.bundle import (
+    Bundle,
+    check_bundle,
+    observation_scale,
+    robot_differences,
+    robots_outside,
+)
 
 if TYPE_CHECKING:
     from acsar_gym.envs.robot_env import RobotEnv
@@ -40,6 +44,10 @@ if TYPE_CHECKING:
 MAX_POLICY_BYTES = 32_000_000
 """Largest accepted ONNX file [bytes]; 8 million float32 weights."""
 MAX_SOURCE_BYTES = 10_000_000
+NO_POLICY = (
+    "isn't a policy: must be an ONNX file, as 'acsar-gym train' and 'acsar-gym export' write it, "
+    "or a zip of stable-baselines3"
+)
 GOAL_NUMBERS = ("goal_distance", "goal_cos", "goal_sin")
 PATH_NUMBERS = ("cross_track_error", "heading_cos", "heading_sin", "remaining", "ahead_1", "left_1")
 """Names of the numbers that a policy may need of a task's observation."""
@@ -113,18 +121,18 @@ class FilePolicy(ABC):
             config: of the robot; None to skip what depends on it.
 
         Raises:
-            PolicyError: names the first field that doesn't match; see `describe`.
+            PolicyError: names the first field that doesn't match; see `bundle.check_bundle`.
         """
         if self.bundle is None:
             return
         try:
-            describe.check_bundle(self.bundle, task, sensors, config, policy_rate)
+            check_bundle(self.bundle, task, sensors, config, policy_rate)
             if config is not None:
-                self.outside = tuple(describe.robots_outside(self.bundle, config))
+                self.outside = tuple(robots_outside(self.bundle, config))
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from error
         if config is not None:
-            self.differences = tuple(describe.robot_differences(self.bundle, sensors, config))
+            self.differences = tuple(robot_differences(self.bundle, sensors, config))
 
     @property
     def scale(self) -> float | None:

@@ -23,8 +23,7 @@ from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.spec import task_spaces
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
-from acsar_gym.tools.policies.kinds import describe_other_zip
-from acsar_gym.tools.policies.policy import FilePolicy, format_error, resolve
+from acsar_gym.tools.policies.policy import NO_POLICY, FilePolicy, format_error, resolve
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -64,8 +63,8 @@ class ZipPolicy(FilePolicy):
     def __init__(self, path: str | Path, *, trust: bool = False, env_id: str = "") -> None:
         self.path = resolve(path)
         content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
-        if (other := describe_other_zip(content)) is not None:
-            raise PolicyError(f"{self.path}: {other}")
+        if not _is_model(content):
+            raise PolicyError(f"{self.path}: {NO_POLICY}")
         if not trust:
             raise PolicyError(
                 f"{self.path}: a stable-baselines3 zip can run any code when it's loaded: pass "
@@ -73,7 +72,7 @@ class ZipPolicy(FilePolicy):
                 f"'acsar-gym export {self.path} policy.onnx --trust'"
             )
         try:
-            data, self.network = _load_zip(content)
+            data, self.network, self.algorithm = _load_zip(content)
             said = data.get(BUNDLE_KEY)
             self.bundle = None if said is None else parse_bundle(str(said))
         except MissingExtraError:
@@ -185,8 +184,17 @@ def uses_normalization(data: Mapping[str, Any]) -> bool:
     return "replay_buffer_class" not in data or within == [True, False]
 
 
-def _load_zip(content: bytes) -> tuple[dict[str, Any], Any]:
-    """Load a model by stable-baselines3; returns its data and its policy."""
+def _is_model(data: bytes) -> bool:
+    """Whether the names in a zip are those of a model of stable-baselines3."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return {"data", "policy.pth"} <= set(archive.namelist())
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
+        return False
+
+
+def _load_zip(content: bytes) -> tuple[dict[str, Any], Any, str]:
+    """Load a model; returns its data, its policy, and the algorithm that it was loaded with."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > max(MAX_UNPACKED_BYTES, len(content)):  # stable-baselines3 doesn't pack anything
@@ -214,4 +222,4 @@ def _load_zip(content: bytes) -> tuple[dict[str, Any], Any]:
         with require_extra("loading a stable-baselines3 zip", "train"):
             algorithm: type[BaseAlgorithm] = getattr(importlib.import_module(found[0]), found[1])
         model = algorithm.load(io.BytesIO(content), device="cpu", custom_objects=INFERENCE_OBJECTS)
-    return data, model.policy
+    return data, model.policy, algorithm.__name__

@@ -132,16 +132,11 @@ def draw_curve(path: Path, rows: Rows, title: str) -> None:
     FigureCanvasAgg(figure)
     figure.suptitle(title)
     places = figure.subplots(len(_SHOWN), len(_AXES), sharey="row", sharex="col")
-    for line, (column, label) in enumerate(_SHOWN.items()):
-        for side, (axis, name) in enumerate(_AXES.items()):
-            place = places[line][side]
+    for line, column in zip(places, _SHOWN, strict=True):
+        for place, axis in zip(line, _AXES, strict=True):
             place.plot([row[axis] for row in rows], [row[column] for row in rows], marker=".")
+            place.set(xlabel=_AXES[axis], ylabel=_SHOWN[column])
             place.grid(visible=True)
-            if column.endswith("_rate"):
-                place.set_ylim(-0.02, 1.02)
-            if side == 0:
-                place.set_ylabel(label)
-            if line == len(_SHOWN) - 1:
-                place.set_xlabel(name)
+            place.label_outer()
     with reading.replace_file(path) as new:
         figure.savefig(new, format="png", dpi=100)

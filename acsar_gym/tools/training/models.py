@@ -12,7 +12,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.tools.policies import ZipPolicy, sb3
 from acsar_gym.tools.policies.policy import format_error
-from acsar_gym.tools.training import checkpoints, recipes
+from acsar_gym.tools.training import checkpoints
 from acsar_gym.tools.training.checkpoints import TrainingState
 from acsar_gym.tools.training.held_out import FIRST_HELD_OUT_SEED, Decide
 from acsar_gym.tools.training.plan import TrainingPlan
@@ -55,12 +55,10 @@ def load_model(
 ) -> BaseAlgorithm:
     """Load a model, with the hyperparameters that it was saved with."""
     saved.check(env.task, env.sensors)
-    name = recipes.policy_algorithm(saved.network)
-    if name != plan.algorithm.name:
-        wanted, is_of = plan.algorithm, name or "an algorithm that train doesn't know"
+    if saved.algorithm != plan.algorithm.kind:
         raise PolicyError(
-            f"{saved.path}: is of {is_of}, but with --algo {wanted.name} only "
-            f"{wanted.kind}'s models can be trained on"
+            f"{saved.path}: is of {saved.algorithm}, but with --algo {plan.algorithm.name} only "
+            f"{plan.algorithm.kind}'s models can be trained on"
         )
     batch = plan.recipe.wrap_batch(sb3.BatchVecEnv(env))
     arguments = _common_arguments(plan)

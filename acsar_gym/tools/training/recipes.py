@@ -1,7 +1,7 @@
 """Recipes: hyperparameters by env in RL Zoo's YAML format, one file for each algorithm.
 
 All of a recipe are plain values: no code in it is run, and of classes only those are imported that
-`KNOWN_CLASSES` and `KNOWN_MODULES` list, or that are of modules that the user has named.
+`KNOWN_CLASSES` lists, or that are of modules that the user has named.
 """
 
 from __future__ import annotations
@@ -41,12 +41,11 @@ KNOWN_CLASSES: Mapping[str, tuple[str, ...]] = {
         NORMALIZE_WRAPPER,
     ),
     "features_extractor_class": ("stable_baselines3.common.torch_layers.FlattenExtractor",),
-    "activation_fn": (),
-    "optimizer_class": (),
+    "activation_fn": ("torch.nn",),
+    "optimizer_class": ("torch.optim",),
 }
-"""What may be named at each place of a recipe: nothing that writes files or takes code."""
-KNOWN_MODULES = {"activation_fn": "torch.nn", "optimizer_class": "torch.optim"}
-"""Modules whose classes may be named at some places."""
+"""Classes, or modules of them, that each place of a recipe may name: nothing that writes files or
+takes code."""
 POLICY_PLACES = ("activation_fn", "features_extractor_class", "optimizer_class")
 """The places in policy_kwargs."""
 MAX_RECIPE_BYTES = 1_000_000
@@ -83,24 +82,19 @@ class Algorithm:
     module: str
     kind: str
     """Name of its class."""
-    policy: str
-    """Base class of its policies."""
 
     def load(self) -> type[BaseAlgorithm]:
         """Import its class."""
         with require_extra(f"training with {self.name}", "train"):
-            found: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
-        return found
+            kind: type[BaseAlgorithm] = getattr(importlib.import_module(self.module), self.kind)
+        return kind
 
 
 ALGORITHMS = {
-    each.name: each
-    for each in (
-        Algorithm("ppo", "stable_baselines3", "PPO", "ActorCriticPolicy"),
-        Algorithm("sac", "stable_baselines3", "SAC", "SACPolicy"),
-        Algorithm("tqc", "sb3_contrib", "TQC", "TQCPolicy"),
-        Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO", "RecurrentActorCriticPolicy"),
-    )
+    "ppo": Algorithm("ppo", "stable_baselines3", "PPO"),
+    "sac": Algorithm("sac", "stable_baselines3", "SAC"),
+    "tqc": Algorithm("tqc", "sb3_contrib", "TQC"),
+    "ppo_lstm": Algorithm("ppo_lstm", "sb3_contrib", "RecurrentPPO"),
 }
 
 
@@ -111,22 +105,14 @@ def find_algorithm(name: str) -> Algorithm:
     return ALGORITHMS[name]
 
 
-def policy_algorithm(policy: Any) -> str | None:
-    """Return the name of the algorithm that a policy is of; None where `train` doesn't know it."""
-    names = {each.policy: each.name for each in ALGORITHMS.values()}
-    bases = (names.get(kind.__name__) for kind in type(policy).__mro__)
-    return next((name for name in bases if name is not None), None)
-
-
 def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
     """Check that a recipe may name a class. Imports nothing."""
-    module = name.rpartition(".")[0]
-    known = name in KNOWN_CLASSES[place] or module == KNOWN_MODULES.get(place)
-    if not known and module not in modules:
+    allowed, module = KNOWN_CLASSES[place], name.rpartition(".")[0]
+    if name not in allowed and module not in allowed and module not in modules:
         raise ConfigError(
             f"{place}: {show_value(name)}: not a class that recipes may name"
-            f"{suggest_name(shorten_text(name), KNOWN_CLASSES[place])}; a module of your own is "
-            "named with --modules"
+            f"{suggest_name(shorten_text(name), allowed)}; a module of your own is named with "
+            "--modules"
         )
 
 
@@ -143,11 +129,12 @@ def find_class(place: str, name: str, modules: Collection[str] = ()) -> Any:
 
 def find_classes(policy_kwargs: Mapping[str, Any], modules: Collection[str] = ()) -> dict[str, Any]:
     """Return the arguments of a policy with classes for their names; see `find_class`."""
-    found = dict(policy_kwargs)
-    for place in POLICY_PLACES:
-        if isinstance(found.get(place), str):
-            found[place] = find_class(place, found[place], modules)
-    return found
+    return {
+        place: find_class(place, value, modules)
+        if place in POLICY_PLACES and isinstance(value, str)
+        else value
+        for place, value in policy_kwargs.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -200,14 +187,13 @@ class Recipe:
 
         built = dict(self.arguments)
         for name in SCHEDULE_KEYS:
-            if isinstance(built.get(name), str):
-                kind, _, value = built[name].partition("_")
+            if isinstance(text := built.get(name), str):
                 try:
-                    number = float(value) if kind == "lin" else math.nan
+                    number = float(text.removeprefix("lin_")) if text[:4] == "lin_" else math.nan
                 except ValueError:
                     number = math.nan
                 if not math.isfinite(number):
-                    said = f"{show_value(built[name])}: must be a number, or like lin_0.001"
+                    said = f"{show_value(text)}: must be a number, or like lin_0.001"
                     raise ConfigError(f"{self.file}: {self.key}: {name}: {said}")
                 built[name] = LinearSchedule(number, 0.0, 1.0)
         if isinstance(built.get("train_freq"), list):
@@ -334,36 +320,28 @@ def _evaluate_texts(given: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
+class _Names(ast.NodeTransformer):
+    """Replaces dict(...) by {...}, and names of classes by texts, for `ast.literal_eval`."""
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        named = not node.args and all(part.arg for part in node.keywords)
+        if not (isinstance(node.func, ast.Name) and node.func.id == "dict" and named):
+            return node
+        keys: list[ast.expr | None] = [ast.Constant(part.arg) for part in node.keywords]
+        return ast.Dict(keys, [self.visit(part.value) for part in node.keywords])
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.AST:
+        return ast.Constant(re.sub(r"^(th|torch)\.|^(?=nn\.)", "torch.", ast.unparse(node)))
+
+
 def parse_text(text: str) -> Any:
     """Read a Python value such as "dict(net_arch=[64], activation_fn=nn.ReLU)"; runs no code."""
-
-    def convert(node: ast.expr) -> Any:
-        match node:
-            case ast.Constant(value=None | bool() | int() | float() | str() as value):
-                return value
-            case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as value)):
-                return -value
-            case ast.List(elts=parts) | ast.Tuple(elts=parts):
-                return [convert(part) for part in parts]
-            case ast.Dict(keys=keys, values=parts) if None not in keys:
-                named = [convert(key) for key in keys if key is not None]
-                return {str(key): convert(part) for key, part in zip(named, parts, strict=True)}
-            case ast.Call(func=ast.Name(id="dict"), args=[], keywords=parts) if all(
-                part.arg for part in parts
-            ):
-                return {str(part.arg): convert(part.value) for part in parts}
-            case ast.Attribute() | ast.Name():
-                name = re.sub(r"^(th|torch)\.|^(?=nn\.)", "torch.", ast.unparse(node))
-                if re.fullmatch(r"[\w.]+", name):
-                    return name
+    try:
+        return ast.literal_eval(_Names().visit(ast.parse(text.strip(), mode="eval")))
+    except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError) as error:
         raise ConfigError(
             f"{show_value(text)}: must be values and dict(...) of them, and classes such as nn.ReLU"
-        )
-
-    try:
-        return convert(ast.parse(text.strip(), mode="eval").body)
-    except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-        raise ConfigError(f"{show_value(text)}: {reading.explain_error(error)}") from error
+        ) from error
 
 
 def _parse_wrappers(asked: Any) -> dict[str, dict[str, Any]]:

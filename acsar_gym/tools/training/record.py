@@ -1,14 +1,18 @@
-"""The folder of a training: its record, its results, and what `--resume` takes from them."""
+"""The folder of a training: its record, its results, and what `--resume` takes from them.
+
+No other training writes to it, neither later nor at the same time.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import itertools
 import platform
 import shlex
 import subprocess
-import sys
 import uuid
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,26 +20,39 @@ from typing import TYPE_CHECKING, Any
 import acsar_gym
 from acsar_gym import reading
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, escape_unprintable, require_extra
 from acsar_gym.recording.messages import to_plain_json
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.policies import ZipPolicy
 from acsar_gym.tools.policies.bundle import Bundle, TrainingSummary
 from acsar_gym.tools.training import checkpoints, recipes
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, TrainingState
-from acsar_gym.tools.training.folder import (
-    CONFIG_FILE,
-    MAX_CONFIG_BYTES,
-    RESULT_FILES,
-    SEVERAL_SEEDS,
-    describe_content,
-)
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 from acsar_gym.vector.threads import usable_cores
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
+CONFIG_FILE = "config.yml"
+"""The record of a training."""
+MAX_CONFIG_BYTES = 1_000_000
+"""Largest accepted config.yml [bytes]."""
+FINISHED_LINE = b"\n  finished: true\n"
+"""In the record of a training whose steps are done."""
+RESULT_FILES = ("policy.onnx", "model.zip")
+"""What a training leaves: the policy to drive with, and the model to train on."""
+CURVE_FILES = ("learning_curve.csv", "learning_curve.png")
+SEEDS_FILE = "seeds.json"
+"""The table of a training of several seeds."""
+SEED_PREFIX = "seed-"
+"""Begins the names of their folders."""
+LOCK_FILE = ".lock"
+"""Locked while a training runs; the system releases it however the process ends."""
+RESUMABLE = ("a finished training", "an unfinished training")
+"""Contents that `--resume` goes on with."""
+SEVERAL_SEEDS = "trainings of several seeds"
+UNLOCKABLE_ERRNOS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP)
+"""Errors of file systems that can't lock, such as some of clusters."""
 RUN_KEY = "run"
 """Key of what isn't a recipe. The recipe is beside it, so that the file can be a --conf-file."""
 RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
@@ -43,29 +60,80 @@ RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
 CHANGEABLE_OPTIONS = (
-    "steps",
-    "target",
-    "threads",
-    "progress",
-    "checkpoint_seconds",
-    "resume",
-    "trust",
-    "device",
-    "out",
+    *("steps", "target", "threads", "progress", "checkpoint_seconds", "resume", "trust"),
+    *("device", "out"),
 )
 """Options that may change when a training goes on."""
 
 
-@dataclass(frozen=True)
-class TrainingStart:
-    """What a training begins with."""
+def describe_content(folder: Path) -> str | None:
+    """Say what a folder holds of a training; None where a new one may begin in it.
 
-    options: TrainingOptions
-    """The user's; those of the folder where one is resumed."""
-    saved: ZipPolicy | None = None
-    """The model to load; None for a new one."""
-    state: TrainingState | None = None
-    """What to restore besides the model; None to begin anew."""
+    Returns:
+        Words such as "a training", or the name of a file that a training would replace.
+    """
+    seeds = any(describe_content(path) for path in folder.glob(f"{SEED_PREFIX}*"))
+    if seeds or (folder / SEEDS_FILE).exists():
+        return SEVERAL_SEEDS
+    if (config := folder / CONFIG_FILE).exists():
+        with contextlib.suppress(ConfigError):
+            if FINISHED_LINE in reading.read_file(config, MAX_CONFIG_BYTES):
+                return RESUMABLE[0]
+        return RESUMABLE[1]
+    if checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER):
+        return "checkpoints"
+    names = (*RESULT_FILES, *CURVE_FILES)
+    return next((name for name in names if (folder / name).exists()), None)
+
+
+def number_folders(default: Path) -> Iterator[Path]:
+    """Yield runs/demo, runs/demo-2, runs/demo-3 and so on."""
+    yield default
+    for number in itertools.count(2):
+        yield default.with_name(f"{default.name}-{number}")
+
+
+def find_free_folder(default: Path) -> Path:
+    """Find the first of `number_folders` that holds no training; it may be missing."""
+    return next(path for path in number_folders(default) if describe_content(path) is None)
+
+
+@contextlib.contextmanager
+def claim_folder(folder: Path, *, resume: bool = False, numbered: bool = False) -> Iterator[Path]:
+    """Make the folder of a training, and keep other trainings out of it until the block ends.
+
+    Yields:
+        The folder.
+    """
+    for path in number_folders(folder) if numbered else [folder]:
+        with contextlib.ExitStack() as lock:
+            refusal = _lock_folder(path, lock)
+            if refusal is None and not resume and (content := describe_content(path)):
+                go_on = f", or --resume {path}" if content in RESUMABLE else ""
+                refusal = f"holds {content}: name another folder{go_on}"
+            if refusal is None:
+                if path != folder:
+                    print(escape_unprintable(f"{folder} is another training's: using {path}"))
+                yield path
+                return
+        if not numbered:
+            raise ConfigError(f"{'--resume' if resume else '--out'} {path}: {refusal}")
+
+
+def _lock_folder(folder: Path, lock: contextlib.ExitStack) -> str | None:
+    """Make and lock a folder; returns why it isn't free, or None."""
+    with require_extra("training", "train"):
+        import filelock  # noqa: PLC0415 - comes with torch
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock.enter_context(filelock.FileLock(folder / LOCK_FILE, blocking=False))
+    except filelock.Timeout:
+        return "a training is running in it: wait for its end, or name another folder"
+    except OSError as error:
+        if error.errno not in UNLOCKABLE_ERRNOS:
+            why = reading.explain_error(error)
+            raise ConfigError(f"--out {folder}: can't be written: {why}") from error
+    return None
 
 
 def git_revision() -> str | None:
@@ -101,7 +169,7 @@ def begin_record(plan: TrainingPlan) -> dict[str, Any]:
         ids.strip_module(plan.env_id): plan.recipe.as_dict(),
         RUN_KEY: {
             "id": before["id"],
-            "commands": [*before["commands"], training_command()],
+            "commands": [*before["commands"], training_command(plan.options)],
             "options": options,
             "versions": provenance.library_versions(*RECORDED_LIBRARIES),
             "revision": git_revision(),
@@ -123,26 +191,21 @@ def finish_record(plan: TrainingPlan, content: dict[str, Any], **facts: Any) -> 
         new.write_text(text, encoding="utf-8")
 
 
-def training_command() -> list[str]:
-    """Return the command that began this training, without the folders of one machine.
-
-    Neither has it the folder that it writes to, and of files elsewhere only their names. Of another
-    program than this package's own, such as a notebook's or a worker's of Ray, only its name is
-    told: its options aren't those of the training, and may hold addresses and passwords.
-    """
-    program, begin = Path(sys.argv[0]), sys.argv[1:]
-    if program.name != "acsar-gym" and program.parts[-2:] != ("acsar_gym", "__main__.py"):
-        return [program.name]
-    words, kept = iter(begin), list[str]()
-    for word in words:
-        name, equals, value = word.partition("=")
-        path = Path(value if equals else word)
-        if name == "--out":
-            _ = equals or next(words, "")
-        else:
-            said = path.name if path.is_absolute() else (value if equals else word)
-            kept.append(f"{name}={said}" if equals else said)
-    return ["acsar-gym", *kept]
+def training_command(options: TrainingOptions) -> list[str]:
+    """Return the command of a training, without folders: of files elsewhere only their names."""
+    given = options.model_dump(mode="json", exclude_defaults=True, exclude={"out", "address"})
+    words = ["acsar-gym", "train"]
+    for name, value in given.items():
+        flag = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+            continue
+        values = value if isinstance(value, list) else [value]
+        texts = [
+            Path(str(one)).name if Path(str(one)).is_absolute() else str(one) for one in values
+        ]
+        words += [f"--{flag}", *texts]
+    return words
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -192,17 +255,23 @@ def describe_training(
     )
 
 
-def find_start(options: TrainingOptions) -> TrainingStart:
+def find_start(
+    options: TrainingOptions,
+) -> tuple[TrainingOptions, ZipPolicy | None, TrainingState | None]:
     """Find out what a training begins with.
 
     One whose steps are done, but whose policy couldn't be written, as on a full disk, goes on with
     no more steps.
+
+    Returns:
+        The options, those of the folder where one is resumed; the model to load, None for a new
+        one; and what to restore besides it, None to begin anew.
     """
     folder = options.resume
     if folder is None:
-        return TrainingStart(options)
+        return options, None, None
     if not folder.is_dir():
-        return TrainingStart(options, ZipPolicy(folder, trust=options.trust))
+        return options, ZipPolicy(folder, trust=options.trust), None
     if options.out is not None and options.out.resolve() != folder.resolve():
         raise ConfigError(f"--out {options.out}: {folder} goes on in its own folder: leave it out")
     recorded = read_record(folder)
@@ -210,26 +279,23 @@ def find_start(options: TrainingOptions) -> TrainingStart:
     found = checkpoints.find_checkpoints(folder / CHECKPOINTS_FOLDER)
     if not found:
         raise ConfigError(f"{folder}: has no checkpoint yet: train anew, in another folder")
-    states = []
-    for number, path in enumerate(found):
-        try:
-            states.append(checkpoints.read_state(path))
-        except ConfigError as error:
-            instead = f": delete it to go on from {found[number - 1]}" if number else ""
-            raise ConfigError(f"{error}{instead}") from error
-        if states[-1].run != recorded.get("id"):
-            raise ConfigError(
-                f"{path}: isn't of the training of {folder / CONFIG_FILE}: move it elsewhere, or "
-                f"begin a new training with it: --resume {path} --trust --out FOLDER"
-            )
-    newest, state = found[-1], states[-1]
+    newest = found[-1]
+    try:
+        state = checkpoints.read_state(newest)
+    except ConfigError as error:
+        raise ConfigError(f"{error}: delete it to go on from the one before") from error
+    if state.run != recorded.get("id"):
+        raise ConfigError(
+            f"{newest}: isn't of the training of {folder / CONFIG_FILE}: move it elsewhere, or "
+            f"begin a new training with it: --resume {newest} --trust --out FOLDER"
+        )
     saved = ZipPolicy(newest, trust=options.trust)
     whole = recorded.get("finished") and all((folder / name).exists() for name in RESULT_FILES)
     if whole and merged.steps is not None and state.steps >= merged.steps:
         raise ConfigError(
             f"{folder}: its {merged.steps:,} steps are done: ask for more with --steps"
         )
-    return TrainingStart(merged, saved, state)
+    return merged, saved, state
 
 
 def _merge_options(folder: Path, recorded: Any, options: TrainingOptions) -> TrainingOptions:

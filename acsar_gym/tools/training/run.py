@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from acsar_gym.errors import escape_unprintable
 from acsar_gym.tools.policies import ZipPolicy
-from acsar_gym.tools.policies.describe import describe_policy
+from acsar_gym.tools.policies.bundle import describe_policy
 from acsar_gym.tools.training import checkpoints, held_out, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER, StopRequest, TrainingState
-from acsar_gym.tools.training.folder import claim_folder
 from acsar_gym.tools.training.plan import (
     TrainingOptions,
     TrainingPlan,
@@ -145,13 +144,13 @@ def _begin(
     goes_on = options.resume is not None and options.resume.is_dir()
     if options.resume is not None and goes_on:  # before its checkpoints are read
         record.read_record(options.resume)  # before anything is written to it
-        claims.enter_context(claim_folder(options.resume, resume=True))
-    start = record.find_start(options)
-    plan = TrainingPlan.of(start.options)
+        claims.enter_context(record.claim_folder(options.resume, resume=True))
+    options, saved, state = record.find_start(options)
+    plan = TrainingPlan.of(options)
     if not goes_on:
-        claim = claim_folder(plan.out, numbered=options.out is None)
+        claim = record.claim_folder(plan.out, numbered=options.out is None)
         plan = replace(plan, out=claims.enter_context(claim))
-    return plan, start.saved, start.state
+    return plan, saved, state
 
 
 def _learn(

@@ -1,7 +1,5 @@
 """The command `acsar-gym train`, and several seeds of a recipe, in parallel or on a cluster.
 
-    acsar-gym train --env obstacle_goal --seeds 0-4 --workers 2 --out runs/obstacle_goal
-
 Every seed gets a folder as of a training alone, such as runs/obstacle_goal/seed-3, with what the
 training printed in log.txt; seeds.json has the table. A seed whose machine of a cluster died begins
 again on another one.
@@ -10,14 +8,12 @@ again on another one.
 from __future__ import annotations
 
 import contextlib
-import io
 import math
 import re
 import signal
 import statistics
 import sys
 import tempfile
-import zipfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -37,18 +33,14 @@ from acsar_gym.tools.evaluation import metrics, report, runs
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.training import checkpoints, held_out, recipes, record
 from acsar_gym.tools.training.checkpoints import CHECKPOINTS_FOLDER
-from acsar_gym.tools.training.folder import (
+from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan, require_training
+from acsar_gym.tools.training.record import (
     CONFIG_FILE,
     CURVE_FILES,
     LOCK_FILE,
     SEED_PREFIX,
     SEEDS_FILE,
     claim_folder,
-)
-from acsar_gym.tools.training.plan import (
-    TrainingOptions,
-    TrainingPlan,
-    require_training,
 )
 from acsar_gym.tools.training.run import train
 from acsar_gym.worlds.files import format_world
@@ -86,8 +78,8 @@ class SeedResult:
     collision_rate: float
     steps: int
     seconds: float
-    files: bytes = b""
-    """Zip of its files, from another machine."""
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)
+    """Its files by name, from another machine."""
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -123,28 +115,24 @@ def train_seeds(options: TrainingOptions) -> int:
     if options.resume is not None:
         raise ConfigError("--resume: goes on with one training: leave out --seeds")
     plan = TrainingPlan.of(options.model_copy(update={"threads": 1}))
-    with claim_folder(plan.out, numbered=options.out is None) as out:
-        _train_jobs(options, [make_job(options, seed, out) for seed in seeds], out)
-    return 0
-
-
-def _train_jobs(options: TrainingOptions, jobs: Sequence[SeedJob], out: Path) -> None:
-    """Train in processes; print and keep each result."""
     results: dict[int, SeedResult] = {}
-    running = completed(run_job, jobs, workers=options.workers, address=options.address)
-    try:
-        with contextlib.closing(running):
-            for _, trained in report.watch_progress("seeds trained", running, len(jobs)):
-                results[trained.seed] = trained
-                keep_files(trained, out)
-                said = (
-                    f"seed {trained.seed}: held-out success {trained.success_rate:.1%} after "
-                    f"{trained.steps:,} steps in {trained.seconds:,.0f} s"
-                )
-                print(said, flush=True)
-    finally:
-        if results:
-            _print_results(options, [results[seed] for seed in sorted(results)], out)
+    with claim_folder(plan.out, numbered=options.out is None) as out:
+        jobs = [make_job(options, seed, out) for seed in seeds]
+        running = completed(run_job, jobs, workers=options.workers, address=options.address)
+        try:
+            with contextlib.closing(running):
+                for _, trained in report.watch_progress("seeds trained", running, len(jobs)):
+                    results[trained.seed] = trained
+                    keep_files(trained, out)
+                    said = (
+                        f"seed {trained.seed}: held-out success {trained.success_rate:.1%} after "
+                        f"{trained.steps:,} steps in {trained.seconds:,.0f} s"
+                    )
+                    print(said, flush=True)
+        finally:
+            if results:
+                _print_results(options, [results[seed] for seed in sorted(results)], out)
+    return 0
 
 
 def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
@@ -210,30 +198,27 @@ def run_job(job: SeedJob) -> SeedResult:
             sys.exit(code)
         said = record.read_record(out)
         last = said.get("held_out") or {}
-        packed = io.BytesIO()
-        if job.sent is not None:
-            with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-                for path in sorted(out.rglob("*")):
-                    inner = path.relative_to(out)
-                    if path.is_file() and inner.parts[0] not in UNSENT:
-                        archive.write(path, inner)
+        files = {}
+        for path in sorted(out.rglob("*")) if job.sent is not None else ():
+            name = path.relative_to(out)
+            if path.is_file() and name.parts[0] not in UNSENT:
+                files[str(name)] = path.read_bytes()
         return SeedResult(
             options.seed,
             float(last.get("success_rate", math.nan)),
             float(last.get("collision_rate", math.nan)),
             int(said["steps"]),
             float(said["seconds"]),
-            packed.getvalue(),
+            files,
         )
 
 
 def keep_files(trained: SeedResult, out: Path) -> None:
     """Write the files that another machine sent."""
-    if trained.files:
-        folder = out / f"{SEED_PREFIX}{trained.seed}"
-        folder.mkdir(parents=True, exist_ok=True)
-        with zipfile.ZipFile(io.BytesIO(trained.files)) as archive:
-            archive.extractall(folder)  # zipfile itself keeps names within the folder
+    for name, content in trained.files.items():
+        path = out / f"{SEED_PREFIX}{trained.seed}" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 def _print_results(options: TrainingOptions, results: Sequence[SeedResult], out: Path) -> None:

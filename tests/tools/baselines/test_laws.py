@@ -107,22 +107,6 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
         runs.load_policy("dwa", trust=False, env="point_goal")
 
 
-@pytest.mark.parametrize("name", list(baselines.BASELINES))
-def test_every_name_has_a_class_of_that_name(name: str) -> None:
-    assert baselines.load_baseline(name, "acsar_gym/Barn-v1").name == name
-
-
-def test_actions_are_within_the_action_space() -> None:
-    policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
-    env = runs.make_env(policy, "planar", None, {})
-    observation, _ = env.reset(seed=0, options={"goal": (-1.0, 0.1)})
-    action = policy(observation)
-    assert env.action_space.contains(action)
-    assert action.tolist() == [0.0, 1.0]
-    assert action.dtype == np.float32
-    env.close()
-
-
 @pytest.mark.parametrize(
     ("env_id", "robot", "share"),
     [

@@ -21,7 +21,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.datasets import (
     DemonstrationEpisode,
     Demonstrations,
-    read_demonstrations,
     write_dataset,
 )
 from acsar_gym.tools.datasets.lerobot import write_lerobot
@@ -145,12 +144,3 @@ def test_a_data_set_is_not_overwritten(tapes: list[Path], tmp_path: Path) -> Non
     for to in ("lerobot", "minari"):
         with pytest.raises(ConfigError, match="can't be written"):
             write_dataset(tapes, to, tmp_path / "file" / "folder")
-
-
-def test_both_say_how_they_were_made(tapes: list[Path], tmp_path: Path) -> None:
-    data: Demonstrations = read_demonstrations(tapes[1:])
-    assert data.names[:3] == ("goal_distance", "goal_cos", "goal_sin")
-    folder, _ = write_dataset(tapes[1:], "minari", tmp_path)
-    described = json.loads((folder / "data/metadata.json").read_text())
-    assert described["algorithm_name"] == "unknown"
-    assert "acsar_gym/PointGoal-v0" in described["description"]

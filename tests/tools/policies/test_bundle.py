@@ -19,8 +19,13 @@ from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tools import cli
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.tools.policies.bundle import MAX_BUNDLE_BYTES, Bundle, parse_bundle
-from acsar_gym.tools.policies.describe import ROBOT_FIELDS, bundle_rows, trained_range
+from acsar_gym.tools.policies.bundle import (
+    MAX_BUNDLE_BYTES,
+    ROBOT_FIELDS,
+    bundle_rows,
+    parse_bundle,
+    trained_range,
+)
 
 ACSAR = RobotConfig.preset("acsar")
 WHOLE = json.dumps(changed())
@@ -30,15 +35,6 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
     max_leaves=20,
 )
-
-
-def fails(text: str) -> str:
-    """What is said of a bundle that can't be read."""
-    with pytest.raises(PolicyError) as raised:
-        parse_bundle(text)
-    said = str(raised.value)
-    assert "\n" not in said
-    return said
 
 
 def paths(data: Any, prefix: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -75,21 +71,26 @@ def test_a_changed_bundle_is_a_bundle_or_one_line(path: tuple[Any, ...], value: 
     ("text", "said"),
     [
         (WHOLE[:-9], "JSON"),
-        ("[]", "mapping"),
-        ("{}", "version None"),
-        (json.dumps(changed(version=2)), "version 2"),
+        ("[]", "bundle = []"),
+        (json.dumps(changed(version=2)), "bundle.version = 2"),
         (json.dumps(changed(rates__policy=-1.0)), "rates.policy = -1.0"),
         (json.dumps(changed(extra=1)), "'bundle.extra'"),
         (json.dumps(changed(observation__names=[])), "names, low and high"),
         (WHOLE.replace('"scale": 3.0', '"scale": 1e999'), "1e999"),
-        (WHOLE.replace('"options": {', '"options": {"a": ' + "[" * 30 + "]" * 30 + ", "), "deeply"),
+        (
+            WHOLE.replace('"options": {', '"options": {"a": ' + "[" * 900 + "]" * 900 + ", "),
+            "env.options.a.list.0",
+        ),
         ("[" * 100_000, "JSON"),
         (WHOLE + " " * MAX_BUNDLE_BYTES, "500,000"),
     ],
-    ids=range(11),
+    ids=range(10),
 )
 def test_each_kind_of_damage_is_named(text: str, said: str) -> None:
-    assert said in fails(text)
+    with pytest.raises(PolicyError) as raised:
+        parse_bundle(text)
+    assert said in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_network_of_another_tool_says_how_to_make_it_a_policy(tmp_path: Path) -> None:
@@ -221,8 +222,6 @@ def test_ranges_of_a_training_follow_from_the_randomization() -> None:
     delay = trained_range(ROBOT_FIELDS["firmware.command_delay"], (0.01,), ranges)
     assert delay == pytest.approx((0.014, 0.06))
     assert trained_range(ROBOT_FIELDS["feedback_rate"], (100.0,), ranges) == (20.0, 50.0)
-    unknown = bundle_of().model_copy(update={"randomization": None})
-    assert isinstance(unknown, Bundle)
 
 
 def test_driving_warns_once_a_field_and_the_header_says_it(alone: Path) -> None:
@@ -254,11 +253,6 @@ def test_a_policy_is_shown_and_its_text_cannot_steer_a_terminal(
     assert parse_bundle(json.dumps(written)) == bundle_of(path)
 
 
-def test_a_policy_takes_the_first_numbers_of_an_observation() -> None:
-    policy, seen = OnnxPolicy("point_goal"), np.linspace(0.0, 1.0, 9, dtype=np.float32)
-    assert policy(seen).tolist() == policy(seen[:7]).tolist()
-
-
 OF_THE_MAP = 7 + len(MAP_NAMES)
 
 
@@ -280,7 +274,7 @@ def test_a_policy_that_takes_no_rays_drives_with_any_lidar(
     env.close()
 
 
-@pytest.mark.parametrize("width", [6, 8, OF_THE_MAP + 1, OF_THE_MAP + 65])
+@pytest.mark.parametrize("width", [6, OF_THE_MAP + 1])
 def test_a_policy_takes_whole_sensors(width: int, tmp_path: Path) -> None:
     said = f"takes {width} numbers, the observation has 7 or {OF_THE_MAP} or {OF_THE_MAP + 64}"
     with pytest.raises(PolicyError, match=said):
@@ -301,14 +295,12 @@ def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> N
     "options",
     [
         {"shape": ("n", 2)},
-        {"shape": (1, 0)},
         {"shape": (50_000, 50_000)},
-        {"shape": (1, 3)},
         {"dtype": 7},
         {"outputs": 0},
         {"outputs": 2},
     ],
-    ids=["free", "empty", "huge", "other", "integers", "lost", "too many"],
+    ids=["free", "huge", "integers", "lost", "too many"],
 )
 def test_a_state_that_cannot_be_kept_is_one_line(options: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"p\.onnx: "):
@@ -339,11 +331,6 @@ def outside(tmp_path: Path, robot: RobotConfig, robots: dict[str, list[float]]) 
         ({"max_linear": 2.0, "body": {"mass": 60.0}}, ""),
         ({"max_linear": 2.1}, "max_linear of this robot is 2.1, the policy is for 0.3 to 2"),
         ({"body": {"length": 1.0}}, "footprint_length of this robot is 1, the policy is for 0.25"),
-        ({"body": {"width": 0.8}}, "footprint_width of this robot is 0.8, the policy"),
-        (
-            {"footprint": [(0.43, 0.0), (-0.43, 0.3), (-0.43, -0.3)]},
-            "",
-        ),
         (
             {"footprint": [(0.65, 0.0), (-0.2, 0.3), (-0.2, -0.3)]},
             "footprint_radius of this robot is 0.65, the policy is for 0.2 to 0.6",
@@ -361,24 +348,10 @@ def test_a_policy_says_which_robots_it_is_for(
     assert [line[: len(said)] for line in lines] == ([said] if said else [])
 
 
-@pytest.mark.parametrize(
-    ("robots", "said"),
-    [
-        ({"tail.length": [0.0, 1.0]}, "robots tail.length: a robot has no such number"),
-        ({"__class__": [0.0, 1.0]}, "robots __class__: a robot has no such number"),
-        ({"name": [0.0, 1.0]}, "robots name: isn't a number"),
-        ({"body": [0.0, 1.0]}, "robots body: isn't a number"),
-        ({"geofence": [0.0, 1.0]}, ""),
-    ],
-)
-def test_names_that_no_robot_has(robots: dict[str, list[float]], said: str, tmp_path: Path) -> None:
-    if not said:
-        (line,) = outside(tmp_path, ACSAR, robots)
-        assert line == "geofence of this robot is none, the policy is for 0 to 1"
-        return
-    with pytest.raises(PolicyError) as raised:
-        outside(tmp_path, ACSAR, robots)
-    assert said in str(raised.value)
+@pytest.mark.parametrize("name", ["tail.length", "__class__", "name"])
+def test_numbers_that_no_robot_has_are_one_line(name: str, tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match=f"robots {name}: this acsar_gym compares no such number"):
+        outside(tmp_path, ACSAR, {name: [0.0, 1.0]})
 
 
 def test_run_refuses_another_robot_and_evaluate_warns(tmp_path: Path) -> None:

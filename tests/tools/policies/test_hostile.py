@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import pickle
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from onnx_tools import ENV_ID, HOSTILE, bundle_of, relabelled
+from onnx_tools import ENV_ID, GOOD, HOSTILE, bundle_of, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy
 from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES
 
 
@@ -34,6 +37,37 @@ def test_a_hostile_file_is_one_line(
     path = tmp_path / "policy.onnx"
     path.write_bytes(make())
     refused(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"PK", "isn't an ONNX file but a zip"),
+        (pickle.dumps([1]), "isn't a policy: must be an ONNX file"),
+        (b"", "isn't a policy: must be an ONNX file"),
+        (GOOD.read_bytes()[:900], "isn't a whole ONNX file: copy or export it again"),
+    ],
+    ids=["zip", "pickle", "empty", "cut"],
+)
+def test_what_is_no_onnx_file_is_named(content: bytes, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(content)
+    with pytest.raises(PolicyError) as error:
+        OnnxPolicy(path)
+    assert str(error.value).startswith(f"{path}: {said}")
+
+
+def test_only_a_model_is_asked_to_be_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    for names, trust, said in (
+        (["data"], True, "isn't a policy: must be an ONNX file"),
+        (["data", "policy.pth"], False, "pass --trust"),
+    ):
+        with zipfile.ZipFile(path, "w") as archive:
+            for name in names:
+                archive.writestr(name, "{}")
+        with pytest.raises(PolicyError, match=said):
+            ZipPolicy(path, trust=trust)
 
 
 def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:

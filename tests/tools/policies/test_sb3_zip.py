@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx_tools import GOOD
 from zip_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
@@ -40,13 +39,6 @@ def test_nothing_in_a_zip_runs_without_trust(
     with pytest.raises(PolicyError, match="--trust"):
         ZipPolicy(bad)
     assert not marker.exists()
-
-
-def test_the_poison_of_these_tests_works(good: Path, tmp_path: Path) -> None:
-    bad = poison(good, "data", tmp_path / "marker", tmp_path / "model.zip")
-    with pytest.raises(PolicyError, match="not a stable-baselines3 model"):
-        ZipPolicy(bad, trust=True)
-    assert (tmp_path / "marker").exists()
 
 
 @pytest.mark.parametrize("algorithm", NAMES)
@@ -167,9 +159,8 @@ def test_a_model_of_vecnormalize_without_its_file_is_refused(tmp_path: Path) -> 
         runs.export_policy(path, out, "point_goal", None, trust=True, vecnormalize=named)
 
 
-@pytest.mark.parametrize("algorithm", ["SAC", "TD3", "DDPG"])
-def test_a_vecnormalize_is_seen_in_the_zip_itself(algorithm: str, tmp_path: Path) -> None:
-    """These algorithms save an original observation without one, too."""
+def test_a_vecnormalize_is_seen_in_the_zip_itself(tmp_path: Path) -> None:
+    """SAC saves an original observation without one, too."""
     from stable_baselines3.common.vec_env import VecNormalize
 
     from acsar_gym.tools.policies.sb3 import make_batch
@@ -180,7 +171,7 @@ def test_a_vecnormalize_is_seen_in_the_zip_itself(algorithm: str, tmp_path: Path
         env: Any = make_batch("point_goal", 4)
         if normalizer is not None:
             env = VecNormalize(env, norm_obs=normalizer == "observations")
-        algorithms()[algorithm]("MlpPolicy", env, device="cpu", **options).learn(20).save(path)
+        algorithms()["SAC"]("MlpPolicy", env, device="cpu", **options).learn(20).save(path)
         env.close()
         if normalizer == "observations":
             with pytest.raises(PolicyError, match="was trained with a VecNormalize, whose file"):
@@ -206,18 +197,10 @@ def test_a_dict_of_observations_is_refused_in_one_line(tmp_path: Path) -> None:
         assert len(str(no.value)) - len(str(path)) < 250
 
 
-def test_what_is_onnx_already_is_not_exported(tmp_path: Path) -> None:
-    for name in ("point_goal", str(GOOD)):
-        with pytest.raises(PolicyError, match="is an ONNX policy already: drive with it"):
-            runs.export_policy(Path(name), tmp_path / "p.onnx", "", None, trust=True)
-    assert not (tmp_path / "p.onnx").exists()
-
-
 @pytest.mark.parametrize(
     ("algorithm", "normalizer"),
     [
         ("PPO", "around"),
-        *(pytest.param("PPO", name, marks=pytest.mark.slow) for name in ("", "inside")),
         *(pytest.param("RecurrentPPO", name, marks=pytest.mark.slow) for name in ("", "inside")),
     ],
 )

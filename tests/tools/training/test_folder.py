@@ -15,7 +15,7 @@ import yaml
 
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.training import checkpoints, folder, seeds
+from acsar_gym.tools.training import checkpoints, record, seeds
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -50,16 +50,13 @@ def test_a_second_training_of_a_folder_is_refused(finished: Path, more: list[str
 @pytest.mark.parametrize(
     ("files", "said"),
     [
-        (["config.yml"], "an unfinished training"),
         (["config.yml", "policy.onnx", "model.zip"], "an unfinished training"),
         (["checkpoints/rl_model_256_steps.zip"], "checkpoints"),
         (["policy.onnx"], "policy.onnx"),
-        (["model.zip"], "model.zip"),
         (["learning_curve.csv"], "learning_curve.csv"),
         (["seeds.json"], "trainings of several seeds"),
         (["seed-3/config.yml"], "trainings of several seeds"),
         (["seed-3/log.txt", "notes.txt", ".lock", "tensorboard/PPO_1/events"], None),
-        ([], None),
     ],
 )
 def test_whatever_a_training_would_replace_counts(
@@ -68,9 +65,9 @@ def test_whatever_a_training_would_replace_counts(
     for name in files:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
-    assert folder.describe_content(tmp_path) == said
+    assert record.describe_content(tmp_path) == said
     if said is None:
-        with folder.claim_folder(tmp_path) as out:
+        with record.claim_folder(tmp_path) as out:
             assert out == tmp_path
     else:
         with pytest.raises(ConfigError, match=f"holds {said}: name another folder"):
@@ -88,9 +85,9 @@ def test_without_a_name_the_next_number_is_taken(
     assert f"{Path('runs/point_goal')} is another training's: using runs/point_goal-2\n" in said
     assert "written: runs/point_goal-2/policy.onnx" in said
     assert digest(Path("runs/point_goal")) == before
-    with folder.claim_folder(Path("runs/point_goal"), numbered=True) as third:
+    with record.claim_folder(Path("runs/point_goal"), numbered=True) as third:
         assert third == Path("runs/point_goal-3")
-        with folder.claim_folder(Path("runs/point_goal"), numbered=True) as fourth:
+        with record.claim_folder(Path("runs/point_goal"), numbered=True) as fourth:
             assert fourth == Path("runs/point_goal-4")
 
 
@@ -114,24 +111,6 @@ def test_a_checkpoint_of_another_training_is_refused(finished: Path, tmp_path: P
     (mixed / "config.yml").write_text(yaml.safe_dump(config))
     with pytest.raises(ConfigError, match="isn't of the training of"):
         seeds.main(["--resume", str(mixed), "--trust", "--steps", "1024"])
-
-
-def test_a_resumed_training_stays_in_its_folder(finished: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="goes on in its own folder: leave it out"):
-        seeds.main(["--resume", str(finished), "--trust", "--out", str(tmp_path / "new")])
-    assert not (tmp_path / "new").exists()
-
-
-def test_a_folder_that_is_none_of_a_training_is_left_alone(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"config\.yml"):
-        seeds.main(["--resume", str(tmp_path), "--trust"])
-    assert not list(tmp_path.iterdir())
-    (tmp_path / "seed-0").mkdir()
-    (tmp_path / "seed-0" / "config.yml").write_text("")
-    with pytest.raises(
-        ConfigError, match=f"trainings of several seeds: name one, such as {tmp_path}"
-    ):
-        seeds.main(["--resume", str(tmp_path), "--trust"])
 
 
 @pytest.mark.usefixtures("deadline")

@@ -1,38 +1,27 @@
-"""What is recorded of the command that began a training."""
+"""What is recorded of the command of a training."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
 from acsar_gym.tools.training import record
+from acsar_gym.tools.training.plan import TrainingOptions
 
 
 @pytest.mark.parametrize(
     ("given", "kept"),
     [
-        ("--env barn --out {folder}/run --seed 3", "--env barn --seed 3"),
-        ("--env barn --out={folder}/run --seed=3", "--env barn --seed=3"),
-        ("--out runs/one", ""),
-        ("--resume {folder}/cut --trust", "--resume cut --trust"),
-        ("--robot={folder}/my.yaml --worlds clutter", "--robot=my.yaml --worlds clutter"),
+        ({"env": "barn", "seed": 3, "net": (64, 64)}, "--env barn --seed 3 --net 64 64"),
+        ({"resume": Path("/home/me/cut"), "trust": True}, "--resume cut --trust"),
+        ({"robot": "/home/me/my.yaml", "worlds": "clutter"}, "--worlds clutter --robot my.yaml"),
+        (
+            {"randomize": False, "seeds": "0-3", "address": "ray://10.0.0.3"},
+            "--seeds 0-3 --no-randomize",
+        ),
     ],
 )
-def test_the_command_names_no_folder_of_this_machine(
-    given: str, kept: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = given.format(folder=tmp_path).split()
-    for program in ("bin/acsar-gym train", "acsar_gym/__main__.py train"):
-        monkeypatch.setattr(sys, "argv", [*program.split(), *words])
-        assert record.training_command() == ["acsar-gym", "train", *kept.split()]
-
-
-def test_of_another_program_only_the_name_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A worker of Ray is given its cluster's address and password."""
-    flags = ["--node-ip-address=10.0.0.3", "--redis-password=secret"]
-    monkeypatch.setattr(sys, "argv", ["/opt/ray/default_worker.py", *flags])
-    assert record.training_command() == ["default_worker.py"]
-    monkeypatch.setattr(sys, "argv", ["bin/acsar-gym", "demo", "--steps", "9"])
-    assert record.training_command() == ["acsar-gym", "demo", "--steps", "9"]
+def test_the_command_names_no_folder_and_no_address(given: dict[str, object], kept: str) -> None:
+    options = TrainingOptions(out=Path("/home/me/run"), **given)  # type: ignore[arg-type]
+    assert record.training_command(options) == ["acsar-gym", "train", *kept.split()]

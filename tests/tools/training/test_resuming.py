@@ -114,19 +114,29 @@ def test_a_folder_is_refused_in_one_line(finished: Path, arguments: str, said: s
     assert "\n" not in str(error.value)
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+def test_a_folder_of_something_else_is_refused(finished: Path, tmp_path: Path) -> None:
+    resumed = ["--resume", str(tmp_path), "--trust"]
     with pytest.raises(AcsarError, match=r"config\.yml"):
-        seeds.main(["--resume", str(tmp_path), "--trust"])
+        seeds.main(resumed)
+    assert not list(tmp_path.iterdir())
     (tmp_path / "config.yml").write_text("run: 3\n")
     with pytest.raises(AcsarError, match="not of 'acsar-gym train'"):
-        seeds.main(["--resume", str(tmp_path), "--trust"])
+        seeds.main(resumed)
+    (tmp_path / "seed-0").mkdir()
+    (tmp_path / "seed-0" / "config.yml").write_text("")
+    with pytest.raises(AcsarError, match="trainings of several seeds: name one, such as"):
+        seeds.main(resumed)
+    with pytest.raises(AcsarError, match="goes on in its own folder: leave it out"):
+        seeds.main(["--resume", str(finished), "--trust", "--out", str(tmp_path / "new")])
 
 
 def test_an_edited_config_and_a_cut_checkpoint_are_refused(finished: Path, tmp_path: Path) -> None:
     shutil.copytree(finished, tmp_path / "copy")
     resumed = ["--resume", str(tmp_path / "copy"), "--trust", "--steps", "512"]
     (tmp_path / "copy/checkpoints/rl_model_300_steps.zip").write_bytes(b"PK")
-    with pytest.raises(AcsarError, match=r"delete it to go on from .*rl_model_256_steps\.zip"):
+    with pytest.raises(
+        AcsarError, match=r"rl_model_300_steps\.zip.*: delete it to go on from the one before"
+    ):
         seeds.main(resumed)
     config = tmp_path / "copy" / "config.yml"
     config.write_text(config.read_text().replace("robots: 8", "robots: many"))

@@ -52,13 +52,3 @@ def test_rl_zoo_trains_with_the_other_recipes(algo: str, tmp_path: Path) -> None
     options = ("-n", "2500", "--eval-freq", "-1")
     zoo("train", "--algo", algo, *given, *options, "--hyperparams", "n_envs:8")
     zoo("enjoy", "--algo", algo, "-f", tmp_path, "--no-render", "-n", "50")
-
-
-def test_rl_zoo_tunes(tmp_path: Path) -> None:
-    recipe = AGENTS / "recipes" / "ppo.yml"
-    given = ("--conf-file", recipe, "-f", tmp_path)
-    options = ("-n", "4000", "--n-trials", "1")
-    tuning = ["-optimize", "--n-evaluations", "1", "--eval-episodes", "1", "--no-optim-plots"]
-    said = zoo("train", "--algo", "ppo", *given, *options, *tuning, "--hyperparams", "n_envs:8")
-    assert "Number of finished trials:  1" in said
-    assert list((tmp_path / "ppo").glob("report_*.csv"))

@@ -73,21 +73,14 @@ def test_the_first_numbers_are_those_of_the_whole_observation(kind: str) -> None
     short.close()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_robots_with_another_lidar_give_as_many_numbers(kind: str) -> None:
-    robot = RobotConfig().with_(lidar={"rays": 90})
-    env = without_rays(KINDS[kind](robot=robot))
+def test_robots_with_another_lidar_give_as_many_numbers() -> None:
+    env = without_rays(batch(robot=RobotConfig().with_(lidar={"rays": 90})))
     assert env.observation_space.shape == (KEPT,)
     env.close()
 
 
-@pytest.mark.parametrize("of", ["a batch", "single envs"])
-def test_robots_without_a_map_are_refused(of: str) -> None:
-    env: VecEnv
-    if of == "a batch":
-        env = sb3.make_batch("point_goal", 2)
-    else:
-        env = DummyVecEnv([lambda: gymnasium.make("acsar_gym/PointGoal-v0", link="planar")])
+def test_robots_without_a_map_are_refused() -> None:
+    env = sb3.make_batch("point_goal", 2)
     with pytest.raises(ConfigError, match="robots with a map and a LiDAR"):
         without_rays(env)
     env.close()

@@ -43,7 +43,7 @@ def show_demo(demo: DemoOptions, output: ResultOptions) -> int:
     """
     from acsar_gym.tools import demo as demos  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.training.folder import find_free_folder  # noqa: PLC0415
+    from acsar_gym.tools.training.record import find_free_folder  # noqa: PLC0415
 
     output.check()
     out = demo.out or find_free_folder(Path("runs/demo"))

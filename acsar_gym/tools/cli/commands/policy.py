@@ -22,10 +22,10 @@ def show_policy(
         output: results in a file.
     """
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.policies import describe, onnx  # noqa: PLC0415
+    from acsar_gym.tools.policies import OnnxPolicy, bundle  # noqa: PLC0415
 
     output.check()
-    path, bundle = onnx.read_bundle(file)
-    table = report.fact_table(str(path), describe.bundle_rows(bundle))
-    print_results(table, json=output.json, data=bundle.model_dump(mode="json"))
+    policy = OnnxPolicy(file)
+    table = report.fact_table(str(policy.path), bundle.bundle_rows(policy.bundle))
+    print_results(table, json=output.json, data=policy.bundle.model_dump(mode="json"))
     return 0
