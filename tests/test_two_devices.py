@@ -13,7 +13,7 @@ import pytest
 from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import LateTicksError, LidarError
+from acsar_gym.errors import LateTicksError
 from acsar_gym.guard.shutdown import install_handlers
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
@@ -114,15 +114,6 @@ def test_a_recording_of_both_replays_bit_for_bit(
 
     driven = drive(link=port, lidar=f"rplidar://{lidar}", record=tape)
     assert drive(link=f"replay:{tape}") == driven
-
-
-def test_a_lidar_that_is_none_is_one_clear_error(devices: tuple[str, str]) -> None:
-    port, _ = devices
-    env = gymnasium.make(ENV_ID, link=port, lidar="rplidar:///dev/no-such-lidar", worlds=WORLD)
-    with pytest.raises(LidarError, match="/dev/no-such-lidar") as caught:
-        env.reset(seed=0)
-    assert "\n" not in str(caught.value)
-    env.close()
 
 
 def test_the_command_line_evaluates_over_both(

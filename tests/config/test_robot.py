@@ -18,7 +18,6 @@ from acsar_gym.config import (
     Measured,
     MotorConfig,
     update_measured,
-    whole_ratio,
 )
 from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Speeds
@@ -50,34 +49,22 @@ def test_a_bad_number_names_field_and_value(model: type[Any], field: str) -> Non
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"lidar_x_offset": math.inf}, "lidar_x_offset = inf"),
     ({"baud_rate": 4800}, "baud_rate = 4800: must be one of 9600, 19200"),
-    ({"motor": {"time_constant": -0.1}}, "motor.time_constant = -0.1"),
     ({"motor": {"gain": [1.0, 2.0]}}, "motor.gain = [1.0, 2.0]"),
-    ({"firmware": {"command_delay": 1.5}}, "firmware.command_delay = 1.5"),
     ({"firmware": {"delay_samples": [0.0, -0.1]}}, "firmware.delay_samples.1 = -0.1"),
     ({"encoder": {"window": 0.004}}, "encoder.window = 0.004 s"),
     ({"body": {"turn_factor": 1.0}}, "body.turn_factor = 1.0"),
     ({"wheels": {"a": {"motor": "e"}}}, "wheels.a.motor = 'e': must be 'a', 'b', 'c' or 'd'"),
     ({"wheels": {"c": {"sign": 0}}}, "wheels.c.sign = 0: must be 1 or -1"),
-    ({"wheels": {"b": {"encoder": "a"}}}, "wheels: encoder a belongs to 2 wheels"),
     ({"wheels": {"b": {"motor": "d"}}}, "wheels: motor d belongs to 2 wheels"),
     ({"wheels": {"e": {}}}, "unknown field 'wheels.e'"),
-    ({"baudrate": 9600}, "unknown field 'baudrate'; did you mean 'baud_rate'?"),
     ({"port": "COM3"}, "unknown field 'port'; did you mean 'serial_port'?"),
-    ({"motor": {"max_sped": 1}}, "unknown field 'motor.max_sped'; did you mean 'max_speed'?"),
     ({"control_rate": 30}, "firmware.loop_rate = 200 Hz"),
-    ({"control_rate": 300, "firmware": {"loop_rate": 200}}, "firmware.loop_rate = 200 Hz"),
     ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate = 200 Hz"),
     ({"firmware": {"feedback_rate": 2}}, "feedback_timeout = 0.5 s"),
     ({"measured": {"motor.tiem_constant": INTERVAL}}, "measured: unknown field 'motor.tiem_cons"),
     ({"measured": {"motor": INTERVAL}}, "measured: unknown field 'motor'"),
-    ({"measured": {"wheelbase": {**INTERVAL, "low": 0.2}}}, "measured: low = 0.2"),
     ({"measured": {"wheelbase": {**INTERVAL, "logs": ["01"]}}}, "measured.logs.0 = '01'"),
-    ({"measured": {"wheelbase": {**INTERVAL, "low": -1}}}, "measured.wheelbase.low = -1"),
-    ({"measured": {"motor.gain": {**INTERVAL, "high": 101}}}, "measured.motor.gain.high = 101"),
-    ({"measured": {"motor.gain.a": {**INTERVAL, "low": 0}}}, "measured.motor.gain.a.low = 0"),
-    ({"measured": {"body.turn_factor": INTERVAL}}, "measured.body.turn_factor.low = 0.09"),
 ]
 
 
@@ -120,7 +107,7 @@ def test_of_takes_a_config_a_file_a_preset_or_nothing(tmp_path: Path) -> None:
         RobotConfig.of("acsr")
 
 
-LINES_PER_SECOND = [(9600, 28), (19200, 56), (38400, 112), (57600, 169), (115200, 338)]
+LINES_PER_SECOND = [(9600, 28), (115200, 338)]
 
 
 @pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
@@ -141,19 +128,6 @@ def test_lines_must_fit_the_baud_rate(name: str, baud: int, lines: int) -> None:
     assert f"{name} needs {lines + 1}" in message
 
 
-@pytest.mark.parametrize(
-    ("fast", "slow", "whole"), [(100, 10, 10), (100, 100, 1), (0.3, 0.1, 3), (1 / 3, 1 / 9, 3)]
-)
-def test_whole_ratio(fast: float, slow: float, whole: int) -> None:
-    assert whole_ratio("fast", fast, "slow", slow) == whole
-
-
-@pytest.mark.parametrize(("fast", "slow"), [(10, 100), (100, 30), (1, 3), (100, 99.99), (1, 10)])
-def test_a_ratio_that_is_not_whole_names_both_rates(fast: float, slow: float) -> None:
-    with pytest.raises(ConfigError, match=rf"quick = {fast:g} Hz.*multiple of lazy = {slow:g} Hz"):
-        whole_ratio("quick", fast, "lazy", slow)
-
-
 def test_an_interval_for_all_wheels_ends_those_of_single_ones_and_the_reverse() -> None:
     old, new = (Measured(low=1.0, high=2.0, method=name) for name in ("old", "new"))
     single = {"motor.gain.a": old, "motor.gain.c": old, "motor.deadband.a": old}
@@ -172,8 +146,6 @@ MIXED = {
 }
 """Letters and signs of both directions differ."""
 WIRINGS = [
-    {"b": {"sign": -1}},
-    {"a": {"motor_sign": -1, "sign": -1}},
     {"a": {"encoder": "b"}, "b": {"encoder": "a"}},
     {"a": {"motor": "b"}, "b": {"motor": "a"}, "c": {"motor": "d"}, "d": {"motor": "c"}},
     MIXED,
@@ -200,12 +172,8 @@ def test_board_and_driver_agree_with_any_wiring(wheels: dict[str, Any]) -> None:
     ("values", "found"),
     [
         ({"wheel_radius": 6}, "wheel_radius = 6: must be 0.005 to 1 m"),
-        ({"wheel_radius": 0.0005}, "wheel_radius = 0.0005: must be 0.005 to 1 m"),
         ({"wheel_separation": 30}, "wheel_separation = 30: must be 0.02 to 10 m"),
-        ({"wheelbase": 22}, "wheelbase = 22: must be 0.02 to 10 m"),
         ({"wheel_separation": 4.2}, "must be at most 2.5 m with wheels of 0.05 m"),
-        ({"body": {"length": 34}}, "body.length = 34: must be at most 6 m"),
-        ({"body": {"height": 12}}, "body.height = 12: must be at most 6 m"),
         ({"lidar_z_offset": -37}, "lidar_z_offset = -37: must be at most 6 m"),
         ({"footprint": [(20, 17), (-20, 17), (-20, -17), (20, -17)]}, "footprint's reach = 26.2"),
     ],

@@ -144,51 +144,6 @@ def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path
         assert heard.get(timeout=5.0) == 0
 
 
-def test_a_sensor_of_ones_own(mine: Path) -> None:
-    rays = importlib.import_module("mine.rays").ThreeRays
-    options: dict[str, Any] = {"worlds": "clutter:4", "sensors": [rays]}
-    batch: Any = gymnasium.make_vec(
-        "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", **options
-    )
-    one = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", **options)
-    assert one.observation_space.shape == (7 + 90 + 64 + 3,)
-    seen, _ = one.reset(seed=1)
-    np.testing.assert_allclose(batch.reset(seed=1)[0][0], seen, atol=1e-6)
-    for action in actions(4, 20):
-        rows, seen = batch.step(action)[0], one.step(action[0])[0]
-        np.testing.assert_allclose(rows[0], seen, atol=1e-6)
-    for env in (one, batch):
-        env.close()
-
-
-@pytest.mark.usefixtures("deadline")
-@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
-def test_a_sensor_that_remembers(
-    mine: Path, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gyro = importlib.import_module("mine.gyro").Gyro
-    monkeypatch.setattr(gyro, "compiled", compiled)
-    batch = gymnasium.make_vec(
-        "acsar_gym/PointGoal-v0",
-        3,
-        vectorization_mode="vector_entry_point",
-        sensors=["mine.gyro:Gyro"],
-    )
-    singles = [
-        gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[gyro]) for _ in range(3)
-    ]
-    seen = batch.reset(seed=0)[0]
-    expected = [one.reset(seed=i)[0] for i, one in enumerate(singles)]
-    for pushes in actions(3, 20):
-        np.testing.assert_allclose(seen, expected, rtol=0.0, atol=1e-6)
-        seen = batch.step(pushes)[0]
-        expected = [one.step(push)[0] for one, push in zip(singles, pushes, strict=True)]
-    assert len(set(seen[:, -1].tolist())) == 3
-    batch.close()
-    for one in singles:
-        one.close()
-
-
 def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     """Its link knows no truth; the newest whole line counts, and silence is a fault."""
     finder, rays = (importlib.import_module(f"mine.{name}") for name in ("finder", "rays"))

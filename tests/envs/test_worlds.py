@@ -130,19 +130,6 @@ def test_ids_train_in_the_training_split(env_id: str) -> None:
     assert pool.numbers == range(1000, 1400)
 
 
-def test_a_world_is_known_by_its_generators_number() -> None:
-    env = make(SEEING[0], worlds="clutter:1000-1399")
-    _, info = env.reset(options={"world": 1254})
-    world = inner(env).episode.assignment.world
-    assert info["world"] == 1254.0
-    assert world is not None
-    assert world.name == "clutter 1254"
-    for number in (254, 999, 1400):
-        with pytest.raises(WorldError, match=f"world {number}: must be 1000 to 1399"):
-            env.reset(options={"world": number})
-    env.close()
-
-
 START = (5.0, -3.0, 2.0)
 PILLAR = World(
     circles=np.array([[*to_world(START, (1.5, 0.0, 0.0))[:2], 0.1]]),

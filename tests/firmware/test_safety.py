@@ -60,19 +60,6 @@ def test_bad_parts_are_skipped_and_never_turn_a_wheel(script: Script, tmp_path: 
     assert ran.at(2.5, "duty") == OFF
 
 
-def test_a_missing_motor_keeps_its_command(script: Script, tmp_path: Path) -> None:
-    script.command(0.1, 0.5, FORWARD)
-    for tick in range(100):
-        script.say(0.5 + tick / 100, b"ap04.00\n")
-    assert script.run(1.5, tmp_path).at(1.45, "speeds") == pytest.approx((4, 8, 8, 8), abs=0.1)
-
-
-def test_commands_saturate(script: Script, tmp_path: Path) -> None:
-    script.command(0.1, 2.0, (99.99, -99.99, 30.0, -30.01))
-    speeds = script.run(2.0, tmp_path).at(1.99, "speeds")
-    assert speeds == pytest.approx((30.0, -30.0, 30.0, -30.0), abs=0.1)
-
-
 def test_a_blocked_wheel_gets_limited_current_and_doesnt_race_when_free(
     script: Script, tmp_path: Path
 ) -> None:

@@ -97,25 +97,6 @@ def test_a_scan_is_as_seen_from_where_the_robot_is_now(
         assert np.abs(unmoved - exact()).max() > 0.04
 
 
-@pytest.mark.parametrize("twist", TWISTS)
-def test_what_is_free_stays_free_and_no_ray_is_lost(twist: tuple[float, float]) -> None:
-    free = exact(walls=1) >= CONFIG.lidar.max_range
-    found = scan(revolve(twist, -0.05, walls=1), twist)
-    assert 20 < free.sum() < 60
-    assert ((found >= CONFIG.lidar.max_range) != free).sum() <= 2  # at the ends of the wall
-    assert scan(revolve(twist, -0.05), twist).max() < CONFIG.lidar.max_range
-
-
-def test_one_failed_measurement_among_many_is_not_free_space() -> None:
-    still = revolve((0.0, 0.0), 0.0)
-    failed = still.distances.copy()
-    failed[::7] = 0.0
-    found = scan(still._replace(distances=failed), (0.0, 0.0))
-    assert np.abs(found - exact()).max() < 0.05
-    failed[:] = 0.0
-    assert (scan(still._replace(distances=failed), (0.5, 0.3)) == CONFIG.lidar.max_range).all()
-
-
 def test_where_nothing_was_measured_for_long_is_free() -> None:
     still = revolve((0.0, 0.0), 0.0)
     gap = np.abs(np.remainder(still.bearings + math.pi, 2.0 * math.pi) - math.pi) < 0.5

@@ -25,14 +25,12 @@ from acsar_gym.worlds import Scene, World
 ACSAR = RobotConfig.preset("acsar")
 AHEAD: Speeds = (8.0, 8.0, 8.0, 8.0)
 SECOND = 200
-FACTORS = [1.2, 1.5378, 2.0]
-GEOMETRIES = [(0.05, 0.30, 0.22), (0.05, 0.30, 0.30), (0.0825, 0.545, 0.512)]
+FACTORS = [1.5378, 2.0]
+GEOMETRIES = [(0.05, 0.30, 0.22), (0.0825, 0.545, 0.512)]
 TURNS: list[Speeds] = [
     (4.0, -4.0, -4.0, 4.0),
     (8.0, 4.0, 4.0, 8.0),
     (3.0, 7.0, 7.0, 3.0),
-    (1.0, -1.0, -1.0, 1.0),
-    (5.0, 0.0, 0.0, 5.0),
 ]
 HEADINGS = [math.pi / 4 * k + 0.1 for k in range(8)]
 WEDGE: Any = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
@@ -47,10 +45,8 @@ FORK: Any = (
 )
 OBSTACLES = {
     "pillar ahead": World(np.array([[1.0, 0.0, 0.2]])),
-    "pillar at a corner": World(np.array([[1.0, 0.3, 0.15]])),
     "wall across": World(segments=np.array([[1.0, -1.0, 1.0, 1.0]])),
     "wall aslant": World(segments=np.array([[0.8, -0.3, 1.4, 1.0]])),
-    "end of a wall": World(segments=np.array([[0.9, 0.0, 2.0, 0.1]])),
 }
 SMALL = {
     "pillar ahead": World(np.array([[1.0, 0.0, 0.05]])),
@@ -146,18 +142,6 @@ def test_a_straight_drive_of_ten_metres_stays_straight(body: BulletBody, heading
     assert abs(sideways) < 0.01
 
 
-@pytest.mark.parametrize("turn", TURNS[:3])
-def test_after_a_stop_from_a_turn_nothing_rotates(body: BulletBody, turn: Speeds) -> None:
-    steps(body, turn, 2 * SECOND)
-    while body.wheel_speeds != ZERO:
-        body.step(ZERO)
-    steps(body, ZERO, 2)
-    stood = body.truth.pose
-    steps(body, ZERO, 5 * SECOND)
-    assert body.truth.pose == pytest.approx(stood, abs=1e-6)
-    assert body.truth.twist == pytest.approx((0.0, 0.0), abs=1e-6)
-
-
 def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
     poses = []
     for turn in (*TURNS[:3], ZERO):
@@ -205,16 +189,6 @@ def test_both_bodies_touch_at_the_same_place(outline: Any, worlds: dict[str, Wor
     for world in worlds.values():
         assert touches_at(bullet, world) == pytest.approx(touches_at(planar, world), abs=0.006)
     bullet.close()
-
-
-def test_a_wall_stops_the_robot() -> None:
-    body = BulletBody(ACSAR)
-    touches_at(body, OBSTACLES["wall across"])
-    for _ in range(400):
-        body.step(AHEAD)
-    assert body.truth.pose[0] == pytest.approx(1.0 - ACSAR.body.length / 2.0, abs=0.01)
-    assert body.truth.contact
-    body.close()
 
 
 MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {

@@ -50,10 +50,7 @@ PATHLESS = Pool("given", range(1), lambda _: World(goal=Region(1.0, 0.0)))
     ("pool", "options", "named"),
     [
         (Pool.of("open:5"), {"world": 5}, "world"),
-        (Pool.of("open:5"), {"world": -1}, "world"),
-        (Pool.of("open:5"), {"world": "three"}, "world"),
         (Pool.of("open:5"), {"world": 2.5}, "world"),
-        (Pool.of("open:5"), {"world": math.inf}, "world"),
         (Pool.of("open:5"), {"goal": (1.0, math.inf)}, "goal"),
         (PATHLESS, {}, "path"),
     ],

@@ -67,21 +67,12 @@ def test_goals_come_from_all_sides_in_range_and_repeat_with_the_seed() -> None:
     assert counts.min() > 80
 
 
-@pytest.mark.parametrize("goal", [(0.1, 0.0), (3.0, 3.0), (1.0,), "ab", 7, (math.nan, 1.0)])
-def test_bad_goals_are_refused(goal: object) -> None:
-    with pytest.raises(ConfigError, match=r"^goal = "):
-        played(goal)
-
-
 @pytest.mark.parametrize(
     ("fields", "named"),
     [
         ({"goal_distance": (0.1, 3.0)}, "goal_tolerance"),
-        ({"goal_distance": (4.0, 3.0)}, "goal_distance"),
         ({"goal_distance": (1.0, math.inf)}, "goal_distance"),
-        ({"distance_scale": 0.0}, "distance_scale"),
         ({"goal_tolerance": -1.0}, "goal_tolerance"),
-        ({"goal_tolerance": "wide"}, "goal_tolerance"),
     ],
 )
 def test_limits_that_make_no_sense_are_refused(fields: dict[str, object], named: str) -> None:

@@ -76,22 +76,6 @@ def test_a_mesh_is_cut_at_the_lidars_height(name: str, tmp_path: Path) -> None:
     assert len(segments) == 16
 
 
-def test_a_part_counts_alone_and_may_be_centred(tmp_path: Path) -> None:
-    write_mesh(tmp_path / "table.dae", TABLE)
-    text = (tmp_path / "table.dae").read_text(encoding="utf-8")
-    nodes = text.replace('name="node1"', 'name="leg"')
-    moved = '<node id="node1" name="leg"><translate>5 0 0</translate>'
-    nodes = nodes.replace('<node id="node1" name="leg">', moved)
-    (tmp_path / "table.dae").write_text(nodes, encoding="utf-8")
-    leg = [(TABLE[1][0], (4.6, -0.2, 0.35))]
-    uri = "<uri>table.dae</uri><submesh><name>leg</name>{}</submesh>"
-    assert corners(load(tmp_path, uri.format(""))) == boxed(leg)
-    centred = load(tmp_path, uri.format("<center>true</center>"), "0 0 0.35 0 0 0")
-    assert corners(centred) == boxed([(TABLE[1][0], (0.0, 0.0, 0.35))])
-    with pytest.raises(WorldError, match=r"mesh 'table\.dae': has no part 'arm'"):
-        load(tmp_path, uri.format("").replace("leg", "arm"))
-
-
 def test_a_world_as_packages_publish_them(tmp_path: Path) -> None:
     """Worlds beside models, whose meshes name the model, in models that include models."""
     (tmp_path / "worlds").mkdir()

@@ -17,7 +17,6 @@ import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.worlds import Region, World, generators, registry
-from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import GeneratorError, register
 from acsar_gym.worlds.world import make_rectangle
@@ -32,7 +31,6 @@ GAP = World(
     ),
     goal=Region(2.0, 0.0),
 )
-CLOSED = World(segments=np.array([[-1.0, y, 3.0, y] for y in (-0.1, 0.1)]), goal=Region(2.0, 0.0))
 THROUGH = World(GAP.circles, GAP.segments, goal=GAP.goal, path=np.array([[0.0, 0.0], [2.0, 0.0]]))
 
 
@@ -42,13 +40,6 @@ def registered() -> Iterator[None]:
     registry._OWN["corridors"] = CORRIDORS
     yield
     registry._OWN.clear()
-
-
-def same(one: World, other: World) -> bool:
-    assert one.path is not None
-    assert other.path is not None
-    mine, theirs = (one.segments, one.path), (other.segments, other.path)
-    return one.name == other.name and all(map(np.array_equal, mine, theirs))
 
 
 @pytest.mark.parametrize(
@@ -64,18 +55,6 @@ def test_names_work_as_those_of_built_in_generators(source: str, numbers: range)
     pool = Pool.of(source, None, RADIUS)
     assert (pool.kind, pool.numbers, pool.generated) == ("corridors", numbers, True)
     assert pool.split == ("train" if 1000 in numbers else "" if 99 < numbers[-1] < 0 else "test")
-
-
-def test_a_world_is_always_the_same_and_solvable() -> None:
-    seen = set()
-    for number in range(5):
-        world = generators.generate_world("corridors", number, None, RADIUS)
-        assert same(world, generators.generate_world("corridors", number, None, RADIUS))
-        assert world.name == f"corridors {number}"
-        assert world.path is not None
-        assert segment_clearance(world.path[:-1], world.path[1:], world).min() > RADIUS
-        seen.add(world.segments.tobytes())
-    assert len(seen) == 5
 
 
 def test_envs_and_batches_drive_in_them() -> None:
@@ -147,9 +126,7 @@ def test_what_goes_wrong_is_one_line_that_names_the_generator(make: Any, message
     ("world", "reason"),
     [
         (GAP, "no way from start to goal"),
-        (CLOSED, "the start .* lies 0.10 m from an obstacle"),
         (THROUGH, "the path passes 0.20 m from an obstacle"),
-        (World(path=np.array([[0.0, 0.0]])), "the path must have at least two points"),
     ],
 )
 def test_worlds_that_nobody_can_cross_are_one_line_that_says_why(

@@ -16,11 +16,10 @@ from lidar_twins import MAKERS
 from serial_lidar_tools import Open, Start, newer, reset, shows_the_room
 from serial_tools import Emulated, no_leak, wait_until
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LidarError
 from acsar_gym.lidar import serial as serial_lidar
 from acsar_gym.lidar.drivers import rplidar
-from acsar_gym.lidar.serial import Driver, SerialLidar
+from acsar_gym.lidar.serial import SerialLidar
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -165,40 +164,3 @@ def terminal() -> Iterator[tuple[int, str]]:
     yield board, os.ttyname(device)
     os.close(board)
     os.close(device)
-
-
-class OwnDriver(Driver):
-    """A user's own; sends itself a byte."""
-
-    rate = 9600
-
-    def __init__(self, board: int) -> None:
-        super().__init__("mine")
-        self.board = board
-
-    def start(self, port: Any) -> None:
-        self.set_baud_rate(port, self.rate)
-        os.write(self.board, b"x")
-
-    def parse(self, data: bytearray, at: int) -> tuple[int, Any]:
-        raise ValueError(f"{data[at]}\nisn't\nknown")
-
-
-class OddRateDriver(OwnDriver):
-    rate = -1
-
-
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        (OwnDriver, r"OwnDriver.parse\(\) raised ValueError: 120 isn't known\): mend that driver"),
-        (OddRateDriver, "Not a valid baudrate: -1: connect the mine by another adapter"),
-    ],
-)
-def test_an_error_of_a_driver_is_told(
-    terminal: tuple[int, str], kind: type[OwnDriver], said: str
-) -> None:
-    board, device = terminal
-    lidar = SerialLidar(device, lambda: kind(board), RobotConfig(), time.monotonic)
-    for _ in range(2):
-        assert re.search(said, error_of(lambda: reset(lidar)))

@@ -106,12 +106,6 @@ def test_what_passes_beside_the_footprint_counts_for_the_wider_one() -> None:
     assert far == pytest.approx([longest, longest])
 
 
-def test_the_outer_rear_corner_hits_what_stands_beside_it() -> None:
-    """A rectangle that turns left swings its right rear corner out."""
-    ways = measure(make_rectangle(0.6, 0.4), (0.0, -0.22))[0]
-    assert ways[-1] < 0.5 < ways[ARCS // 2]
-
-
 @pytest.mark.parametrize("degrees", range(4, 76, 4))
 def test_what_nearly_touches_a_slanted_front_counts_as_touched(degrees: int) -> None:
     """Within a band of its width, a circle's front differs by up to a tenth of its radius."""
