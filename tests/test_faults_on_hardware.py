@@ -27,10 +27,8 @@ LINES = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "l
 FAULTS: list[tuple[str, dict[str, Any], float | None]] = [
     *((name, {name: 0.3}, None) for name in LINES),
     ("garbage", {"garbage_rate": 30.0}, None),
-    ("stuck", {"stuck_encoders": "a", "wheel_faults_at": SOON}, None),
     ("dead", {"dead_wheels": "d"}, None),
     ("brown_out", {"brown_out_at": SOON, "brown_out_time": 0.1}, None),
-    ("board_reset", {"board_reset_at": SOON, "reset_time": 60.0}, SILENT),
     ("unplug", {"unplug_at": SOON, "replug_time": 0.1}, LOST),
 ]
 """What goes wrong, and the code with which an episode surely ends; None where it may go on."""

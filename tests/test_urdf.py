@@ -1,4 +1,4 @@
-"""The robot's URDF stands on its wheels and rolls, in PyBullet and in MuJoCo."""
+"""The robot's URDF says the same as its preset, and rolls on its wheels in PyBullet."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pybullet
 import pytest
+from defusedxml import ElementTree
 
 from acsar_gym import RobotConfig
 from acsar_gym.resources import ASSETS
@@ -59,3 +60,19 @@ def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: in
     (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
     assert x == pytest.approx(rolled(config), rel=0.05)
     assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
+
+
+def test_urdf_parameters_and_preset_agree() -> None:
+    loaded = RobotConfig.load(URDF)
+    assert loaded.serial_port == "/dev/ttyUSB0"
+    assert loaded.with_(serial_port=None) == RobotConfig.preset("acsar")
+
+
+def test_joints_stand_where_the_parameters_say() -> None:
+    config = RobotConfig.preset("acsar")
+    root = ElementTree.fromstring(URDF.read_text())
+    (origin,) = root.iterfind("joint[@name='front_left_wheel_joint']/origin")
+    x, y, _ = map(float, origin.attrib["xyz"].split())
+    assert (2.0 * x, 2.0 * y) == pytest.approx((config.wheelbase, config.wheel_separation))
+    masses = [float(mass.attrib["value"]) for mass in root.iter("mass")]
+    assert sum(masses) == pytest.approx(config.body.mass)

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import yaml
-from config_tools import config_of
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -89,14 +88,6 @@ def test_a_bad_file_is_one_line_that_names_it(
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_preset_suggests_the_nearest_or_lists_them() -> None:
-    with pytest.raises(ConfigError, match="unknown robot preset 'acsr'; did you mean 'acsar'"):
-        RobotConfig.preset("acsr")
-    for name in ("zzz", "../robots/acsar", "acsar.yaml", ""):
-        with pytest.raises(ConfigError, match=r"unknown robot preset .*acsar"):
-            RobotConfig.preset(name)
-
-
 def test_urdf_params_of_the_drivers_document(load_urdf: Load) -> None:
     values = {
         "serial_port": "/dev/ttyUSB0",
@@ -173,7 +164,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_saved_robot_is_loaded_back_equal(name: str, tmp_path: Path) -> None:
-    config = config_of(**ROBOTS[name])
+    config = RobotConfig(**ROBOTS[name])
     config.save(tmp_path / "robot.yaml")
     assert RobotConfig.load(tmp_path / "robot.yaml") == config
 

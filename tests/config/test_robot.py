@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-from config_tools import config_of, refusal
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config import (
@@ -22,6 +22,16 @@ from acsar_gym.config import (
 from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Speeds
 
+
+def refusal(model: type[Any], values: Mapping[str, Any]) -> str:
+    """The message of the one ConfigError that these values raise."""
+    with pytest.raises(ConfigError) as caught:
+        model(**values)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
 POSITIVE: list[tuple[type[Any], str]] = [
     *((RobotConfig, name) for name in ("wheel_radius", "control_rate", "max_linear")),
     *((MotorConfig, name) for name in ("max_speed", "gain")),
@@ -34,8 +44,8 @@ INTERVAL = {"low": 0.09, "high": 0.11, "method": "identify"}
 
 
 def test_equal_configs_are_one_key_and_survive_pickling() -> None:
-    config = config_of(wheel_radius=0.1, motor={"max_speed": 20})
-    same = config_of(wheel_radius=0.1, motor=MotorConfig(max_speed=20))
+    config = RobotConfig(wheel_radius=0.1, motor={"max_speed": 20})
+    same = RobotConfig(wheel_radius=0.1, motor=MotorConfig(max_speed=20))
     assert {config, same} == {config}
     assert config != RobotConfig()
     assert pickle.loads(pickle.dumps(config)) == config  # noqa: S301 - our own bytes
@@ -78,7 +88,7 @@ def test_bad_values_are_one_error_that_names_the_field(values: dict[str, Any], n
 
 @pytest.mark.parametrize("field", ["gain", "acceleration", "time_constant", "deadband"])
 def test_motor_values_are_one_number_or_four(field: str) -> None:
-    one, four = config_of(motor={field: 2}), config_of(motor={field: [1, "2", 3.0, 4]})
+    one, four = RobotConfig(motor={field: 2}), RobotConfig(motor={field: [1, "2", 3.0, 4]})
     assert [getattr(one.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
     assert [getattr(four.motor.of_wheel(wheel), field) for wheel in range(4)] == [1, 2, 3, 4]
     assert getattr(four.motor, field) == (1.0, 2.0, 3.0, 4.0)
@@ -88,7 +98,7 @@ def test_motor_values_are_one_number_or_four(field: str) -> None:
 
 
 def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
-    config = config_of(wheelbase=0.25, motor={"max_speed": 20})
+    config = RobotConfig(wheelbase=0.25, motor={"max_speed": 20})
     changed = config.with_(wheel_radius=0.1, encoder={"window": 0.1})
     assert (changed.wheel_radius, changed.encoder.window) == (0.1, 0.1)
     assert (changed.wheelbase, changed.motor) == (0.25, config.motor)
@@ -99,7 +109,7 @@ def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
 def test_of_takes_a_config_a_file_a_preset_or_nothing(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("wheel_radius: 0.07\n")
-    config = config_of(wheel_radius=0.07)
+    config = RobotConfig(wheel_radius=0.07)
     assert RobotConfig.of(config) is config
     assert RobotConfig.of(path) == RobotConfig.of(str(path)) == config
     assert RobotConfig.of(None) == RobotConfig.of("acsar") == RobotConfig.preset("acsar")
@@ -122,7 +132,7 @@ def test_lines_must_fit_the_baud_rate(name: str, baud: int, lines: int) -> None:
             "firmware": own if commands else other,
         }
 
-    assert config_of(**at(lines)).feedback_rate == lines
+    assert RobotConfig(**at(lines)).feedback_rate == lines
     message = refusal(RobotConfig, at(lines + 1))
     assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 34 bytes a second")
     assert f"{name} needs {lines + 1}" in message
@@ -196,7 +206,7 @@ def test_names_of_other_programs_are_told_apart() -> None:
 @pytest.mark.parametrize("axis", ["linear_limits", "angular_limits"])
 def test_what_ros_calls_no_limit_is_none(axis: str) -> None:
     unset = {"max_jerk": 0.0, "min_jerk": math.nan, "max_acceleration": math.nan}
-    limits = getattr(config_of(**{axis: unset}), axis)
+    limits = getattr(RobotConfig(**{axis: unset}), axis)
     assert limits.model_dump(exclude_none=True) == {}
-    assert getattr(config_of(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
+    assert getattr(RobotConfig(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
     assert "must be greater than 0" in refusal(RobotConfig, {axis: {"max_acceleration": 0.0}})

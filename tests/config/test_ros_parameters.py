@@ -137,20 +137,6 @@ def test_limits_are_those_of_jazzy(write: Write) -> None:
     assert config.firmware.command_timeout == RobotConfig().firmware.command_timeout
 
 
-def test_front_wheels_are_known_by_their_names(write: Write) -> None:
-    names = drive(
-        "left_wheel_names: [rear_left_joint, front_left_joint]",
-        "right_wheel_names: [back_right_joint, front_right_joint]",
-    ).replace(WHEELS, "\n")
-    config = RobotConfig.of(write("controllers.yaml", names))
-    assert config.wheel_joints == (
-        "front_right_joint",
-        "front_left_joint",
-        "rear_left_joint",
-        "back_right_joint",
-    )
-
-
 def test_one_of_several_controllers_is_named(write: Write) -> None:
     file = write(
         "controllers.yaml",

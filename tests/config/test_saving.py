@@ -105,16 +105,6 @@ def test_what_differs_is_changed_and_the_rest_stays(
         assert after == text.replace("\n", newline)
 
 
-@pytest.mark.parametrize("text", ["", "\n", "# only a comment\n", "# no end of line"])
-def test_a_file_without_fields_gets_them(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "mine.yaml"
-    path.write_text(text)
-    config = RobotConfig(max_linear=0.7, motor={"gain": 1.1})
-    config.save(path)
-    assert RobotConfig.load(path) == config
-    assert path.read_text().startswith(text)
-
-
 STRANGERS = {
     "notes": "buy: milk\nand: bread\n",
     "broken": "wheel_radius: [",

@@ -19,10 +19,8 @@ import pytest
 from tapes import TtyReplayLink, playing, recorded
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import LidarError, LinkError
+from acsar_gym.errors import LinkError
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -164,34 +162,5 @@ def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     with pytest.raises(LinkError, match="silent"):
         sensor.read(None, 1.9)
     sensor.close()
-    os.close(board)
-    os.close(device)
-
-
-@pytest.mark.xdist_group("serial")
-@pytest.mark.usefixtures("deadline")
-def test_on_hardware_a_lidar_of_ones_own_is_observed(mine: Path) -> None:
-    """Of a turn of four measurements each has its ray, whatever the clock."""
-    clock = SimpleNamespace(time=1.0)
-    link, config = SimpleNamespace(now=lambda: clock.time), RobotConfig().with_(lidar={"rays": 4})
-    lidar: Any = open_lidar("mine.scanner:Scanner", link, config)
-    sensor = LidarSensor(lidar, config)
-    board, device = pty.openpty()
-    lidar.device = os.ttyname(device)
-    talking = threading.Timer(0.1, os.write, (board, b"9:9\n0:1000,90:2000,180:0,270:4000\n"))
-    talking.start()
-    sensor.reset(Scene(), np.random.default_rng(0))
-    sensor.poll(None, 1.0)
-    np.testing.assert_allclose(sensor.read(None, 1.0) * 5.0, [5.0, 4.0, 1.0, 2.0])
-    clock.time = 2.1
-    for _ in range(2):
-        with pytest.raises(LidarError, match=r"Scanner: no complete turn for 1\.10 s"):
-            sensor.poll(None, 2.1)
-        sensor.reset(Scene(), np.random.default_rng(0))
-    sensor.close()
-    for _ in range(2):
-        with pytest.raises(LidarError, match="the scanner is silent: check its cable"):
-            sensor.reset(Scene(), np.random.default_rng(0))
-    assert lidar.port is None
     os.close(board)
     os.close(device)

@@ -83,16 +83,6 @@ def test_another_limit_is_refused(limit: Any) -> None:
         point_goal(max_episode_steps=limit)
 
 
-def test_vector_envs_of_single_ones_and_batches_end_alike() -> None:
-    ends = []
-    for mode in ("sync", "vector_entry_point"):
-        envs = gymnasium.make_vec(ENV_ID, 2, mode, link="planar", max_episode_steps=3)
-        envs.reset(seed=0)
-        ends.append([envs.step(np.zeros((2, 2), np.float32))[3].tolist() for _ in range(9)])
-        envs.close()
-    assert ends[0] == ends[1]
-
-
 def test_an_env_that_nobody_has_any_more_stops_at_once() -> None:
     """What it knows of its wrappers keeps none of them."""
     env = gymnasium.make(ENV_ID, link="planar")

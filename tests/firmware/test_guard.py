@@ -84,19 +84,6 @@ def test_a_stalled_motor_is_cut_until_zero_or_the_other_way_is_commanded(
     assert set(ran.notes()) == {STALLED}
 
 
-def shake(script: Script, begin: float, end: float) -> None:
-    """Let an encoder's edge jitter: one count forward and back, 500 times a second."""
-    for tick in range(round((end - begin) * 1000)):
-        script.order(begin + tick / 1000, f"turn 0 {4.76 if tick % 2 == 0 else -4.76}")
-
-
-def test_an_edge_that_jitters_doesnt_hide_a_stalled_motor(tmp_path: Path) -> None:
-    script = Script(CHIPS[0])
-    shake(script, 0.1, 2.5)
-    script.command(0.1, 2.5, all_at(4.0))
-    assert set(script.run(2.5, tmp_path).notes()) == {STALLED}
-
-
 @pytest.mark.parametrize("lag", [0.08, 0.3, 1.0])
 @pytest.mark.parametrize("speed", [3.0, 30.0])
 def test_a_heavy_wheel_that_reverses_isnt_cut(tmp_path: Path, lag: float, speed: float) -> None:

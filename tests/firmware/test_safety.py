@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import re
 import subprocess
 from pathlib import Path
 
 import pytest
-from firmware_tools import BUILD, CHIPS, Ran, Script
+from firmware_tools import BUILD, Ran, Script
 
 from acsar_gym.protocol import encode
 from acsar_gym.resources import ASSETS
@@ -97,13 +96,6 @@ def test_memory_is_enough_with_a_deep_margin(chip: str, memory: int, tmp_path: P
     _, data, bss, *_ = said.stdout.splitlines()[1].split()
     assert 0 < stack < 256
     assert int(data) + int(bss) + stack < memory / 2
-
-
-@pytest.mark.parametrize("chip", CHIPS)
-def test_there_is_no_heap_and_no_floating_point(chip: str) -> None:
-    elf = str(BUILD / f"{chip}.elf")
-    names = subprocess.run(["avr-nm", elf], capture_output=True, text=True, check=True).stdout
-    assert not re.search(r"malloc|free|__(add|sub|mul|div)sf3|__fp_", names)
 
 
 def test_every_file_compiles_as_the_arduino_ide_does(chip: str, tmp_path: Path) -> None:

@@ -138,16 +138,3 @@ def test_each_ray_has_what_lies_between_the_measurements_next_to_it(data: Any) -
         assert min(one, two) - 1e-9 <= found[k] <= max(one, two) + 1e-9
         if max(one, two) == 4.0:
             assert found[k] == pytest.approx(distances[np.abs(off).argmin()])
-
-
-def test_a_trail_is_interpolated_and_has_ends() -> None:
-    """A measurement from before the trail began is taken to be from its beginning."""
-    bearings, distances = np.zeros(1), np.ones(1)
-    trail, ranges = Trail(0.05, 0.01), np.empty(64)
-    for tick in range(20):
-        trail.mark(tick * 0.01, (tick * 0.01, 0.0, 0.0))
-    trail.mark(0.19, (0.19, 0.0, 0.0))  # no time has passed
-    for time, moved in ((0.175, 0.015), (0.19, 0.0), (0.3, 0.0), (-1.0, 0.06)):
-        measured = bearings, distances, np.full(1, time)
-        fill_scan(*measured, trail.rows, trail.newest, make_rays(CONFIG), ranges)
-        assert ranges[32] == pytest.approx(1.0 - moved, abs=1e-6)

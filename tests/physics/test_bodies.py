@@ -12,7 +12,6 @@ import psutil
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import RenderError
 from acsar_gym.physics.body import Body
 from acsar_gym.physics.bullet import (
     BulletBody,
@@ -131,17 +130,6 @@ def test_wheels_of_different_radii_turn_a_robot_that_is_sent_straight(make: type
     body.close()
 
 
-@pytest.mark.parametrize("heading", HEADINGS)
-def test_a_straight_drive_of_ten_metres_stays_straight(body: BulletBody, heading: float) -> None:
-    body.reset(Scene(start=(0.0, 0.0, heading)))
-    steps(body, (10.0, 10.0, 10.0, 10.0), 21 * SECOND)
-    x, y, _ = body.truth.pose
-    along = x * math.cos(heading) + y * math.sin(heading)
-    sideways = y * math.cos(heading) - x * math.sin(heading)
-    assert along > 10.0
-    assert abs(sideways) < 0.01
-
-
 def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
     poses = []
     for turn in (*TURNS[:3], ZERO):
@@ -170,12 +158,6 @@ def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
     assert marked.shape == (120, 160, 3)
     assert marked.std() > 5.0
     assert (empty != marked).any()
-
-
-def test_a_window_without_a_display_says_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(RenderError, match="needs a display; drive without a window"):
-        BulletBody(RobotConfig(), window=True)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import pytest
@@ -84,20 +83,6 @@ def test_printed_speeds_are_multiples_of_the_quantum(quantum: float) -> None:
         assert abs(speed / quantum - round(speed / quantum)) <= 0.0051 / quantum
     last = answer[-1]
     assert last == pytest.approx(body.wheel_speeds, abs=quantum / 2 + 0.03)
-
-
-def test_set_points_ramp() -> None:
-    firmware, body = board(
-        RobotConfig(motor=MotorConfig(acceleration=20.0, time_constant=0.0, max_speed=30.0))
-    )
-    speeds = []
-    for _ in range(60):
-        firmware.receive(encode(FORWARD))
-        firmware.advance(TICK)
-        speeds.append(body.wheel_speeds[0])
-    slopes = [(b - a) / TICK for a, b in itertools.pairwise(speeds)]
-    assert max(slopes) == pytest.approx(20.0)
-    assert speeds[-1] == 8.0
 
 
 def test_motors_stop_when_commands_stop() -> None:

@@ -44,16 +44,6 @@ def test_mirrored_robots_move_as_mirror_images(
     assert (x1, y1, w1) == pytest.approx((x2, -y2, -w2), abs=1e-9)
 
 
-@given(st.floats(0.05, 9.0), speed, speed, slow, slow, slow)
-def test_the_friction_ellipse_bounds_the_force(
-    kappa: float, right: float, left: float, vx: float, vy: float, rate: float
-) -> None:
-    p, wheels = compute_physics(RobotConfig()), (right, left, left, right)
-    nx, ny, _ = tyre_step(vx, vy, rate, wheels, p, kappa, DT)
-    along, across = p.mass * (nx - vx) / DT, p.mass * (ny - vy) / DT
-    assert math.hypot(along, across / math.sqrt(kappa)) <= 4.0 * p.grip * (1.0 + 1e-9)
-
-
 def test_full_braking_obeys_the_friction_law() -> None:
     config = RobotConfig(body=BodyConfig(friction=0.5))
     p = compute_physics(config)

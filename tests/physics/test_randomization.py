@@ -12,7 +12,7 @@ from varied import RANGES
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Physics, Randomization, compute_physics
-from acsar_gym.physics.model import loop_period, turn_factor
+from acsar_gym.physics.model import loop_period
 from acsar_gym.physics.randomization import (
     DEFAULT_RANGES,
     Drawn,
@@ -107,15 +107,6 @@ def test_factors_multiply_and_the_others_replace() -> None:
     assert own.command_delay == pytest.approx(delay)
 
 
-def test_a_seed_gives_one_robot_and_takes_one_sample_for_each_number() -> None:
-    randomizer = Randomizer(RANGES, CONFIG, STEP, simulated=True)
-    rng, other = np.random.default_rng(5), np.random.default_rng(5)
-    first, second = randomizer.draw(rng), randomizer.draw(rng)
-    assert first == drawn(RANGES, 5)[0] != second
-    other.random(2 * len(Drawn()))
-    assert rng.random() == other.random()
-
-
 @pytest.mark.parametrize(
     ("ranges", "field"),
     [
@@ -196,27 +187,6 @@ def test_measured_delays_are_replayed_in_single_envs_and_batches() -> None:
     info = many.reset(seed=0)[1]
     assert set(info["drawn_delay_samples"].tolist()) == set(delays)
     many.close()
-
-
-@pytest.mark.parametrize(
-    ("name", "interval", "parameter"),
-    [
-        ("wheel_separation_multiplier", between(0.9, 1.0), "turn_factor"),
-        ("body.turn_factor", between(1.0001, 1.1), "turn_factor"),
-        ("motor.time_constant", between(0.0, 0.16), "motor_lag"),
-        ("firmware.command_delay", between(0.115, 0.125), "command_delay"),
-    ],
-)
-def test_any_interval_of_a_robot_can_be_trained_with(
-    name: str, interval: dict[str, Any], parameter: str
-) -> None:
-    own = ACSAR.with_(measured={name: interval})
-    ranges = Randomization.measured(own)
-    ranges.ranges(own, 0.1)
-    low, high = getattr(ranges, parameter)
-    assert low <= high
-    if parameter == "turn_factor":
-        assert low * turn_factor(own) == pytest.approx(1.001, abs=1e-9)
 
 
 def test_levels_are_nested() -> None:

@@ -70,13 +70,6 @@ def test_a_faulty_wheel_is_named(fault: dict[str, Any], twist: Twist, said: str)
     assert "or identify this robot" in str(error)
 
 
-@pytest.mark.parametrize("at", [1.0, 1.234])
-def test_a_wheel_that_dies_while_driving_is_found(at: float) -> None:
-    took, error = stopped(board(dead_wheels="c", wheel_faults_at=at), AHEAD, 3.0)
-    assert at < took < at + SOON
-    assert error.wheel == "rear_left"
-
-
 UNKNOWN: list[tuple[float, dict[str, Any]]] = [
     (1.0, {"motor": {"time_constant": 0.3, "acceleration": 10.0}}),
     (1.0, {"motor": {"deadband": 1.5}}),

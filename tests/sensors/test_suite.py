@@ -93,22 +93,6 @@ class Device(ThreeRays):
         self._do("close")
 
 
-def test_it_is_reset_polled_at_every_tick_and_closed_with_the_robot() -> None:
-    one = robot(Device)
-    device: Any = one.sensors[0]
-    with one:
-        assert device.calls == ["reset", "poll"]
-        one.drive(0.1, 0.0)
-        one.tick([0.0] * 4)
-        one.read()
-        one.deactivate()
-        one.activate()
-        assert "close" not in device.calls
-    one.close()
-    cycle = ["reset", "poll", "poll", "poll", "read", "reset", "poll", "close", "close"]
-    assert device.calls == cycle
-
-
 @pytest.mark.parametrize("what", ["reset", "poll", "read", "info"])
 def test_any_error_of_it_stops_the_robot(what: str) -> None:
     one = robot(Device)

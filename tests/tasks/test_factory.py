@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import warnings
 from collections.abc import Mapping
@@ -100,17 +99,6 @@ def test_what_a_method_returns_is_named_with_its_line(
 ) -> None:
     with pytest.raises(TaskError, match=rf"^Mine\.{said}.* {place_of(function)}$"):
         make(RobotEnv, type("Mine", (Plain,), {method: function}))
-
-
-@pytest.mark.parametrize("option", ["tolerance", "bare"])
-def test_a_forgotten_dataclass_is_said(option: str) -> None:
-    line = inspect.getsourcelines(Plain)[1]
-    said = rf"'{option}' of Plain: it is an attribute .*@dataclass.*{option}: .*:{line}\)$"
-    for kind in KINDS:
-        with pytest.raises(ConfigError, match=said):
-            make(kind, Plain, **{option: 0.2})
-    with pytest.raises(ConfigError, match=said.replace(" of Plain", "")):
-        register("mine/Plain-v0", task=Plain, **{option: 0.2})
 
 
 @dataclass(frozen=True)

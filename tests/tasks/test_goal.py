@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from task_tools import ACSAR, Played
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tasks import ObstacleGoal, Outcome, PointGoal
+from acsar_gym.tasks import Outcome, PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.goal import goal_reward
-from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds import Pose
 
 TASK = PointGoal()
 coordinate = st.floats(-20.0, 20.0)
@@ -102,10 +102,3 @@ def test_reward_pays_for_progress_and_arrival_and_less_backwards() -> None:
     assert goal_reward(1.0, 0.9, 1.0, 2, 2.0) == pytest.approx(step - 2.0)
     assert goal_reward(1.0, 0.9, 1.0, 3, 5.0) == pytest.approx(step - 5.0)
     assert goal_reward(1.0, 0.9, -1.0, 0, 2.0) == pytest.approx(step - 0.05)
-
-
-def test_a_goal_of_a_world_is_seen_from_its_start() -> None:
-    world = World(start=Region(1.0, 2.0, 0.0, math.pi / 2.0), goal=Region(1.0, 5.0))
-    assignment = Played(ObstacleGoal(), {}, world).assignment
-    assert assignment.goal == pytest.approx((3.0, 0.0))
-    assert (assignment.number, assignment.start) == (0, (1.0, 2.0, math.pi / 2.0))

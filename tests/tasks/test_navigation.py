@@ -57,13 +57,6 @@ def test_reward_pays_for_the_way_and_for_arrival_and_costs_little_clearance(
     assert paid(**known) == pytest.approx(expected)
 
 
-def test_info_tells_the_distance_to_the_goal() -> None:
-    episode = Played(ObstacleGoal(), {}, WORLD)
-    assert episode.episode.info()["goal_distance"] == pytest.approx(4.0)
-    episode.step(pose=(1.0, 4.0, 0.0), sensed=told())
-    assert episode.episode.info()["goal_distance"] == pytest.approx(5.0)
-
-
 @pytest.mark.parametrize(
     ("time", "k", "expected"),
     [

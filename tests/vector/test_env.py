@@ -16,7 +16,7 @@ from varied import RANGES
 
 from acsar_gym import RobotConfig, RobotEnv, World
 from acsar_gym.envs import ObstacleGoalVectorEnv, PathFollowVectorEnv, PointGoalVectorEnv
-from acsar_gym.errors import CommandError, ConfigError, WorldError
+from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.physics import Randomization
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
@@ -299,13 +299,6 @@ def test_bad_options_of_a_reset_change_nothing(kind: Any, options: Any, named: s
         env.set_options(options)
     assert (env.batch.read(*layout.ROWS) == before).all()
     env.close()
-
-
-def test_worlds_that_a_batch_cannot_use_are_refused() -> None:
-    blocked = World(np.array([[0.0, 0.0, 1.0]]), goal=Region(5.0, 0.0))
-    for worlds, said in ((blocked, "the start"), ("open:10001", "too many for a batch")):
-        with pytest.raises(WorldError, match=said):
-            ObstacleGoalVectorEnv(2, worlds=worlds)
 
 
 # Fleets

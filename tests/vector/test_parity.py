@@ -14,7 +14,6 @@ from acsar_gym import RobotConfig, World
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import LinkError
 from acsar_gym.registration import snake_case
-from acsar_gym.sensors import Sensor
 from acsar_gym.worlds import Region
 
 ACSAR = RobotConfig.preset("acsar")
@@ -351,42 +350,6 @@ def test_the_same_lines_are_lost_with_every_task(kind: str, more: dict[str, Any]
     timeout = 0.3 if "randomization" in more else 0.06
     more = {"faults": DELAYED, "robot": ACSAR.with_(feedback_timeout=timeout)} | more
     compare(kind, more, 150)
-
-
-class Noise(Sensor):
-    """Draws at its reset, and when it is read."""
-
-    name, size = "noise", 1
-
-    def reset(self, scene: Any, rng: Any) -> None:
-        super().reset(scene, rng)
-        self.bias = rng.normal()
-
-    def read(self, truth: Any, now: float) -> Any:
-        return [self.bias + self.rng.normal()]
-
-
-@pytest.mark.parametrize("sensors", [("lidar",), (Noise,)], ids=["LiDAR", "in Python"])
-def test_generators_stay_those_of_the_single_env_after_a_silent_reset(sensors: Any) -> None:
-    robot = ACSAR.with_(firmware={"feedback_rate": 25.0}, feedback_timeout=0.08)
-    arguments = {"robot": robot, "faults": {"dropped_lines": 0.5}, "sensors": sensors}
-    many = batch(autoreset_mode="Disabled", **arguments)
-    first, _ = many.reset(seed=0)
-    again, info = many.reset(options={"reset_mask": np.ones(40, np.bool_)})
-    compared = 0
-    for i in range(40):
-        one = Single("acsar_gym/PointGoal-v0", arguments)
-        one.reset(seed=i)
-        failed = one.told is SILENT
-        assert not failed or (first[i, -one.size :] == 0.0).all()
-        one.reset()
-        if failed and one.told is not SILENT:
-            assert again[i] == pytest.approx(one.told[0], abs=1e-6)
-            assert info["true_goal_distance"][i] == one.told[4]["true_goal_distance"]
-            compared += 1
-        one.close()
-    assert compared > 0
-    many.close()
 
 
 def batch(**arguments: Any) -> Any:

@@ -292,11 +292,6 @@ def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said:
     env.close()
 
 
-class Lazy(AtOnce):
-    def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
-        out[:1] = 0.5
-
-
 class Polled(AtOnce):
     def poll(self, truth: Any, now: float) -> None:
         """Isn't called in a batch."""
@@ -319,10 +314,3 @@ def test_what_cannot_be_in_a_batch_is_named(sensors: tuple[Any, ...], message: s
     with pytest.raises(ConfigError, match=message) as caught:
         batch(*sensors, robots=2).reset(seed=0)
     assert "\n" not in str(caught.value)
-
-
-def test_one_for_all_robots_must_fill_all_rows() -> None:
-    env = batch(Lazy, robots=3)
-    with pytest.raises(SensorError, match=r"'at_once'.*left.*nan.*for robot 1: must be finite"):
-        env.reset(seed=0)
-    env.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
@@ -10,21 +9,6 @@ import threading
 import pytest
 
 from acsar_gym.vector.threads import Threads
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3, 7])
-def test_every_item_is_done_once(threads: int) -> None:
-    pool = Threads(threads)
-    done = [0] * 100
-
-    def work(first: int, last: int) -> None:
-        for item in range(first, last):
-            done[item] += 1
-
-    for _ in range(50):
-        pool.share(work, 100)
-    pool.close()
-    assert done == [50] * 100
 
 
 def test_an_error_of_any_share_is_raised_and_the_pool_goes_on() -> None:
@@ -55,21 +39,6 @@ def test_a_closed_or_dropped_pool_leaves_no_thread_and_a_closed_one_works_on_alo
     seen: list[tuple[int, int]] = []
     pool.share(lambda first, last: seen.append((first, last)), 9)
     assert seen == [(0, 9)]
-
-
-def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
-    pool, ended = Threads(3), []
-
-    def work(first: int, last: int) -> None:
-        if first == 0:
-            signal.raise_signal(signal.SIGINT)
-        ended.append(first)
-
-    for number in range(1, 4):
-        with pytest.raises(KeyboardInterrupt):
-            pool.share(work, 90)
-        assert len(ended) == 2 * number
-    pool.close()
 
 
 FORK = """

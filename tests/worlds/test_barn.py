@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from acsar_gym.errors import WorldError
 from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.generators import generate_world
 from acsar_gym.worlds.world import Region, World
@@ -89,8 +88,3 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
         assert both[0] == pytest.approx(both[1], abs=1e-6)
         assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
         assert len(list(generators.find_crossable(field[None]))) == 1
-
-
-def test_a_footprint_that_no_field_lets_through_is_refused() -> None:
-    with pytest.raises(WorldError, match="too large for BARN's fields: at most 1 m"):
-        generators.generate_world("barn", 0, radius=1.1)

@@ -58,13 +58,6 @@ def test_a_kept_world_is_the_generated_one_to_the_bit(kind: str, made: list[int]
     assert describe(again[0]) == describe(fresh)
 
 
-@pytest.mark.parametrize("other", [(0.5, 0.2), ((0.5, 0.5), 0.2), ((0.2, 0.5), 0.2), (None, 0.21)])
-def test_another_difficulty_or_footprint_is_another_world(other: Any, made: list[int]) -> None:
-    read("open:1", None, 0.2)
-    read("open:1", *other)
-    assert made == [0, 0]
-
-
 def test_a_changed_generator_never_finds_old_worlds(
     monkeypatch: pytest.MonkeyPatch, made: list[int]
 ) -> None:

@@ -55,12 +55,6 @@ def test_nothing_around_and_nothing_seen(circles: Any, expected: tuple[float, ..
     assert found == Difficulty(*expected)
 
 
-@pytest.mark.parametrize(("end", "expected"), [([3, 4], 7.0 / 5.0), ([0, 0], math.inf)])
-def test_tortuosity_is_arc_by_chord(end: Any, expected: float) -> None:
-    path = array([0, 0], [3, 0], end)
-    assert measure_difficulty(World(), path).tortuosity == pytest.approx(expected)
-
-
 @pytest.mark.parametrize(
     ("path", "message"),
     [

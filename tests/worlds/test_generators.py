@@ -95,20 +95,6 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
     assert min(asked) == asked[-1] == 0.2  # made easier, but not too easy
 
 
-@pytest.mark.parametrize(
-    ("arguments", "field"),
-    [
-        *(((number,), "number") for number in (-1, 1.0, "1", None, math.nan, [1])),
-        *(((0, level), "difficulty") for level in (-0.1, math.nan, "hard", [0.5], 10**400)),
-        *(((0, None, radius), "radius") for radius in (math.nan, -1.0, math.inf, "wide")),
-    ],
-)
-def test_a_bad_value_is_one_line_that_names_the_field(arguments: Any, field: str) -> None:
-    with pytest.raises(WorldError, match=field) as caught:
-        generate_world("clutter", *arguments)
-    assert "\n" not in str(caught.value)
-
-
 @samples(8, 40)
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_world_is_solvable(kind: str, count: int) -> None:

@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import trimesh as untyped_trimesh
 
 from acsar_gym.errors import MissingExtraError, WorldError
-from acsar_gym.worlds import files, meshes
+from acsar_gym.worlds import files
 from acsar_gym.worlds.files import Placement
 
 trimesh: Any = untyped_trimesh
@@ -120,19 +119,6 @@ def test_what_is_lower_than_the_lidar_is_outlined_where_it_is(suffix: str, tmp_p
     assert len(segments) == 4
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 -0.115 0 0 0")), "a floor"
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 0.6 0 0 0")), "a beam"
-
-
-def test_outlines_have_no_more_corners_than_needed(tmp_path: Path) -> None:
-    wall = trimesh.creation.box((4.0, 0.2, 1.0)).subdivide().subdivide().subdivide()
-    drum = trimesh.creation.cylinder(0.3, 1.0, sections=400)
-    drum.apply_translation((0.0, 2.0, 0.0))
-    trimesh.util.concatenate([wall, drum]).export(tmp_path / "both.stl")
-    segments = load(tmp_path, "<uri>both.stl</uri>", "0 0 0.4 0 0 0")
-    around = segments[segments[:, 1] > 1.0]
-    assert len(segments) - len(around) == 4
-    assert 16 <= len(around) <= 40
-    radii = np.hypot(around[:, 0], around[:, 1] - 2.0)
-    assert radii == pytest.approx(0.3, abs=meshes.OUTLINE_TOLERANCE)
 
 
 @pytest.mark.parametrize(

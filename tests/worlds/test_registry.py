@@ -42,21 +42,6 @@ def registered() -> Iterator[None]:
     registry._OWN.clear()
 
 
-@pytest.mark.parametrize(
-    ("source", "numbers"),
-    [
-        ("corridors:train", range(1000, 1400)),
-        ("corridors:test", range(200)),
-        ("corridors:corridors:5-6", range(5, 7)),
-        ("corridors:corridors", range(1000, 1400)),
-    ],
-)
-def test_names_work_as_those_of_built_in_generators(source: str, numbers: range) -> None:
-    pool = Pool.of(source, None, RADIUS)
-    assert (pool.kind, pool.numbers, pool.generated) == ("corridors", numbers, True)
-    assert pool.split == ("train" if 1000 in numbers else "" if 99 < numbers[-1] < 0 else "test")
-
-
 def test_envs_and_batches_drive_in_them() -> None:
     worlds = "corridors:corridors:3-4"
     env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds)

@@ -160,18 +160,6 @@ def test_what_has_no_way_is_one_clear_error(world: World, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("circles", "segments"),
-    [
-        ((), ()),
-        (array([1.0, 0.5, 0.2]), array([0.0, 0.26, 2.0, 0.26])),  # beside the way
-    ],
-)
-def test_where_nothing_is_in_the_way_it_is_straight(circles: Any, segments: Any) -> None:
-    path = shortest_path(between((0, 0), (2, 0), circles, segments), 0.25)
-    assert path.tolist() == [[0.0, 0.0], [2.0, 0.0]]
-
-
 @pytest.mark.skipif(not BARN.is_dir(), reason="the published worlds aren't here")
 def test_published_barn_worlds_are_crossed_on_no_longer_a_way() -> None:
     worlds = files.load_folder(BARN)
@@ -187,12 +175,6 @@ def test_published_barn_worlds_are_crossed_on_no_longer_a_way() -> None:
         assert lengths[1] <= world.length + 0.01
         with pytest.raises(WorldError, match=f"^{world.name}: no way"):
             shortest_path(world, 1.5)
-
-
-@pytest.mark.parametrize("radius", [0.05, 0.024])
-def test_no_footprint_goes_through_a_wall(radius: float) -> None:
-    path = shortest_path(between((-3, 0), (3, 0), (), array([0.0, -1.0, 0.0, 1.0])), radius)
-    assert path_length(path) >= 2.0 * math.hypot(3.0, 1.0) - 1e-9
 
 
 LARGE = array([-500.0, 0.0, -499.0, 0.0], [499.0, 0.0, 500.0, 0.0])

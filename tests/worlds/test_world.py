@@ -98,12 +98,6 @@ def test_bad_regions_are_one_clear_error(bad: Any) -> None:
         Region(*bad)
 
 
-def test_the_length_is_that_of_the_path() -> None:
-    assert World(path=array([0, 0], [3, 4], [3, 4], [3, 0])).length == pytest.approx(9.0)
-    assert World(path=array([2, 2])).length == World(path=np.zeros((0, 2))).length == 0.0
-    assert math.isnan(World().length)
-
-
 @pytest.mark.parametrize(
     ("world", "bounds"),
     [

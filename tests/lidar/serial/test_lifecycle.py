@@ -11,7 +11,16 @@ import numpy as np
 import pytest
 from lidar_tools import state, turns
 from lidar_twins import MAKERS
-from serial_lidar_tools import Open, Start, measure, newer, open_serial, reset, shows_the_room
+from serial_lidar_tools import (
+    MODELS,
+    Open,
+    Start,
+    measure,
+    newer,
+    open_serial,
+    reset,
+    shows_the_room,
+)
 from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
 
 from acsar_gym.errors import LidarError
@@ -83,7 +92,7 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
     assert shows_the_room(measure(make(sensor)))
 
 
-@pytest.mark.parametrize("model", MAKERS)
+@pytest.mark.parametrize("model", MODELS)
 def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
     emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
     lidar = make(emulated, model)

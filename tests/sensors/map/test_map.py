@@ -27,8 +27,6 @@ from acsar_gym.sensors.map.sensor import (
     NEAR_SHARE,
     OLDEST_WAY,
     SECTORS,
-    STALL_GAIN,
-    STALL_STEPS,
     UNSEEN_CLEARANCE,
     clear_map,
     describe_body,
@@ -185,16 +183,6 @@ def test_a_way_that_is_blocked_is_planned_anew() -> None:
     assert told["way_left"] > before
     assert abs(told["way_sin_2"]) > 0.3
     assert mapped.record.age < 8.0
-
-
-def test_a_robot_that_stands_still_sees_for_how_long() -> None:
-    mapped = Mapped(ACSAR, (3.0, 0.0))
-    shares = [mapped.see((0.0, 0.0, 0.0), far(ACSAR))["stalled"] for _ in range(60)]
-    assert shares[24] == pytest.approx(25 / STALL_STEPS)
-    assert shares[-1] == 1.0
-    near = 0.9 * STALL_GAIN * mapped.record.radius
-    assert mapped.see((near, 0.0, 0.0), far(ACSAR))["stalled"] == 1.0
-    assert mapped.see((2.0 * near, 0.0, 0.0), far(ACSAR))["stalled"] == 0.0
 
 
 @pytest.mark.parametrize(

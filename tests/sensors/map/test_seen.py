@@ -116,18 +116,6 @@ def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits:
     assert grid.counts.max() == COUNT_FREE
 
 
-@pytest.mark.parametrize("distance", [HALF * SIDE + 0.1, FARTHEST])
-def test_what_ends_beyond_the_window_or_nowhere_is_no_obstacle(distance: float) -> None:
-    grid = empty()
-    for turn in range(SHARED_RAYS):
-        ahead(distance, turn, grid)
-    assert not grid.costs.any()
-    assert grid.counts.max() < OCCUPIED
-    passed = [place((i, 0)) for i in range(2, HALF - 3)]  # seen, and free
-    assert [int(grid.counts[cell]) for cell in passed] == [COUNT_FREE] * len(passed)
-    assert not grid.counts[:, 1:].any()
-
-
 def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:
     grid, pose, mount = empty(), (1.3, -2.1, 2.0), (0.3, -0.2)
     rays = Rays(-0.5, 0.4, 0.05, FARTHEST, *mount, 0.01)
