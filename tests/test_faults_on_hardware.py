@@ -29,6 +29,7 @@ FAULTS: list[tuple[str, dict[str, Any], float | None]] = [
     ("garbage", {"garbage_rate": 30.0}, None),
     ("dead", {"dead_wheels": "d"}, None),
     ("brown_out", {"brown_out_at": SOON, "brown_out_time": 0.1}, None),
+    ("board_reset", {"board_reset_at": SOON, "reset_time": 60.0}, SILENT),
     ("unplug", {"unplug_at": SOON, "replug_time": 0.1}, LOST),
 ]
 """What goes wrong, and the code with which an episode surely ends; None where it may go on."""

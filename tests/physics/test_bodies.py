@@ -181,6 +181,7 @@ MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MEMORY)
 def test_memory_is_flat_over_resets(name: str, body: BulletBody) -> None:
     process, rng = psutil.Process(), np.random.default_rng(0)

@@ -175,13 +175,12 @@ def random_commands(rng: np.random.Generator, ticks: int) -> Iterator[np.ndarray
             )[kind]
 
 
-@pytest.mark.parametrize("lost", [{}, LOST], ids=["all-lines", "lost-lines"])
 @pytest.mark.parametrize("minutes", [0.5, pytest.param(30.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sound_robots_are_never_stopped(name: str, minutes: float, lost: dict[str, float]) -> None:
+def test_sound_robots_are_never_stopped(name: str, minutes: float) -> None:
     config, changes, kind = ROBOTS[name]
     own = kind(open_link("planar", config.with_(**changes)))
-    link: Any = LikeABoard(FaultyLink(own, lost, 0))  # a damaged line moves no wheel
+    link: Any = LikeABoard(FaultyLink(own, LOST, 0))  # a damaged line moves no wheel
     ticks = round(60.0 * minutes / config.period)
     with contextlib.closing(Robot(link, config)) as robot:
         robot.activate()

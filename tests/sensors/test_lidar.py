@@ -110,11 +110,10 @@ def test_dropouts_bias_and_outliers() -> None:
     assert mixed[between].mean() == pytest.approx(2.5, abs=0.02)
 
 
-@pytest.mark.parametrize("rate", [0.5, 1.0])
-def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_path: Path) -> None:
+def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(tmp_path: Path) -> None:
     """Its oldest measurements are two turns old; a replay sees the same, to the bit."""
     config = ACSAR.with_(lidar={"noise": 0.0})
-    physics = compute_physics(config)._replace(scan_rate=rate)
+    physics = compute_physics(config)._replace(scan_rate=0.5)
     wall = World(np.zeros((0, 3)), np.array([[4.0, -30.0, 4.0, 30.0]]))
     tape, seen, ahead = tmp_path / "tape.mcap", [], 32
     with Robot(open_link("planar", config), config, ["lidar"], Recorder(tape)) as robot:

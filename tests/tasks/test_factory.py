@@ -135,8 +135,14 @@ class Beyond(Plain):
         return state.pose[0], state.time
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("compiled", [False, True], ids=["plain", "compiled"])
+@pytest.mark.parametrize(
+    ("kind", "compiled"),
+    [
+        (RobotEnv, False),
+        (RobotVectorEnv, False),
+        pytest.param(RobotVectorEnv, True, marks=pytest.mark.slow),
+    ],
+)
 def test_an_observation_beyond_its_bounds_is_said_once(kind: Any, compiled: bool) -> None:
     env = make(kind, type("Mine", (Beyond,), {"compiled": compiled}))
     action = np.zeros((2,) if kind is RobotEnv else (1, 2))

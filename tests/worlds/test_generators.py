@@ -52,13 +52,12 @@ def turns(path: Floats) -> Any:
 
 def digests() -> list[str]:
     found = []
-    for kind, level in itertools.product(KINDS, (None, 0.4, 1.0)):
-        for number in (0, 10**20):
-            world = generate_world(kind, number, level)
-            arrays = world.circles, world.segments, way(world)
-            text = repr([(array.shape, array.tobytes()) for array in arrays])
-            text += f" {world.start} {world.goal} {world.name}"
-            found.append(hashlib.sha256(text.encode()).hexdigest())
+    for kind, level in itertools.product(KINDS, (None, 1.0)):
+        world = generate_world(kind, 10**20, level)
+        arrays = world.circles, world.segments, way(world)
+        text = repr([(array.shape, array.tobytes()) for array in arrays])
+        text += f" {world.start} {world.goal} {world.name}"
+        found.append(hashlib.sha256(text.encode()).hexdigest())
     return found
 
 

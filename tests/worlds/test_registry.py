@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import corridors as example
@@ -24,7 +20,6 @@ from acsar_gym.worlds.world import make_rectangle
 RADIUS = 0.25
 CORRIDORS = registry._OWN.pop("corridors")
 """The example; no other test shall know it."""
-FOLDER = Path(example.__file__).parent
 GAP = World(
     segments=np.array(
         [[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *make_rectangle(-1, -1, 3, 1)]
@@ -55,22 +50,6 @@ def test_envs_and_batches_drive_in_them() -> None:
     assert json.loads(env.spec.to_json())["kwargs"]["worlds"] == worlds
     env.close()
     batch.close()
-
-
-def elsewhere(*program: str) -> subprocess.CompletedProcess[str]:
-    """A program in a process that knows no generator yet."""
-    environment = {**os.environ, "PYTHONPATH": str(FOLDER)}
-    return subprocess.run(
-        [sys.executable, *program], capture_output=True, text=True, env=environment, check=False
-    )
-
-
-def test_the_command_line_names_the_module(tmp_path: Path) -> None:
-    out = tmp_path / "found.json"
-    command = ("-m", "acsar_gym", "worlds", "check")
-    done = elsewhere(*command, "corridors:corridors:0-2", "--json", str(out))
-    assert done.returncode == 0, done.stderr
-    assert json.loads(out.read_text())["source"] == "corridors 0 to 2 (test split)"
 
 
 @pytest.mark.parametrize(

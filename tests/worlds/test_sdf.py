@@ -396,3 +396,17 @@ def test_missing_models_are_named_together(tmp_path: Path) -> None:
     ) in refuse_included(tmp_path, *parts)
     many = refuse_included(tmp_path, *(include(f"model://t{number}") for number in range(9)))
     assert "'model://t4' and 4 others, which" in many
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (f"<model name='m'>{include('model://m')}</model>", "models are nested too deeply"),
+        ("<model name='m'><link>", "included .*: not valid XML"),
+        ("<!DOCTYPE sdf [<!ENTITY e 'x'>]><model name='m'/>", "not valid XML|entities"),
+    ],
+)
+def test_hostile_models_are_refused(content: str, said: str, tmp_path: Path) -> None:
+    write_model(tmp_path, "m", content)
+    with pytest.raises(WorldError, match=said):
+        load_included(tmp_path, include("model://m"))

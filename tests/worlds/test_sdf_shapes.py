@@ -57,10 +57,8 @@ SOLIDS: dict[str, tuple[str, Inside]] = {
     "cone": ("<cone><radius>0.4</radius><length>1.2</length></cone>", is_in_cone),
 }
 POSES = [
-    (0.2, -0.1, 0.4, 0.4, 0.0, 0.3),
     (0.2, -0.1, 0.4, 0.0, math.pi / 2.0, 0.0),
     (0.2, -0.1, 0.5, math.pi / 2.0, 0.0, 1.0),
-    (0.2, -0.1, 0.35, 0.3, -1.2, 2.0),
     (0.0, 0.0, 0.3, 2.0, 0.7, -1.0),
 ]
 

@@ -214,8 +214,9 @@ def check_same(one: Any, other: Any) -> None:
             np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-9, err_msg=name)
 
 
-@pytest.mark.parametrize("robot", ["acsar", "jackal", "drawn:3"])
-@pytest.mark.parametrize("kind", ["obstacle_goal", "barn"])
+@pytest.mark.parametrize(
+    ("robot", "kind"), [("acsar", "obstacle_goal"), ("jackal", "barn"), ("drawn:3", "barn")]
+)
 def test_the_map_of_a_batchs_robot_is_the_single_ones(robot: str, kind: str) -> None:
     worlds: Any = {"worlds": "clutter:6" if kind == "obstacle_goal" else "barn:4"}
     many: Any = ids.make_vec(ids.full_id(kind), 3, robot=robot, threads=1, **worlds)
