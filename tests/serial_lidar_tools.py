@@ -21,6 +21,9 @@ from acsar_gym.worlds import Scene
 ROUNDED = 0.003
 """What wires and lds2d round away [m]."""
 
+MODELS = ("rplidar", "ld06", "ydlidar_x4")
+"""One that is asked for turns, one that always sends them, and one that sends packets of a turn."""
+
 Start = Callable[..., Emulated]
 Open = Callable[..., SerialLidar]
 

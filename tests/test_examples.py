@@ -20,18 +20,11 @@ from acsar_gym.tools.policies import OnnxPolicy
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 EXAMPLES = Path(__file__).resolve().parents[1] / "agents" / "examples"
-LONGEST = 60
-"""Every script has fewer lines."""
 
 
 def main_of(name: str) -> Any:
     """The `main` of an example, which its command line calls."""
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
-
-
-@pytest.mark.parametrize("script", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
-def test_a_script_is_short(script: Path) -> None:
-    assert len(script.read_text(encoding="utf-8").splitlines()) < LONGEST
 
 
 @pytest.mark.parametrize(("env", "least"), [("point_goal", 5), ("obstacle_goal", 0)])

@@ -27,8 +27,6 @@ LINES = ("dropped_lines", "duplicated_lines", "cut_lines", "corrupted_lines", "l
 FAULTS: list[tuple[str, dict[str, Any], float | None]] = [
     *((name, {name: 0.3}, None) for name in LINES),
     ("garbage", {"garbage_rate": 30.0}, None),
-    ("stuck", {"stuck_encoders": "a", "wheel_faults_at": SOON}, None),
-    ("reversed", {"reversed_encoders": "bc"}, None),
     ("dead", {"dead_wheels": "d"}, None),
     ("brown_out", {"brown_out_at": SOON, "brown_out_time": 0.1}, None),
     ("board_reset", {"board_reset_at": SOON, "reset_time": 60.0}, SILENT),

@@ -24,14 +24,11 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
 DIGITS = "9" * 400
 ROBOTS = {
     "merges.yaml": (MERGES, "has an alias"),
-    "merge.yaml": ("motor: {<<: {max_speed: 1}}", "a key must be text"),
     "digits.yaml": (
         f"encoder: {{counts_per_revolution: {DIGITS}}}",
         "counts_per_revolution = 9999",
     ),
-    "sixty.yaml": ("wheel_radius: 1" + ":1" * 4_000, "wheel_radius = a very long number"),
     "many.yaml": ("[" + "[]," * 200_000 + "]", "too many values"),
-    "loop.yaml": ("firmware: {loop_rate: 1e8}", "firmware.loop_rate = 100000000.0: must be less"),
     "unknown.yaml": ("\n".join(f"k{i}: 1" for i in range(5_000)), "unknown field 'k0'"),
     "params.urdf": (
         f"<r><ros2_control><hardware>{'<param/>' * 2_000}</hardware></ros2_control></r>",
@@ -98,11 +95,8 @@ def test_a_terminal_without_unicode_gets_what_it_can_show(tmp_path: Path) -> Non
     "arguments",
     [
         {"goal_distance": (10**400, 1)},
-        {"goal_tolerance": 10**400},
         {"view": np.zeros(2)},
-        {"on_fault": np.zeros(2)},
         {"link": np.zeros((2, 2, 2))},
-        {"robot": 10**5000},
         {"faults": {"direction": np.zeros(2)}},
     ],
     ids=lambda arguments: next(iter(arguments)),

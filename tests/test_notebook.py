@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "agents" / "examples" / "first_policy.ipynb"
-MOST_BYTES = 200_000
 PATIENCE = 1200
 """Longest wait for a cell, as the first one of a new installation compiles [s]."""
 
@@ -19,17 +18,6 @@ def code() -> list[dict[str, Any]]:
     """The cells of code."""
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     return [cell for cell in cells if cell["cell_type"] == "code"]
-
-
-def test_it_is_small_and_shows_no_error_and_no_folder_of_whoever_ran_it() -> None:
-    assert NOTEBOOK.stat().st_size < MOST_BYTES
-    outputs = [output for cell in code() for output in cell["outputs"]]
-    assert {output["output_type"] for output in outputs} <= {
-        "stream",
-        "display_data",
-        "execute_result",
-    }
-    assert not re.search(r"/(home|root|work|tmp)/", json.dumps(outputs))
 
 
 @pytest.mark.slow

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import gymnasium
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode
 
 import acsar_gym
-from acsar_gym.envs.ids import make_vec
-from acsar_gym.errors import ConfigError
-from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.testing import TIMEOUT
 
 KNOWN = "assert gymnasium.spec('acsar_gym/PointGoal-v0').max_episode_steps == 200"
@@ -76,32 +68,3 @@ def test_names_are_there_as_if_they_had_been_imported() -> None:
     with pytest.raises(AttributeError, match="no attribute 'saftey'"):
         _ = acsar_gym.saftey
     assert not hasattr(acsar_gym, "__path_of_nothing__")
-
-
-@pytest.fixture
-def registered() -> Iterator[str]:
-    """An id whose defaults only a single env, or only a batch, knows."""
-    options: dict[str, Any] = {
-        "lidar": "simulated",
-        "on_fault": "raise",
-        "threads": 1,
-        "autoreset_mode": "Disabled",
-    }
-    acsar_gym.register("mine/Modes-v0", task=ObstacleGoal, worlds="clutter:0-1", **options)
-    yield "mine/Modes-v0"
-    del gymnasium.registry["mine/Modes-v0"]
-
-
-def test_a_mode_ignores_registered_defaults_of_the_other(registered: str) -> None:
-    one: Any = gymnasium.make(registered, link="planar").unwrapped
-    assert one._options.on_fault == "raise"
-    batch: Any = gymnasium.make_vec(registered, 2, vectorization_mode="vector_entry_point")
-    assert batch.autoreset_mode is AutoresetMode.DISABLED
-    again: Any = gymnasium.make(EnvSpec.from_json(one.spec.to_json())).unwrapped
-    assert again._options.on_fault == "raise"
-    given: Any = gymnasium.make(registered, link="planar", on_fault="truncate").unwrapped
-    assert given._options.on_fault == "truncate"
-    with pytest.raises(ConfigError, match="unknown option 'on_fault'"):
-        make_vec(registered, 2, on_fault="raise")
-    with pytest.raises(ConfigError, match="unknown option 'threads'"):
-        gymnasium.make(registered, link="planar", threads=1)

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 import acsar_gym
 
 PACKAGE = Path(acsar_gym.__file__).parent
@@ -59,19 +57,3 @@ def test_no_file_imports_itself_by_way_of_others() -> None:
     files = {module_of(path): path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
     assert len(files) > 100
     assert circle(graph(files)) == []
-
-
-@pytest.mark.parametrize(
-    ("b", "found"),
-    [
-        ("import a", True),
-        ("from a import x", True),
-        ("def f():\n    from a import x", True),
-        ("from c import a", False),
-        ("if TYPE_CHECKING:\n    import a", False),
-        ("if TYPE_CHECKING:\n    import a\nelse:\n    import a", True),
-    ],
-)
-def test_circles_are_found(b: str, *, found: bool) -> None:
-    arrows = graph({"a": "import b", "b": b, "c": "", "c.d": "from c import d"})
-    assert bool(circle(arrows)) == found

@@ -50,13 +50,3 @@ def test_a_page_is_drawn_and_no_table_is_cut(width: int, page: Path, tmp_path: P
         shot = pytest.importorskip("PIL.Image").open(tab.shot(f"page_{width}", tmp_path))
         assert len(set(shot.convert("RGB").resize((300, 500)).getdata())) > 100
         assert (tab.console, tab.foreign) == ([], [])
-
-
-def test_a_page_that_loads_or_fails_would_be_found(tmp_path: Path) -> None:
-    page = tmp_path / "bad.html"
-    page.write_text('<img src="http://example.com/a.png"><script>oh()</script>', encoding="utf-8")
-    with browser(tmp_path) as tab:
-        tab.open(page.as_uri(), 1200, 900)
-        tab.wait("document.readyState == 'complete' && document.images.length", "the page")
-        assert tab.foreign == ["http://example.com/a.png"]
-        assert "oh is not defined" in " ".join(tab.console)

@@ -15,7 +15,6 @@ from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import ConfigError
 
 FIRST = [RobotConfig.of(f"drawn:{number}") for number in range(128)]
-PRESETS = [RobotConfig.preset(name) for name in ("acsar", "jackal", "husky")]
 
 
 def test_a_number_is_always_the_same_robot() -> None:
@@ -24,21 +23,6 @@ def test_a_number_is_always_the_same_robot() -> None:
     text = json.dumps([drawn.draw_robot(number) for number in range(20)])
     assert hashlib.sha256(text.encode()).hexdigest()[:16] == "ef8d842fb126c273"
     assert len({hash_config(one) for one in FIRST}) == len(FIRST)
-
-
-@pytest.mark.parametrize(
-    ("text", "numbers"),
-    [
-        ("drawn:17", range(17, 18)),
-        ("drawn:3-5", range(3, 6)),
-        ("drawn:train", range(512)),
-        ("drawn:validation", range(1000, 1032)),
-        ("drawn:test", range(2000, 2100)),
-        ("acsar", None),
-    ],
-)
-def test_names_are_numbers(text: str, numbers: range | None) -> None:
-    assert drawn.parse_numbers(text) == numbers
 
 
 @pytest.mark.parametrize("text", ["drawn:", "drawn:x", "drawn:-1", "drawn:1-", "drawn:5-3"])

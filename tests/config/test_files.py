@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 import yaml
-from config_tools import config_of
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -61,11 +60,8 @@ def test_yaml_sets_fields_and_sections_and_leaves_the_rest(tmp_path: Path, suffi
     ("suffix", "text", "found"),
     [
         (".yaml", "- wheel_radius", "must be a mapping"),
-        (".yaml", "wheel_radius: [", "not valid YAML"),
         (".yaml", "odom_frame: \x00", "not valid YAML"),
-        (".yaml", "odom_frame: !!python/object/apply:os.getcwd []", "not valid YAML"),
         (".yaml", "wheel_radius: .nan", "wheel_radius"),
-        (".yaml", "wheel_radius:", "wheel_radius"),
         (".yaml", "body: {mass: 0}", "body.mass"),
         *(
             (".yaml", f"wheel_radius: {scalar}", "")
@@ -73,11 +69,8 @@ def test_yaml_sets_fields_and_sections_and_leaves_the_rest(tmp_path: Path, suffi
         ),
         (".urdf", "", "not a valid URDF"),
         (".urdf", "<robot><ros2_control/></robot>", "<ros2_control><hardware>"),
-        (".urdf", urdf(param("baud_rate", "fast")), "baud_rate"),
         (".urdf", urdf(param("baud_rate", 4800)), "baud_rate"),
         (".urdf", urdf(param("baud_rate", 115200), param("wheel_radius", "")), "wheel_radius"),
-        (".urdf", urdf(param("baud_rate", 115200), param("wheelbase", "inf")), "wheelbase"),
-        (".json", "{}", "robot.json"),
         (".urdf.xacro", "{}", "robot.urdf.xacro"),
         ("", "{}", "robot"),
     ],
@@ -93,26 +86,6 @@ def test_a_bad_file_is_one_line_that_names_it(
     assert str(path) in str(caught.value)
     assert found in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("suffix", [".yaml", ".yml", ".urdf"])
-def test_a_file_that_cannot_be_read_says_why(tmp_path: Path, suffix: str) -> None:
-    missing, folder, binary = (tmp_path / f"{name}{suffix}" for name in ("gone", "folder", "bin"))
-    folder.mkdir()
-    binary.write_bytes(b"odom_frame: \xff\xfe")
-    found = "there is no such file", "isn't a regular file", "isn't UTF-8 text"
-    for path, reason in zip((missing, folder, binary), found, strict=True):
-        with pytest.raises(ConfigError) as caught:
-            RobotConfig.load(path)
-        assert str(caught.value).startswith(f"{path}: {reason}")
-
-
-def test_an_unknown_preset_suggests_the_nearest_or_lists_them() -> None:
-    with pytest.raises(ConfigError, match="unknown robot preset 'acsr'; did you mean 'acsar'"):
-        RobotConfig.preset("acsr")
-    for name in ("zzz", "../robots/acsar", "acsar.yaml", ""):
-        with pytest.raises(ConfigError, match=r"unknown robot preset .*acsar"):
-            RobotConfig.preset(name)
 
 
 def test_urdf_params_of_the_drivers_document(load_urdf: Load) -> None:
@@ -170,7 +143,6 @@ FIT = {
 }
 ROBOTS: dict[str, dict[str, Any]] = {
     "defaults": {},
-    "geometry": {"wheelbase": 0.25, "left_wheel_radius_multiplier": 0.99},
     "single wheels": {"motor": {"time_constant": [0.1, 0.11, 0.12, 0.13], "gain": 1.01}},
     "nothing instead of a number": {
         "watchdog_timeout": None,
@@ -182,8 +154,6 @@ ROBOTS: dict[str, dict[str, Any]] = {
         "geofence": {"max_x": 2.0},
         "footprint": [(0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2)],
     },
-    "texts": {"odom_frame": "süd", "base_frame": "null", "serial_port": "/dev/ttyUSB0"},
-    "small numbers": {"firmware": {"delay_samples": [0.0, 1e-5]}, "body": {"slip_speed": 1e-7}},
     "a wiring": {"wheels": {"a": {"motor_sign": -1, "sign": -1}, "b": {"sign": -1}}},
     "measured": {
         "body": {"turn_factor": 1.6},
@@ -194,7 +164,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_saved_robot_is_loaded_back_equal(name: str, tmp_path: Path) -> None:
-    config = config_of(**ROBOTS[name])
+    config = RobotConfig(**ROBOTS[name])
     config.save(tmp_path / "robot.yaml")
     assert RobotConfig.load(tmp_path / "robot.yaml") == config
 

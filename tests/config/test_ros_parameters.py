@@ -65,8 +65,6 @@ CART = robot(
     four_wheels("base_link", 0.18, 0.21, 0.0, mesh(), tyre(0.1)),
     control(*FOUR, serial_port="/dev/base"),
 )
-NAMES = "left_wheel_names: [front_left_wheel_joint, rear_left_wheel_joint]"
-SILENT = "drive:\n  ros__parameters: {left_wheel_names: [a, b], right_wheel_names: [c, d]}\n"
 
 
 def drive(*lines: str) -> str:
@@ -137,20 +135,6 @@ def test_limits_are_those_of_jazzy(write: Write) -> None:
     assert config.max_angular == 3.0
     assert config.angular_limits.max_acceleration_reverse == -5.0
     assert config.firmware.command_timeout == RobotConfig().firmware.command_timeout
-
-
-def test_front_wheels_are_known_by_their_names(write: Write) -> None:
-    names = drive(
-        "left_wheel_names: [rear_left_joint, front_left_joint]",
-        "right_wheel_names: [back_right_joint, front_right_joint]",
-    ).replace(WHEELS, "\n")
-    config = RobotConfig.of(write("controllers.yaml", names))
-    assert config.wheel_joints == (
-        "front_right_joint",
-        "front_left_joint",
-        "rear_left_joint",
-        "back_right_joint",
-    )
 
 
 def test_one_of_several_controllers_is_named(write: Write) -> None:
@@ -232,14 +216,9 @@ REFUSED = {
         f"{PAIR}, left_wheel_names: [l], right_wheel_names: [r]}}",
         "two driven wheels (l, r)",
     ),
-    "six wheels": (FLAT.replace("rl_joint", "ml, rl").replace("rr_joint", "mr, rr"), "6 wheels"),
     "mecanum": (
         "d:\n  ros__parameters: {type: mecanum_drive_controller/MecanumDriveController, x: 1}",
         "a robot with mecanum or omni wheels",
-    ),
-    "ackermann": (
-        "a:\n  ros__parameters: {type: ackermann_steering_controller/AckermannSteeringController}",
-        "a robot with a steered axle",
     ),
     "a filter": (
         "ekf_filter_node:\n  ros__parameters: {frequency: 30.0, two_d_mode: true}",
@@ -249,12 +228,7 @@ REFUSED = {
         FLAT.replace("1.7", "1.0"),
         "doesn't say wheelbase: a controller doesn't know",
     ),
-    "neither size": (
-        SILENT,
-        "doesn't say wheel_radius, wheel_separation and wheelbase: its controller",
-    ),
     "centimetres": (FLAT.replace("0.11", "11"), "wheel_radius = 11: must be 0.005 to 1 m"),
-    "names that aren't": (FLAT.replace("[fl_joint, rl_joint]", "3"), "must be a list of names"),
     "a broken footprint": (
         "local_costmap:\n  ros__parameters: {footprint: 'wide'}",
         "footprint = 'wide': must be like",
@@ -281,13 +255,3 @@ def test_in_a_fleet_a_parameter_file_goes_with_the_robot_before_it(write: Write)
     assert [len(robot.footprint or ()) for robot in fleet.robots] == [0, 0, 4, 0, 0]
     assert [robot.wheel_radius for robot in fleet.robots] == [0.05, 0.05, 0.1, 0.06, 0.098]
     assert fleet.names[2] == f"{urdf},{nav2}"
-
-
-def test_one_robot_is_wanted_where_several_are_named(write: Write) -> None:
-    mine = write("mine.yaml", "wheel_radius: 0.06\n")
-    with pytest.raises(ConfigError, match="give one robot here"):
-        RobotConfig.of(f"jackal,{mine}")
-    with pytest.raises(ConfigError, match=r"gone.yaml: there is no such file"):
-        RobotConfig.of(f"{mine},gone.yaml")
-    with pytest.raises(ConfigError, match="unknown robot preset"):
-        RobotConfig.of("jackle")

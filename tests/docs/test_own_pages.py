@@ -19,10 +19,8 @@ import pytest
 from tapes import TtyReplayLink, playing, recorded
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import LidarError, LinkError
+from acsar_gym.errors import LinkError
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene, registry
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -144,51 +142,6 @@ def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path
         assert heard.get(timeout=5.0) == 0
 
 
-def test_a_sensor_of_ones_own(mine: Path) -> None:
-    rays = importlib.import_module("mine.rays").ThreeRays
-    options: dict[str, Any] = {"worlds": "clutter:4", "sensors": [rays]}
-    batch: Any = gymnasium.make_vec(
-        "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", **options
-    )
-    one = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", **options)
-    assert one.observation_space.shape == (7 + 90 + 64 + 3,)
-    seen, _ = one.reset(seed=1)
-    np.testing.assert_allclose(batch.reset(seed=1)[0][0], seen, atol=1e-6)
-    for action in actions(4, 20):
-        rows, seen = batch.step(action)[0], one.step(action[0])[0]
-        np.testing.assert_allclose(rows[0], seen, atol=1e-6)
-    for env in (one, batch):
-        env.close()
-
-
-@pytest.mark.usefixtures("deadline")
-@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
-def test_a_sensor_that_remembers(
-    mine: Path, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gyro = importlib.import_module("mine.gyro").Gyro
-    monkeypatch.setattr(gyro, "compiled", compiled)
-    batch = gymnasium.make_vec(
-        "acsar_gym/PointGoal-v0",
-        3,
-        vectorization_mode="vector_entry_point",
-        sensors=["mine.gyro:Gyro"],
-    )
-    singles = [
-        gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[gyro]) for _ in range(3)
-    ]
-    seen = batch.reset(seed=0)[0]
-    expected = [one.reset(seed=i)[0] for i, one in enumerate(singles)]
-    for pushes in actions(3, 20):
-        np.testing.assert_allclose(seen, expected, rtol=0.0, atol=1e-6)
-        seen = batch.step(pushes)[0]
-        expected = [one.step(push)[0] for one, push in zip(singles, pushes, strict=True)]
-    assert len(set(seen[:, -1].tolist())) == 3
-    batch.close()
-    for one in singles:
-        one.close()
-
-
 def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     """Its link knows no truth; the newest whole line counts, and silence is a fault."""
     finder, rays = (importlib.import_module(f"mine.{name}") for name in ("finder", "rays"))
@@ -209,34 +162,5 @@ def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     with pytest.raises(LinkError, match="silent"):
         sensor.read(None, 1.9)
     sensor.close()
-    os.close(board)
-    os.close(device)
-
-
-@pytest.mark.xdist_group("serial")
-@pytest.mark.usefixtures("deadline")
-def test_on_hardware_a_lidar_of_ones_own_is_observed(mine: Path) -> None:
-    """Of a turn of four measurements each has its ray, whatever the clock."""
-    clock = SimpleNamespace(time=1.0)
-    link, config = SimpleNamespace(now=lambda: clock.time), RobotConfig().with_(lidar={"rays": 4})
-    lidar: Any = open_lidar("mine.scanner:Scanner", link, config)
-    sensor = LidarSensor(lidar, config)
-    board, device = pty.openpty()
-    lidar.device = os.ttyname(device)
-    talking = threading.Timer(0.1, os.write, (board, b"9:9\n0:1000,90:2000,180:0,270:4000\n"))
-    talking.start()
-    sensor.reset(Scene(), np.random.default_rng(0))
-    sensor.poll(None, 1.0)
-    np.testing.assert_allclose(sensor.read(None, 1.0) * 5.0, [5.0, 4.0, 1.0, 2.0])
-    clock.time = 2.1
-    for _ in range(2):
-        with pytest.raises(LidarError, match=r"Scanner: no complete turn for 1\.10 s"):
-            sensor.poll(None, 2.1)
-        sensor.reset(Scene(), np.random.default_rng(0))
-    sensor.close()
-    for _ in range(2):
-        with pytest.raises(LidarError, match="the scanner is silent: check its cable"):
-            sensor.reset(Scene(), np.random.default_rng(0))
-    assert lidar.port is None
     os.close(board)
     os.close(device)

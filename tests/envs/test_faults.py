@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -34,27 +33,6 @@ def test_a_fault_truncates_the_episode_and_the_next_reset_recovers(
         assert info["fault"] == code
         assert steps < 20
         assert not inner(env).robot.active
-    env.close()
-
-
-def test_what_a_caller_changes_is_not_told_again() -> None:
-    env = make(
-        "acsar_gym/PointGoal-v0",
-        faults={"unplug_at": 0.3},
-        randomization={"motor_gain": (0.9, 1.1)},
-    )
-    told: Any = env.reset(seed=0)
-    truncated = False
-    while not truncated:
-        last, info = told[0].copy(), copy.deepcopy(told[-1])
-        told[0][:] = told[-1]["drawn_motor_gain"][:] = -7.0
-        told[-1]["goal_distance"] = -7.0
-        told = env.step(np.array([0.5, 0.0], np.float32))
-        truncated = told[3]
-    assert (told[0] == last).all()
-    assert told[-1]["goal_distance"] == info["goal_distance"]
-    assert (told[-1]["drawn_motor_gain"] == info["drawn_motor_gain"]).all()
-    assert told[-1]["fault"] == 3.0
     env.close()
 
 

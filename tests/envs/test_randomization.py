@@ -58,15 +58,3 @@ def test_pybullet_and_the_planar_robot_drive_alike_with_what_was_drawn() -> None
         env.close()
     assert ends[0] == pytest.approx(ends[1], abs=5e-3)
     assert ends[0][0] > 0.2
-
-
-def test_what_does_not_vary_takes_nothing_from_the_generator() -> None:
-    """The goals of later episodes are those of an env without randomization."""
-    goals = []
-    ranges: Any
-    for ranges in (None, {}, {"mass": (2.0, 2.0)}):
-        env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", randomization=ranges)
-        env.reset(seed=4)
-        goals.append(env.reset()[1]["goal_distance"])
-        env.close()
-    assert goals[0] == goals[1] == goals[2]

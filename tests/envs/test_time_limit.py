@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import copy
 import gc
-import pickle
 import weakref
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from env_tools import IDS, inner, make
+from env_tools import inner, make
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import Autoreset, ClipAction, TimeLimit
+from gymnasium.wrappers import ClipAction, TimeLimit
 from serial_tools import Emulated, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import CommandError, ConfigError
-from acsar_gym.recording import read
 
 pytestmark = pytest.mark.xdist_group(__name__)
 ENV_ID = "acsar_gym/PointGoal-v0"
@@ -43,15 +38,14 @@ def spec_of(env: Env) -> EnvSpec:
 LIMITED: dict[str, Callable[[], Env]] = {
     "of the id": lambda: gymnasium.make(ENV_ID, link="planar"),
     "make, shorter": lambda: gymnasium.make(ENV_ID, link="planar", max_episode_steps=5),
-    "make, longer": lambda: gymnasium.make(ENV_ID, link="planar", max_episode_steps=230),
     "spec": lambda: gymnasium.make(spec_of(gymnasium.make(ENV_ID, max_episode_steps=5, **PLANAR))),
     "the env's own": lambda: point_goal(max_episode_steps=np.int64(5)),
     "a wrapper": lambda: TimeLimit(ClipAction(point_goal()), 5),
     "the shorter of two": lambda: TimeLimit(point_goal(max_episode_steps=7), 5),
-    "of a copy": lambda: copy.deepcopy(gymnasium.make(ENV_ID, link="planar", max_episode_steps=5)),
-    "of an env in an env": lambda: TimeLimit(gymnasium.make(ENV_ID, link="planar"), 5),
 }
-STEPS = {"of the id": 200, "make, longer": 230}
+STEPS = {
+    "of the id": 200,
+}
 
 
 @pytest.mark.parametrize("how", LIMITED)
@@ -89,50 +83,6 @@ def test_another_limit_is_refused(limit: Any) -> None:
         point_goal(max_episode_steps=limit)
 
 
-class Repeated(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Does each action three times."""
-
-    def step(self, action: Any) -> Any:
-        for _ in range(3):
-            told = self.env.step(action)
-            if told[2] or told[3]:
-                break
-        return told
-
-
-def test_a_limit_counts_its_own_steps() -> None:
-    """So a wrapper between it and the env may repeat them."""
-    env = TimeLimit(Repeated(point_goal()), 4)
-    env.reset(seed=0)
-    ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(4)]
-    assert ends == [False, False, False, True]
-    assert inner(env).episode.steps == 10  # three each, and one that is the last
-    env.close()
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_checkers_and_resets_by_others_are_content(env_id: str) -> None:
-    env = make(env_id, max_episode_steps=4)
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == 4
-    check_env(inner(env), skip_render_check=True)
-    again = Autoreset(env)
-    again.reset(seed=0)
-    ends = [again.step(np.zeros(2, np.float32))[3] for _ in range(10)]
-    assert ends == [False, False, False, True, False] * 2
-    env.close()
-
-
-def test_vector_envs_of_single_ones_and_batches_end_alike() -> None:
-    ends = []
-    for mode in ("sync", "vector_entry_point"):
-        envs = gymnasium.make_vec(ENV_ID, 2, mode, link="planar", max_episode_steps=3)
-        envs.reset(seed=0)
-        ends.append([envs.step(np.zeros((2, 2), np.float32))[3].tolist() for _ in range(9)])
-        envs.close()
-    assert ends[0] == ends[1]
-
-
 def test_an_env_that_nobody_has_any_more_stops_at_once() -> None:
     """What it knows of its wrappers keeps none of them."""
     env = gymnasium.make(ENV_ID, link="planar")
@@ -144,19 +94,6 @@ def test_an_env_that_nobody_has_any_more_stops_at_once() -> None:
         assert gone() is None
     finally:
         gc.enable()
-
-
-def test_a_recording_says_how_episodes_ended(tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
-    env = gymnasium.make(ENV_ID, link="planar", record=path, max_episode_steps=4)
-    env.reset(seed=0)
-    while not env.step([1e308, 1e308])[3]:
-        pass
-    env.close()
-    (episode,) = read(path).episodes
-    assert episode.truncated
-    assert not episode.terminated
-    assert np.isfinite(episode.actions).all()
 
 
 class Broken:
@@ -171,15 +108,10 @@ class Broken:
 
 UNREADABLE: dict[str, Any] = {
     "tensor that requires grad": torch.tensor([1.0, 0.0], requires_grad=True),
-    "list of such tensors": [torch.tensor(1.0, requires_grad=True), 0.0],
     "NaN": [np.nan, 0.0],
-    "infinity": [0.0, -np.inf],
     "three numbers": [0.5, 0.5, 0.5],
-    "a column": [[0.5], [0.5]],
     "None": None,
     "texts": ["0.5", "0.5"],
-    "complex": np.array([0.5j, 0.5]),
-    "ragged": [[0.5, 0.5], [0.5]],
     "huge": [10**400, 0],
     "raises ValueError": Broken(ValueError("no\nlines")),
 }
@@ -203,14 +135,6 @@ def test_whatever_else_an_action_raises_stops_the_wheels_too() -> None:
     with pytest.raises(KeyboardInterrupt):
         env.step(Broken(KeyboardInterrupt()))
     assert inner(env).robot.safety.sent == (0.0, 0.0)
-    env.close()
-
-
-def test_finite_numbers_are_clipped_however_large() -> None:
-    env = make(ENV_ID)
-    env.reset(seed=0)
-    assert env.step([1e308, -1e308])[0][5:].tolist() == [1.0, -1.0]
-    assert env.step(torch.tensor([0.5, 1.0]))[0][5:].tolist() == [0.5, 1.0]
     env.close()
 
 
@@ -262,11 +186,4 @@ def test_zeros_are_the_last_word_on_the_wire(
     end(env)
     wait_until(emulator.is_stopped, "zeros as the last word")
     assert inner(env).robot.active
-    env.close()
-
-
-def test_copies_have_the_env_s_own_limit() -> None:
-    env = pickle.loads(pickle.dumps(point_goal(max_episode_steps=2)))  # noqa: S301 - our own bytes
-    env.reset(seed=0)
-    assert [env.step([0.0, 0.0])[3] for _ in range(2)] == [False, True]
     env.close()

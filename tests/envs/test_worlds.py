@@ -12,7 +12,7 @@ import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
 from gymnasium.envs.registration import EnvSpec
 
-from acsar_gym import RobotConfig, World
+from acsar_gym import World
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.vector.env import RobotVectorEnv
@@ -40,7 +40,6 @@ def test_options_of_a_reset_choose_world_goal_and_path() -> None:
     ("env_id", "options", "named"),
     [
         (SEEING[0], {"world": 3, "difficulty": (0.0, 1.0)}, "'world' and 'difficulty'"),
-        ("PathFollow-v0", {"path": [(0, 0), (1, 0)], "world": 3}, "'path' and 'world'"),
         (
             "PathFollow-v0",
             {"path": [(0, 0), (1, 0)], "difficulty": (0.0, 1.0)},
@@ -99,14 +98,7 @@ def test_a_file_is_passed_with_what_it_does_not_say(tmp_path: Path) -> None:
     again = gymnasium.make(EnvSpec.from_json(cast("EnvSpec", env.spec).to_json()))
     pools = [inner(one).pool for one in (env, again)]
     assert [pool.kind for pool in pools if pool] == [str(path)] * 2
-    taller = RobotConfig.preset("acsar").with_(lidar_z_offset=0.45)
-    other = make(SEEING[0], worlds=worlds, robot=taller)
-    circles = [world.circles for one in (env, other) for world in inner(one).pool or ()]
-    expected = [math.sqrt(0.2**2 - gap**2) for gap in (0.395 - 0.37, 0.45 - 0.405)]
-    assert [rows[0, 2] for rows in circles] == pytest.approx(expected), (
-        "cut at the robot's own LiDAR"
-    )
-    for one in (env, again, other):
+    for one in (env, again):
         one.close()
     with pytest.raises(ConfigError, match=r"unknown field 'worlds\.gaol'; did you mean 'goal'"):
         make(SEEING[0], worlds={"path": path, "gaol": (1.0, 2.0)})
@@ -128,19 +120,6 @@ def test_ids_train_in_the_training_split(env_id: str) -> None:
     pool = cast("RobotVectorEnv", batch.unwrapped).pool
     assert pool is not None
     assert pool.numbers == range(1000, 1400)
-
-
-def test_a_world_is_known_by_its_generators_number() -> None:
-    env = make(SEEING[0], worlds="clutter:1000-1399")
-    _, info = env.reset(options={"world": 1254})
-    world = inner(env).episode.assignment.world
-    assert info["world"] == 1254.0
-    assert world is not None
-    assert world.name == "clutter 1254"
-    for number in (254, 999, 1400):
-        with pytest.raises(WorldError, match=f"world {number}: must be 1000 to 1399"):
-            env.reset(options={"world": number})
-    env.close()
 
 
 START = (5.0, -3.0, 2.0)

@@ -42,17 +42,3 @@ def test_no_edge_is_lost_at_the_limit_that_the_compiler_allows(
     assert np.mean(true, axis=0) == pytest.approx(speeds, abs=0.01)
     assert ran.figures["busy"] < 0.95
     print(f"\n{chip}, {channels} channels: busy {ran.figures['busy']:.3f}")
-
-
-def test_a_gear_motor_with_many_edges_drives_at_its_speed(chip: str, tmp_path: Path) -> None:
-    """8384 edges a turn, a ratio of 131:1, at the 100 turns a minute of such a motor."""
-    numbers = {"COUNTS_PER_TURN": "8384", "FULL_SPEED": "10.5", "MAX_SPEED": "9.0"}
-    elf, said = firmware_tools.build_changed(tmp_path, chip, **numbers)
-    assert not said
-    script = Script(chip, ("--counts", "8384", "--full", "10.5"), elf)
-    speeds = (9.0, -9.0, 4.0, -0.05)
-    script.command(0.1, 3.0, speeds)
-    ran = script.run(3.0, tmp_path)
-    assert ran.at(2.9, "speeds") == pytest.approx(speeds, abs=0.02)
-    mean = np.mean([line for _, line in ran.feedback()[-100:]], axis=0)
-    assert mean == pytest.approx(speeds, abs=0.01)

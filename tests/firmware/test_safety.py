@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import re
 import subprocess
 from pathlib import Path
 
 import pytest
-from firmware_tools import BUILD, CHIPS, Ran, Script
+from firmware_tools import BUILD, Ran, Script
 
 from acsar_gym.protocol import encode
 from acsar_gym.resources import ASSETS
@@ -60,19 +59,6 @@ def test_bad_parts_are_skipped_and_never_turn_a_wheel(script: Script, tmp_path: 
     assert ran.at(2.5, "duty") == OFF
 
 
-def test_a_missing_motor_keeps_its_command(script: Script, tmp_path: Path) -> None:
-    script.command(0.1, 0.5, FORWARD)
-    for tick in range(100):
-        script.say(0.5 + tick / 100, b"ap04.00\n")
-    assert script.run(1.5, tmp_path).at(1.45, "speeds") == pytest.approx((4, 8, 8, 8), abs=0.1)
-
-
-def test_commands_saturate(script: Script, tmp_path: Path) -> None:
-    script.command(0.1, 2.0, (99.99, -99.99, 30.0, -30.01))
-    speeds = script.run(2.0, tmp_path).at(1.99, "speeds")
-    assert speeds == pytest.approx((30.0, -30.0, 30.0, -30.0), abs=0.1)
-
-
 def test_a_blocked_wheel_gets_limited_current_and_doesnt_race_when_free(
     script: Script, tmp_path: Path
 ) -> None:
@@ -110,13 +96,6 @@ def test_memory_is_enough_with_a_deep_margin(chip: str, memory: int, tmp_path: P
     _, data, bss, *_ = said.stdout.splitlines()[1].split()
     assert 0 < stack < 256
     assert int(data) + int(bss) + stack < memory / 2
-
-
-@pytest.mark.parametrize("chip", CHIPS)
-def test_there_is_no_heap_and_no_floating_point(chip: str) -> None:
-    elf = str(BUILD / f"{chip}.elf")
-    names = subprocess.run(["avr-nm", elf], capture_output=True, text=True, check=True).stdout
-    assert not re.search(r"malloc|free|__(add|sub|mul|div)sf3|__fp_", names)
 
 
 def test_every_file_compiles_as_the_arduino_ide_does(chip: str, tmp_path: Path) -> None:

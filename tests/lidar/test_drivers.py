@@ -10,12 +10,11 @@ import pytest
 from lidar_twins import MAKERS
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.errors import ConfigError
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.serial import SerialLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
-from acsar_gym.links.base import ForwardingLink, clock_of
 from acsar_gym.links.recorded import RecordedLink
 from acsar_gym.recording import Recorder
 from acsar_gym.sensors.suite import open_lidar
@@ -45,11 +44,6 @@ class OwnLidar:
 
 def make_none(link: Any, config: RobotConfig) -> None:
     """A factory that makes no LiDAR."""
-
-
-def make_broken(link: Any, config: RobotConfig) -> None:
-    """A factory that raises an error."""
-    raise OSError("no such bus")
 
 
 def test_every_model_has_a_driver_and_every_driver_is_emulated() -> None:
@@ -86,14 +80,6 @@ def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: 
         open_lidar("ld06:///dev/ttyUSB1", link, ACSAR)
 
 
-def test_the_clock_of_a_device_goes_on_where_the_link_is_recorded(tmp_path: Path) -> None:
-    link = open_link("/dev/ttyUSB0", ACSAR)
-    recorded = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
-    for one in (link, recorded, ForwardingLink(recorded)):
-        first = clock_of(one)()
-        assert clock_of(one)() > first
-
-
 @pytest.mark.parametrize(
     ("url", "said"),
     [
@@ -110,8 +96,3 @@ def test_what_names_no_lidar_is_refused(url: Any, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as caught:
         open_lidar(url, open_link("planar", ACSAR), ACSAR)
     assert "\n" not in str(caught.value)
-
-
-def test_an_error_of_ones_own_class_names_it() -> None:
-    with pytest.raises(SensorError, match=r"make_broken.* raised OSError: no such bus"):
-        open_lidar(f"{__name__}:make_broken", open_link("planar", ACSAR), ACSAR)

@@ -97,25 +97,6 @@ def test_a_scan_is_as_seen_from_where_the_robot_is_now(
         assert np.abs(unmoved - exact()).max() > 0.04
 
 
-@pytest.mark.parametrize("twist", TWISTS)
-def test_what_is_free_stays_free_and_no_ray_is_lost(twist: tuple[float, float]) -> None:
-    free = exact(walls=1) >= CONFIG.lidar.max_range
-    found = scan(revolve(twist, -0.05, walls=1), twist)
-    assert 20 < free.sum() < 60
-    assert ((found >= CONFIG.lidar.max_range) != free).sum() <= 2  # at the ends of the wall
-    assert scan(revolve(twist, -0.05), twist).max() < CONFIG.lidar.max_range
-
-
-def test_one_failed_measurement_among_many_is_not_free_space() -> None:
-    still = revolve((0.0, 0.0), 0.0)
-    failed = still.distances.copy()
-    failed[::7] = 0.0
-    found = scan(still._replace(distances=failed), (0.0, 0.0))
-    assert np.abs(found - exact()).max() < 0.05
-    failed[:] = 0.0
-    assert (scan(still._replace(distances=failed), (0.5, 0.3)) == CONFIG.lidar.max_range).all()
-
-
 def test_where_nothing_was_measured_for_long_is_free() -> None:
     still = revolve((0.0, 0.0), 0.0)
     gap = np.abs(np.remainder(still.bearings + math.pi, 2.0 * math.pi) - math.pi) < 0.5
@@ -157,16 +138,3 @@ def test_each_ray_has_what_lies_between_the_measurements_next_to_it(data: Any) -
         assert min(one, two) - 1e-9 <= found[k] <= max(one, two) + 1e-9
         if max(one, two) == 4.0:
             assert found[k] == pytest.approx(distances[np.abs(off).argmin()])
-
-
-def test_a_trail_is_interpolated_and_has_ends() -> None:
-    """A measurement from before the trail began is taken to be from its beginning."""
-    bearings, distances = np.zeros(1), np.ones(1)
-    trail, ranges = Trail(0.05, 0.01), np.empty(64)
-    for tick in range(20):
-        trail.mark(tick * 0.01, (tick * 0.01, 0.0, 0.0))
-    trail.mark(0.19, (0.19, 0.0, 0.0))  # no time has passed
-    for time, moved in ((0.175, 0.015), (0.19, 0.0), (0.3, 0.0), (-1.0, 0.06)):
-        measured = bearings, distances, np.full(1, time)
-        fill_scan(*measured, trail.rows, trail.newest, make_rays(CONFIG), ranges)
-        assert ranges[32] == pytest.approx(1.0 - moved, abs=1e-6)

@@ -12,7 +12,6 @@ import psutil
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import RenderError
 from acsar_gym.physics.body import Body
 from acsar_gym.physics.bullet import (
     BulletBody,
@@ -25,14 +24,12 @@ from acsar_gym.worlds import Scene, World
 ACSAR = RobotConfig.preset("acsar")
 AHEAD: Speeds = (8.0, 8.0, 8.0, 8.0)
 SECOND = 200
-FACTORS = [1.2, 1.5378, 2.0]
-GEOMETRIES = [(0.05, 0.30, 0.22), (0.05, 0.30, 0.30), (0.0825, 0.545, 0.512)]
+FACTORS = [1.5378, 2.0]
+GEOMETRIES = [(0.05, 0.30, 0.22), (0.0825, 0.545, 0.512)]
 TURNS: list[Speeds] = [
     (4.0, -4.0, -4.0, 4.0),
     (8.0, 4.0, 4.0, 8.0),
     (3.0, 7.0, 7.0, 3.0),
-    (1.0, -1.0, -1.0, 1.0),
-    (5.0, 0.0, 0.0, 5.0),
 ]
 HEADINGS = [math.pi / 4 * k + 0.1 for k in range(8)]
 WEDGE: Any = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
@@ -47,10 +44,8 @@ FORK: Any = (
 )
 OBSTACLES = {
     "pillar ahead": World(np.array([[1.0, 0.0, 0.2]])),
-    "pillar at a corner": World(np.array([[1.0, 0.3, 0.15]])),
     "wall across": World(segments=np.array([[1.0, -1.0, 1.0, 1.0]])),
     "wall aslant": World(segments=np.array([[0.8, -0.3, 1.4, 1.0]])),
-    "end of a wall": World(segments=np.array([[0.9, 0.0, 2.0, 0.1]])),
 }
 SMALL = {
     "pillar ahead": World(np.array([[1.0, 0.0, 0.05]])),
@@ -135,29 +130,6 @@ def test_wheels_of_different_radii_turn_a_robot_that_is_sent_straight(make: type
     body.close()
 
 
-@pytest.mark.parametrize("heading", HEADINGS)
-def test_a_straight_drive_of_ten_metres_stays_straight(body: BulletBody, heading: float) -> None:
-    body.reset(Scene(start=(0.0, 0.0, heading)))
-    steps(body, (10.0, 10.0, 10.0, 10.0), 21 * SECOND)
-    x, y, _ = body.truth.pose
-    along = x * math.cos(heading) + y * math.sin(heading)
-    sideways = y * math.cos(heading) - x * math.sin(heading)
-    assert along > 10.0
-    assert abs(sideways) < 0.01
-
-
-@pytest.mark.parametrize("turn", TURNS[:3])
-def test_after_a_stop_from_a_turn_nothing_rotates(body: BulletBody, turn: Speeds) -> None:
-    steps(body, turn, 2 * SECOND)
-    while body.wheel_speeds != ZERO:
-        body.step(ZERO)
-    steps(body, ZERO, 2)
-    stood = body.truth.pose
-    steps(body, ZERO, 5 * SECOND)
-    assert body.truth.pose == pytest.approx(stood, abs=1e-6)
-    assert body.truth.twist == pytest.approx((0.0, 0.0), abs=1e-6)
-
-
 def drive_some(body: BulletBody) -> list[tuple[float, float, float]]:
     poses = []
     for turn in (*TURNS[:3], ZERO):
@@ -188,12 +160,6 @@ def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
     assert (empty != marked).any()
 
 
-def test_a_window_without_a_display_says_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(RenderError, match="needs a display; drive without a window"):
-        BulletBody(RobotConfig(), window=True)
-
-
 @pytest.mark.parametrize(
     ("outline", "worlds"),
     [(None, OBSTACLES), (WEDGE, SMALL), (FORK, SMALL)],
@@ -207,16 +173,6 @@ def test_both_bodies_touch_at_the_same_place(outline: Any, worlds: dict[str, Wor
     bullet.close()
 
 
-def test_a_wall_stops_the_robot() -> None:
-    body = BulletBody(ACSAR)
-    touches_at(body, OBSTACLES["wall across"])
-    for _ in range(400):
-        body.step(AHEAD)
-    assert body.truth.pose[0] == pytest.approx(1.0 - ACSAR.body.length / 2.0, abs=0.01)
-    assert body.truth.contact
-    body.close()
-
-
 MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
     "one world": lambda rng: Scene(goal=(1.0, 1.0)),
     "changing worlds": lambda rng: Scene(
@@ -225,6 +181,7 @@ MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MEMORY)
 def test_memory_is_flat_over_resets(name: str, body: BulletBody) -> None:
     process, rng = psutil.Process(), np.random.default_rng(0)

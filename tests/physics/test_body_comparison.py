@@ -22,13 +22,10 @@ def slalom(now: float) -> Speeds:
 
 
 DRIVES: dict[str, Callable[[float], Speeds]] = {
-    "straight": lambda _: (8.0, 8.0, 8.0, 8.0),
     "arc": lambda _: (8.0, 5.0, 5.0, 8.0),
-    "spin": lambda _: (4.0, -4.0, -4.0, 4.0),
     "slalom": slalom,
     "stop": lambda now: (7.0, 4.0, 4.0, 7.0) if now < 5.0 else ZERO,
     "saturated": lambda _: (99.0, 20.0, 20.0, 99.0),
-    "saturated spin": lambda _: (99.0, -99.0, -99.0, 99.0),
 }
 """Commanded wheel speeds [rad/s] as functions of time [s], by name."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import pytest
@@ -50,23 +49,6 @@ def test_feedback_comes_at_its_own_rate(rate: float) -> None:
     assert abs(answer.count(b"\r\n") - 10.0 * rate) <= 1.0
 
 
-def first_motion(config: RobotConfig) -> float:
-    """When the set points follow a command sent at time zero [s]."""
-    firmware, body = board(config)
-    firmware.receive(encode(FORWARD))
-    elapsed = 0.0
-    while body.wheel_speeds == ZERO:
-        firmware.advance(0.005)
-        elapsed += 0.005
-    return elapsed
-
-
-def test_slow_wires_delay_commands() -> None:
-    """34 bytes take 3.0 ms at 115200 baud and 8.9 ms at 38400; a loop period is 5 ms."""
-    assert first_motion(RobotConfig(baud_rate=115200)) == pytest.approx(0.010)
-    assert first_motion(RobotConfig(baud_rate=38400)) == pytest.approx(0.020)
-
-
 @pytest.mark.parametrize(("delay", "motion"), [(0.0, 0.006), (0.0012, 0.007), (0.0373, 0.043)])
 def test_a_command_delay_is_told_to_the_loop(delay: float, motion: float) -> None:
     """The line takes 2.95 ms and its processing 1.25 ms; a loop period is 1 ms."""
@@ -103,27 +85,6 @@ def test_printed_speeds_are_multiples_of_the_quantum(quantum: float) -> None:
     assert last == pytest.approx(body.wheel_speeds, abs=quantum / 2 + 0.03)
 
 
-def test_a_line_reaches_the_host_after_processing_and_its_own_length() -> None:
-    """A feedback line made at 10 ms is complete at 10 + 1.25 + 2.95 ms."""
-    firmware, _ = board(RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0)))
-    arrivals = [millisecond for millisecond in range(1, 31) if firmware.advance(0.001)]
-    assert arrivals == [15, 25]
-
-
-def test_set_points_ramp() -> None:
-    firmware, body = board(
-        RobotConfig(motor=MotorConfig(acceleration=20.0, time_constant=0.0, max_speed=30.0))
-    )
-    speeds = []
-    for _ in range(60):
-        firmware.receive(encode(FORWARD))
-        firmware.advance(TICK)
-        speeds.append(body.wheel_speeds[0])
-    slopes = [(b - a) / TICK for a, b in itertools.pairwise(speeds)]
-    assert max(slopes) == pytest.approx(20.0)
-    assert speeds[-1] == 8.0
-
-
 def test_motors_stop_when_commands_stop() -> None:
     firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.3)))
     drive(firmware, encode(FORWARD), 100)
@@ -133,31 +94,12 @@ def test_motors_stop_when_commands_stop() -> None:
     assert body.wheel_speeds == ZERO
 
 
-def test_a_motor_that_a_line_does_not_name_keeps_its_target() -> None:
-    firmware, body = board()
-    drive(firmware, encode(FORWARD), 100)
-    drive(firmware, b"bn02.00\r\n", 200)
-    assert body.wheel_speeds == pytest.approx((8.0, -2.0, 8.0, 8.0), abs=1e-3)
-
-
 def test_garbage_is_no_command_and_keeps_nobody_alive() -> None:
     firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.2)))
     drive(firmware, encode(FORWARD), 100)
     drive(firmware, b"xp99.99,ap9.9\r\n", 300)
     assert body.wheel_speeds == ZERO
     assert firmware.decoder.refused["unknown motor"] == 300
-
-
-def test_no_count_is_lost() -> None:
-    """The mean of what the encoders report is the mean of what the wheels did."""
-    config = RobotConfig(encoder=EncoderConfig(counts_per_revolution=100, window=0.01))
-    firmware, body = board(config)
-    drive(firmware, encode((3.3, 3.3, 3.3, 3.3)), 100)
-    before = body.wheel_angles[0]
-    reported = [speeds[0] for speeds in speeds_of(drive(firmware, encode((3.3,) * 4), 1000))]
-    driven = (body.wheel_angles[0] - before) / 10.0
-    mean = sum(speed for speed in reported if speed is not None) / len(reported)
-    assert mean == pytest.approx(driven, abs=0.02)
 
 
 def test_a_reset_forgets_everything() -> None:

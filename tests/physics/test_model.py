@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
-from acsar_gym.jit import record_of
 from acsar_gym.physics import GRAVITY, compute_physics, model
-from acsar_gym.physics.model import loop_period, robot_step, tyre_step, wheel_speed
+from acsar_gym.physics.model import loop_period, tyre_step, wheel_speed
 from acsar_gym.protocol import ZERO, Speeds
 
 SPIN: Speeds = (4.0, -4.0, -4.0, 4.0)
@@ -35,16 +34,6 @@ def test_spin_on_the_spot_is_the_closed_form() -> None:
     )
 
 
-@given(speed, speed, speed, speed, slow, slow, slow)
-def test_tyres_never_push_harder_than_they_grip(
-    a: float, b: float, c: float, d: float, vx: float, vy: float, rate: float
-) -> None:
-    p = compute_physics(RobotConfig())
-    nx, ny, _ = tyre_step(vx, vy, rate, (a, b, c, d), p, p.kappa, DT)
-    force = p.mass * math.hypot(nx - vx, ny - vy) / DT
-    assert force <= 4.0 * p.grip * (1.0 + 1e-9)
-
-
 @given(speed, speed, slow, slow, slow)
 def test_mirrored_robots_move_as_mirror_images(
     right: float, left: float, vx: float, vy: float, rate: float
@@ -53,16 +42,6 @@ def test_mirrored_robots_move_as_mirror_images(
     x1, y1, w1 = tyre_step(vx, vy, rate, (right, left, left, right), p, p.kappa, DT)
     x2, y2, w2 = tyre_step(vx, -vy, -rate, (left, right, right, left), p, p.kappa, DT)
     assert (x1, y1, w1) == pytest.approx((x2, -y2, -w2), abs=1e-9)
-
-
-@given(st.floats(0.05, 9.0), speed, speed, slow, slow, slow)
-def test_the_friction_ellipse_bounds_the_force(
-    kappa: float, right: float, left: float, vx: float, vy: float, rate: float
-) -> None:
-    p, wheels = compute_physics(RobotConfig()), (right, left, left, right)
-    nx, ny, _ = tyre_step(vx, vy, rate, wheels, p, kappa, DT)
-    along, across = p.mass * (nx - vx) / DT, p.mass * (ny - vy) / DT
-    assert math.hypot(along, across / math.sqrt(kappa)) <= 4.0 * p.grip * (1.0 + 1e-9)
 
 
 def test_full_braking_obeys_the_friction_law() -> None:
@@ -97,9 +76,7 @@ def test_motor_lag_is_first_order() -> None:
     [
         ({"time_constant": 0.0}, 0.0, 7.0, 1.0, 7.0),  # without lag, at once
         ({}, 0.0, 1e6, 1.0, 30.0),
-        ({}, 0.0, -1e6, 1.0, -30.0),
         ({"deadband": 1.0}, 0.0, 10.0, 0.9, 9.0),  # a gain comes before deadband and saturation
-        ({"deadband": 1.0}, 0.0, 1.05, 0.9, 0.0),
         ({"deadband": 1.0}, 0.0, 29.0, 1.1, 30.0),
     ],
 )
@@ -109,17 +86,3 @@ def test_a_wheel_without_lag(
     own = {"max_speed": 30.0, "time_constant": 0.0, **motor}
     p = compute_physics(RobotConfig(motor=MotorConfig(**own)))
     assert wheel_speed(speed, set_point, gain, p.blend_a, p.deadband_a, p.max_speed) == expected
-
-
-@given(st.floats(-math.pi, math.pi), slow, slow, slow)
-def test_a_robot_step_turns_with_the_heading(
-    heading: float, vx: float, vy: float, rate: float
-) -> None:
-    """The same motion seen from the world, whichever way the robot looks."""
-    p = compute_physics(RobotConfig())
-    c, s = math.cos(heading), math.sin(heading)
-    world = (c * vx - s * vy, s * vx + c * vy, rate)
-    (wx, wy, wrate), wheels, angles = robot_step(c, s, world, SPIN, ZERO, SPIN, record_of(p), DT)
-    (bx, by, brate), _, _ = robot_step(1.0, 0.0, (vx, vy, rate), SPIN, ZERO, SPIN, record_of(p), DT)
-    assert (wx, wy, wrate) == pytest.approx((c * bx - s * by, s * bx + c * by, brate), abs=1e-9)
-    assert angles == pytest.approx([wheel * DT for wheel in wheels])

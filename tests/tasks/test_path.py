@@ -46,22 +46,6 @@ def test_left_of_the_path_is_positive() -> None:
     assert seen["linear_velocity"] == pytest.approx(0.6)
 
 
-def test_errors_are_wrapped_and_add_up_to_means() -> None:
-    following = played()
-    walk(following, (0.2, 0.1, 0.1 + math.tau), (0.4, -0.3, -0.3))
-    info = following.episode.info()
-    assert info["heading_error"] == pytest.approx(-0.3)
-    assert info["mean_cross_track_error"] == pytest.approx(0.2)
-    assert info["mean_heading_error"] == pytest.approx(0.2)
-
-
-def test_the_path_ahead_goes_round_the_corner() -> None:
-    following = played()
-    walk(following, *((x, 0.0, 0.0) for x in (0.5, 1.0, 1.5)))
-    seen = seen_at(following, 1.5, 0.0)
-    assert (seen["ahead_4"], seen["left_4"]) == pytest.approx((0.5, 0.5))
-
-
 def test_the_end_needs_the_whole_path() -> None:
     """Beside the end of a loop the robot isn't done before it has gone round."""
     square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.05)]

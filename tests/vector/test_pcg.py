@@ -24,10 +24,6 @@ def test_the_same_seed_gives_the_same_numbers(seed: int) -> None:
     assert [uniform(row, 0) for _ in range(20)] == expected.tolist()
 
 
-def test_without_a_seed_generators_differ() -> None:
-    assert pcg.seed_row(None) != pcg.seed_row(None)
-
-
 def test_rows_that_are_lent_to_numpy_go_on_where_it_ends() -> None:
     rows = np.array([pcg.seed_row(seed) for seed in (1, 2, 3)], np.uint64)
     whole, made = np.random.default_rng(3), dict[int, pcg.Lent]()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import copy
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.wrappers.vector import RecordVideo
 
 from acsar_gym.errors import RenderError
 from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_PICTURES
@@ -49,17 +47,6 @@ def test_the_first_robots_of_a_large_batch_are_drawn() -> None:
     assert drawn == [True] * MAX_PICTURES + [False] * (300 - MAX_PICTURES)
     assert pictures[0].shape[0] * 18 <= 1920  # all of them, as the recorder tiles them
     env.close()
-
-
-def test_gymnasiums_recorder_writes_a_video(tmp_path: Path) -> None:
-    env = RecordVideo(make(robots=4), str(tmp_path / "video"), video_length=3)
-    env.reset(seed=0)
-    for _ in range(4):
-        env.step(np.zeros((4, 2), np.float32))
-    env.close()
-    (video,) = (tmp_path / "video").iterdir()
-    assert video.stat().st_size > 1000
-    assert video.suffix == ".mp4"
 
 
 def test_there_is_nothing_to_see_before_a_reset_or_without_the_mode() -> None:

@@ -127,10 +127,8 @@ class Drifted(Sensor):
 
 
 CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
-    "noisy": (ENV_ID, (ThreeRays,), {"worlds": "clutter:6"}),
     "with a clock": (ENV_ID, (Drifting,), {"worlds": "clutter:6"}),
     "several": (ENV_ID, (Coin, ThreeRays, Drifting), {"worlds": "clutter:6"}),
-    "at once": (ENV_ID, (AtOnce, Coin), {"worlds": "clutter:6"}),
     "no LiDAR": ("acsar_gym/PointGoal-v0", (ThreeRays, Coin), {}),
     "that remembers, compiled": (ENV_ID, (Coin, ThreeRays, Gyro), {"worlds": "clutter:6"}),
     "that remembers": (
@@ -138,8 +136,6 @@ CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
         (PlainGyro, Drifted, Coin, Gyro),
         {"max_episode_steps": 5},
     ),
-    "on a path": ("acsar_gym/PathFollow-v0", (ThreeRays,), {"worlds": "smooth_path:3"}),
-    "a LiDAR of the user's choice": ("acsar_gym/PointGoal-v0", ("lidar", Coin), {}),
 }
 
 
@@ -191,17 +187,6 @@ def batch(*sensors: Any, robots: int = 64, **options: Any) -> Any:
     )
 
 
-def test_only_robots_that_are_reset_are_read_anew_and_seeds_repeat() -> None:
-    env = batch(ThreeRays, Coin, robots=3)
-    first, _ = env.reset(seed=0)
-    again, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
-    assert (first[[0, 2]] == again[[0, 2]]).all()
-    assert (first[1] != again[1]).any()
-    env.step(np.zeros((3, 2)))
-    assert (env.reset(seed=0)[0] == first).all()
-    env.close()
-
-
 def failing(what: Any, robot: int) -> Any:
     """Fails at the third reading of one robot."""
 
@@ -247,18 +232,6 @@ def test_errors_name_the_robot_and_need_a_reset(what: Any, message: str) -> None
     env.close()
 
 
-def test_robots_that_begin_anew_forget_and_the_others_remember() -> None:
-    env = batch(Drifted, robots=3)
-    env.reset(seed=0)
-    env.step(np.zeros((3, 2)))
-    first, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
-    then = env.step(np.zeros((3, 2)))[0]
-    assert first[:, -1].tolist() == [2.0, 1.0, 2.0]
-    assert then[:, -1].tolist() == [3.0, 2.0, 3.0]
-    assert then[:, -2] == pytest.approx(first[:, -2], abs=1e-3)
-    env.close()
-
-
 def test_numbers_of_a_compiled_sensor_are_those_of_its_generator() -> None:
     rngs = [np.random.default_rng(seed) for seed in range(2)]
     same = np.random.default_rng(1).random(3)
@@ -296,13 +269,6 @@ class Misnames(Wrong):
         memory.bais[0] = 1.0
 
 
-class UsesConfig(Wrong):
-    compiled = True
-
-    def reset_batch(self, scenes: Any, rngs: Any, memory: Any) -> None:
-        memory.bias[0] = self.config.wheel_radius
-
-
 class UsesGenerators(Wrong):
     compiled = True
 
@@ -310,23 +276,12 @@ class UsesGenerators(Wrong):
         memory.bias[0] = rngs[0].normal()
 
 
-class OutOfBounds(Wrong):
-    compiled = True
-
-    def read_batch(
-        self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any, memory: Any
-    ) -> None:
-        out[0, len(rngs)] = 0.0
-
-
 @pytest.mark.parametrize(
     ("kind", "error", "said"),
     [
         (UsesScenes, ConfigError, "can't compile it: .*a compiled sensor has no scenes"),
         (Misnames, ConfigError, "can't compile it: .*bais"),
-        (UsesConfig, ConfigError, "can't compile it: .*config.*no scenes, link or config"),
         (UsesGenerators, ConfigError, "can't compile it: .*draws by draw_uniform or draw_normal"),
-        (OutOfBounds, SensorError, "IndexError: .*with compiled = False"),
     ],
 )
 def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said: str) -> None:
@@ -335,11 +290,6 @@ def test_what_a_compiled_sensor_may_not_do_is_named(kind: Any, error: Any, said:
         env.reset(seed=0)
     assert "\n" not in str(caught.value)
     env.close()
-
-
-class Lazy(AtOnce):
-    def read_batch(self, truths: Any, scenes: Any, now: Any, rngs: Any, out: Any) -> None:
-        out[:1] = 0.5
 
 
 class Polled(AtOnce):
@@ -358,17 +308,9 @@ def own_lidar(link: Any, config: Any) -> Sensor:
         ((Polled,), "reset, poll and info aren't used in a batch: .*reset_batch"),
         ((own_lidar,), "sensor 'lidar': a batch has no LiDAR but its own: name it 'lidar'"),
         (("lidar",), "sensors: two are named 'lidar'"),
-        ((ThreeRays, type("Other", (ThreeRays,), {"name": "other"})), "'three_rays_time'"),
     ],
 )
 def test_what_cannot_be_in_a_batch_is_named(sensors: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         batch(*sensors, robots=2).reset(seed=0)
     assert "\n" not in str(caught.value)
-
-
-def test_one_for_all_robots_must_fill_all_rows() -> None:
-    env = batch(Lazy, robots=3)
-    with pytest.raises(SensorError, match=r"'at_once'.*left.*nan.*for robot 1: must be finite"):
-        env.reset(seed=0)
-    env.close()

@@ -214,9 +214,7 @@ OWN_SUCCESS = {
     [
         (Remembering, OWN_SUCCESS, "'is_success': info has that already"),
         (Hasty, {}, r"begin\(\) raised ZeroDivisionError: .*\.py:\d+"),
-        (Remembering, {"observation": ["x"]}, "observation = "),
         (Remembering, {"memory": None}, "memory = "),
-        (Remembering, {"told": "m"}, "told = "),
         (Remembering, {"sensors": Sensor}, "sensors = "),
     ],
 )
@@ -225,13 +223,6 @@ def test_mistakes_of_a_class_are_found_before_the_first_reset(
 ) -> None:
     with pytest.raises(ConfigError, match=f"Wrong.*{said}"):
         RobotEnv(unsound(base, **attributes), "planar")
-
-
-@pytest.mark.parametrize("env", [RobotEnv, RobotVectorEnv])
-@pytest.mark.parametrize("sensors", [Sensor, "lidar", None])
-def test_sensors_are_a_list(env: Any, sensors: Any) -> None:
-    with pytest.raises(ConfigError, match="sensors = "):
-        env(PointGoal, sensors=sensors)
 
 
 class Writing(Unsound):
@@ -255,42 +246,3 @@ def test_what_a_memory_does_not_declare_is_named(task: type[Task]) -> None:
         batch.reset(seed=0)
         batch.step(ACTIONS[0, :1])
     batch.close()
-
-
-class Failing(Remembering):
-    """Raises in one of its methods, through a library."""
-
-    fails_in: ClassVar[str] = ""
-
-    def begin(self, state: State, memory: Any) -> None:
-        super().begin(state, memory)
-        self.fail("begin", state)
-
-    def outcome(self, state: State, memory: Any) -> Outcome:
-        self.fail("outcome", state)
-        return Outcome.GOING
-
-    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        self.fail("reward", state)
-        return super().reward(state, memory, outcome)
-
-    def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        self.fail("observe", state)
-        return super().observe(state, memory)
-
-    def fail(self, method: str, state: State) -> None:
-        """Raise, but not where the env tries the task."""
-        if method == self.fails_in and state.goal != (1.0, 0.0):
-            np.concatenate([])
-
-
-@pytest.mark.parametrize("kind", [RobotEnv, RobotVectorEnv])
-@pytest.mark.parametrize("method", ["begin", "outcome", "reward", "observe"])
-def test_errors_of_a_task_name_it_and_the_line(kind: Any, method: str) -> None:
-    env = kind(type("Failing", (Failing,), {"fails_in": method}))
-    said = rf"Failing: {method}\(\) raised ValueError: .*test_task.py:\d+"
-    with pytest.raises(TaskError, match=said) as caught:
-        env.reset(seed=0)
-        env.step(ACTIONS[0, 0] if kind is RobotEnv else ACTIONS[0, :1])
-    assert isinstance(caught.value.__cause__, ValueError)
-    env.close()

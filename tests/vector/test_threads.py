@@ -2,30 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 import threading
-from typing import Any
 
 import pytest
 
 from acsar_gym.vector.threads import Threads
-
-
-@pytest.mark.parametrize("threads", [1, 2, 3, 7])
-def test_every_item_is_done_once(threads: int) -> None:
-    pool = Threads(threads)
-    done = [0] * 100
-
-    def work(first: int, last: int) -> None:
-        for item in range(first, last):
-            done[item] += 1
-
-    for _ in range(50):
-        pool.share(work, 100)
-    pool.close()
-    assert done == [50] * 100
 
 
 def test_an_error_of_any_share_is_raised_and_the_pool_goes_on() -> None:
@@ -56,48 +39,6 @@ def test_a_closed_or_dropped_pool_leaves_no_thread_and_a_closed_one_works_on_alo
     seen: list[tuple[int, int]] = []
     pool.share(lambda first, last: seen.append((first, last)), 9)
     assert seen == [(0, 9)]
-
-
-class Interrupted:
-    """Reports of a thread; Ctrl-C comes while they are waited for."""
-
-    def get(self) -> Any:
-        raise KeyboardInterrupt
-
-
-def test_no_thread_works_on_after_an_interrupt() -> None:
-    """However the wait for the others ends, the next orders wait for the old ones."""
-    pool, held, ended = Threads(3), threading.Event(), []
-
-    def slow(first: int, last: int) -> None:
-        if first > 0:
-            held.wait(60.0)
-            ended.append(first)
-
-    worker = pool._workers[1]
-    pool._workers[1] = worker._replace(reports=Interrupted())  # type: ignore[arg-type]
-    threading.Timer(0.05, held.set).start()
-    with pytest.raises(KeyboardInterrupt):
-        pool.share(slow, 90)
-    seen: list[int] = []
-    pool.share(lambda first, _: seen.append(len(ended)), 90)
-    assert seen == [2, 2, 2]
-    pool.close()
-
-
-def test_an_interrupt_of_the_callers_own_share_waits_for_the_others() -> None:
-    pool, ended = Threads(3), []
-
-    def work(first: int, last: int) -> None:
-        if first == 0:
-            signal.raise_signal(signal.SIGINT)
-        ended.append(first)
-
-    for number in range(1, 4):
-        with pytest.raises(KeyboardInterrupt):
-            pool.share(work, 90)
-        assert len(ended) == 2 * number
-    pool.close()
 
 
 FORK = """

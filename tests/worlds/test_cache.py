@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +58,6 @@ def test_a_kept_world_is_the_generated_one_to_the_bit(kind: str, made: list[int]
     assert describe(again[0]) == describe(fresh)
 
 
-@pytest.mark.parametrize("other", [(0.5, 0.2), ((0.5, 0.5), 0.2), ((0.2, 0.5), 0.2), (None, 0.21)])
-def test_another_difficulty_or_footprint_is_another_world(other: Any, made: list[int]) -> None:
-    read("open:1", None, 0.2)
-    read("open:1", *other)
-    assert made == [0, 0]
-
-
 def test_a_changed_generator_never_finds_old_worlds(
     monkeypatch: pytest.MonkeyPatch, made: list[int]
 ) -> None:
@@ -103,22 +95,6 @@ def test_a_broken_file_is_made_anew(content: bytes, folder: Path, made: list[int
     assert made == [0, 0]
 
 
-@pytest.mark.parametrize("place", ["off", "", "0", "/dev/null/folder", "/proc/nowhere"])
-def test_where_nothing_can_be_kept_worlds_are_made(
-    place: str, made: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(cache.CACHE_VARIABLE, place)
-    read("open:2")
-    read("open:2")
-    assert made == [0, 1, 0, 1]
-
-
-def test_the_folder_is_the_users_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv(cache.CACHE_VARIABLE)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert cache.cache_folder() == tmp_path / "acsar_gym" / "worlds"
-
-
 def test_a_process_that_makes_worlds_prunes_first(
     folder: Path, monkeypatch: pytest.MonkeyPatch, made: list[int]
 ) -> None:
@@ -127,19 +103,3 @@ def test_a_process_that_makes_worlds_prunes_first(
     cache._prune.cache_clear()
     read("open:10-10")
     assert len(list(folder.rglob("output.pkl"))) == 1
-
-
-def keep_some(first: int) -> None:
-    for number in range(first, 40, 4):
-        read(f"open:{number}-{number}")
-
-
-def test_several_processes_write_at_once(made: list[int]) -> None:
-    processes = [get_context("fork").Process(target=keep_some, args=(n,)) for n in range(4)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join(60.0)
-    assert [process.exitcode for process in processes] == [0] * 4
-    assert len(read("open:40")) == 40
-    assert made == []

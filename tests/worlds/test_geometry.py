@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
-from acsar_gym.physics.bullet import BulletBody
-from acsar_gym.worlds import Scene, World
-from acsar_gym.worlds.generators import generate_world
+from acsar_gym.worlds import World
 from acsar_gym.worlds.geometry import (
     Obstacles,
     RaySpec,
@@ -20,7 +17,6 @@ from acsar_gym.worlds.geometry import (
     cast_rays,
     footprint_collides,
     make_surroundings,
-    measure_ranges,
     point_clearance,
     segment_clearance,
 )
@@ -82,24 +78,6 @@ def test_rays_are_those_of_brute_force(spec: RaySpec) -> None:
 def test_nothing_is_seen_at_full_reach_and_all_from_inside(circles: Any, expected: float) -> None:
     around = make_surroundings(Obstacles(circles), RaySpec(16, 7.5), 1, CONFIG)
     assert (seen(around, (0.5, 0.0, 3.0)) == expected).all()
-
-
-@pytest.mark.parametrize(
-    ("make", "arguments", "error", "field"),
-    [
-        (Obstacles, ([[0.0, 0.0]],), ConfigError, "obstacles"),
-        (Obstacles, ((), [[1.0, 2.0, 3.0]]), ConfigError, "obstacles"),
-        (Obstacles, (np.zeros((7, 2, 3)),), ConfigError, "obstacles"),
-        (point_clearance, ([1.0, 2.0, 3.0], World()), ValueError, "shape"),
-        (segment_clearance, ([(0, 0), (1, 1)], [(1, 0)], World()), ValueError, "2 starts"),
-    ],
-)
-def test_bad_values_name_the_field(
-    make: Any, arguments: tuple[Any, ...], error: type[Exception], field: str
-) -> None:
-    with pytest.raises(error, match=field):
-        made = make(*arguments)
-        made.arrays(3)
 
 
 NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
@@ -168,7 +146,6 @@ ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # typ
         ((-1.0, 0.2), (1.0, 0.2), -0.3),  # into the circle
         ((-3.0, 1.0), (3.0, 1.0), 0.0),  # through the end of the segment
         ((-3.0, 2.0), (3.0, 2.0), 1.0),
-        ((1.0, 0.7), (4.0, 0.7), 0.0),  # across the segment
         ((2.0, -3.0), (2.0, 3.0), 0.0),  # along the segment
         ((3.0, 0.0), (5.0, 0.0), 1.0),
         ((0.0, 4.0), (0.0, 4.0), 3.5),  # a point
@@ -177,30 +154,3 @@ ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # typ
 def test_distances_by_hand(a: Any, b: Any, expected: float) -> None:
     found = point_clearance([a], ROOM) if b is None else segment_clearance([a], [b], ROOM)
     assert found[0] == pytest.approx(expected, abs=1e-15)
-
-
-REACH = 5.0
-MILLIMETRE = 1e-3
-
-
-def test_what_pybullet_hits_in_the_envs_bodies_lies_on_our_surfaces() -> None:
-    config = CONFIG.with_(lidar_x_offset=0.0, lidar_y_offset=0.0)
-    body, rng = BulletBody(config), np.random.default_rng(0)
-    angles = RaySpec(64, REACH).angles()
-    hits = 0
-    for number in range(10):
-        world = generate_world("clutter", number)
-        place = rng.uniform(-3.0, 3.0, 2)
-        if point_clearance(place[None], world)[0] < 0.3:
-            continue
-        body.reset(Scene(start=(9.0, 9.0, 0.0), world=world))
-        ranges = body.rays((float(place[0]), float(place[1])), angles, REACH)
-        met = ranges < REACH
-        points = place + ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        off = np.abs(point_clearance(points[met], world)).max()
-        assert off < 2.1 * MILLIMETRE  # walls are 2 mm
-        far = measure_ranges((float(place[0]), float(place[1])), angles, world)
-        assert np.mean(np.abs(np.minimum(far, REACH) - ranges) < 5.0 * MILLIMETRE) > 0.9
-        hits += int(met.sum())
-    body.close()
-    assert hits > 200

@@ -96,10 +96,8 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
     [
         ({}, [True, True, False, False, False]),
         ({"negate": 1}, [False, False, True, True, True]),
-        ({"occupied_thresh": 0.2}, [True, True, True, False, False]),
         ({"mode": "scale"}, [True, True, False, False, False]),
         ({"mode": "raw"}, [False, True, False, False, False]),
-        ({"mode": "raw", "negate": 1}, [False, True, False, False, False]),
     ],
 )
 def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
@@ -132,11 +130,7 @@ def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"resolution": None}, "resolution: is missing: add it"),
-        ({"resolution": 0.0}, "resolution = 0.0: must be greater than 0"),
-        ({"origin": [0.0, 0.0]}, "'origin.2' is missing"),
         ({"origin": [0.0, 0.0, math.nan]}, "origin.2 = nan: must"),
-        ({"image": "nowhere.pgm"}, "image 'nowhere.pgm': there is no such file"),
-        ({"image": "."}, "image '.': isn't a regular file"),
         ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
         (
@@ -154,14 +148,6 @@ def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_pat
         files.load_world(path)
     assert str(caught.value).startswith(f"{path}: {message}")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("suffix", [".pgm", ".png", ".PGM"])
-def test_a_picture_without_its_yaml_is_refused(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"map{suffix}"
-    path.write_bytes(pgm([[BLACK]]))
-    with pytest.raises(WorldError, match="pass the YAML that names it"):
-        files.load_world(path)
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
@@ -183,7 +169,6 @@ UNSOUND = "isn't a sound PGM"
         *((data, "pixels") for data in (b"P5 5000 5000 255\n", b"P5 99999999 99999999 255\n")),
         *((png(side, side), "pixels") for side in (5_000, 60_000)),
         *((data, UNSOUND) for data in (b"", b"\x00" * 100, b"P5 2 2 255\n\x00", b"P5 2 2 0\n1234")),
-        (b"GIF89a\x01\x00\x01\x00\x00\x00\x00;", UNSOUND),
         (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n", UNSOUND),
         *((png(2, 2, data), UNSOUND) for data in (b"", b"\x00\x01\x02\x00")),
     ],

@@ -6,12 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import trimesh as untyped_trimesh
 
 from acsar_gym.errors import MissingExtraError, WorldError
-from acsar_gym.worlds import files, meshes
+from acsar_gym.worlds import files
 from acsar_gym.worlds.files import Placement
 
 trimesh: Any = untyped_trimesh
@@ -76,22 +75,6 @@ def test_a_mesh_is_cut_at_the_lidars_height(name: str, tmp_path: Path) -> None:
     assert len(segments) == 16
 
 
-def test_a_part_counts_alone_and_may_be_centred(tmp_path: Path) -> None:
-    write_mesh(tmp_path / "table.dae", TABLE)
-    text = (tmp_path / "table.dae").read_text(encoding="utf-8")
-    nodes = text.replace('name="node1"', 'name="leg"')
-    moved = '<node id="node1" name="leg"><translate>5 0 0</translate>'
-    nodes = nodes.replace('<node id="node1" name="leg">', moved)
-    (tmp_path / "table.dae").write_text(nodes, encoding="utf-8")
-    leg = [(TABLE[1][0], (4.6, -0.2, 0.35))]
-    uri = "<uri>table.dae</uri><submesh><name>leg</name>{}</submesh>"
-    assert corners(load(tmp_path, uri.format(""))) == boxed(leg)
-    centred = load(tmp_path, uri.format("<center>true</center>"), "0 0 0.35 0 0 0")
-    assert corners(centred) == boxed([(TABLE[1][0], (0.0, 0.0, 0.35))])
-    with pytest.raises(WorldError, match=r"mesh 'table\.dae': has no part 'arm'"):
-        load(tmp_path, uri.format("").replace("leg", "arm"))
-
-
 def test_a_world_as_packages_publish_them(tmp_path: Path) -> None:
     """Worlds beside models, whose meshes name the model, in models that include models."""
     (tmp_path / "worlds").mkdir()
@@ -136,19 +119,6 @@ def test_what_is_lower_than_the_lidar_is_outlined_where_it_is(suffix: str, tmp_p
     assert len(segments) == 4
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 -0.115 0 0 0")), "a floor"
     assert not len(load(tmp_path, f"<uri>kerb{suffix}</uri>", "0 0 0.6 0 0 0")), "a beam"
-
-
-def test_outlines_have_no_more_corners_than_needed(tmp_path: Path) -> None:
-    wall = trimesh.creation.box((4.0, 0.2, 1.0)).subdivide().subdivide().subdivide()
-    drum = trimesh.creation.cylinder(0.3, 1.0, sections=400)
-    drum.apply_translation((0.0, 2.0, 0.0))
-    trimesh.util.concatenate([wall, drum]).export(tmp_path / "both.stl")
-    segments = load(tmp_path, "<uri>both.stl</uri>", "0 0 0.4 0 0 0")
-    around = segments[segments[:, 1] > 1.0]
-    assert len(segments) - len(around) == 4
-    assert 16 <= len(around) <= 40
-    radii = np.hypot(around[:, 0], around[:, 1] - 2.0)
-    assert radii == pytest.approx(0.3, abs=meshes.OUTLINE_TOLERANCE)
 
 
 @pytest.mark.parametrize(

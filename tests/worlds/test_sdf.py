@@ -48,7 +48,6 @@ def drawn(*models: str) -> tuple[list[list[float]], list[list[float]]]:
 
 QUARTER = math.pi / 2.0
 AHEAD = body(CYLINDER, pose(1, 0, 0, 0, 0, 0))
-QUATERNION = pose(1, 2, 0, 0, 0, 3, 3, attributes="rotation_format='quat_xyzw'")
 
 
 def relative(frame: str, *numbers: float) -> str:
@@ -73,17 +72,8 @@ STATE = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model>
             [model(AHEAD, pose(1, 2, 0, 0, 0, QUARTER), link=pose(3, 0, 0, 0, 0, QUARTER))],
             [0.0, 5.0, 0.1],
         ),
-        ([model(AHEAD, pose(0, 0, 0, 0, 0, 90, attributes="degrees='true'"))], [0.0, 1.0, 0.1]),
         ([model(body(SPHERE), pose(1, 2, 0.1, 0, 0, 0))], [1.0, 2.0, 0.2]),  # at its widest
-        (
-            [f"<model name='outer'>{pose(0, 5, 0, 0, 0, 0)}{model(AHEAD)}</model>"],
-            [1.0, 5.0, 0.1],
-        ),
         ([model(body(CYLINDER), pose(1, 2, 0, 0, 0, 0)), STATE], [7.0, 8.0, 0.1]),
-        (  # as Gazebo classic saves what was scaled by hand
-            [model(body(CYLINDER)), STATE.replace("</pose>", "</pose><scale>3 2 1</scale>")],
-            [7.0, 8.0, 0.3],
-        ),
         ([model(body(CYLINDER, ABOVE_FRAME), pose(1, 2, 0, 0, 0, 0), link=FRAME)], [0, 4, 0.1]),
         (  # a model in another one's frame, and in a frame of the world
             [
@@ -93,19 +83,10 @@ STATE = f"<state world_name='w'><model name='m'>{pose(7, 8, 0, 0, 0, 0)}</model>
             ],
             [4.0, 1.0, 0.1],
         ),
-        (  # the frame in it that a pose places
-            [
-                model(body(CYLINDER), pose(5, 5, 0, 0, 0, QUARTER), link=FRAME).replace(
-                    "'m'", "'m' placement_frame='f'"
-                )
-            ],
-            [5.0, 4.0, 0.1],
-        ),
         (  # a joint's frame is its child's, a name may lead into another model
             [WITH_JOINT],
             [2.0, 4.0, 0.1],
         ),
-        ([model(AHEAD, QUATERNION)], [1.0, 3.0, 0.1]),
         ([model(body(SPHERE.replace("0.2", "1")), pose(0, 0, 1.3, 0, 0, 0))], [0, 0, 0.6]),
     ],
 )
@@ -117,16 +98,13 @@ def test_round_bodies_lie_where_their_poses_say(models: list[str], expected: lis
     "harmless",
     [
         "<include><uri>model://sun</uri></include>",
-        "<include><uri>model://ground_plane/</uri></include>",
         *(
             f"<include><uri>https://fuel.{home}.org/1.0/OpenRobotics/models/{name}</uri></include>"
             for home in ("gazebosim", "ignitionrobotics")
             for name in ("Ground Plane", "Sun", "sun/2", "Ground%20Plane/tip")
         ),
-        "<road name='r'><width>3</width><point>0 0 0</point><point>9 0 0</point></road>",
         "<light name='sun'><pose>0 0 10 0.3 0 0</pose></light>",
         model(body("<plane><normal>0 0 1</normal><size>9 9</size></plane>")),
-        model(body("<empty/>")),
         model("<visual name='v'><geometry><mesh><uri>x</uri></mesh></geometry></visual>"),
         model(body(CYLINDER), pose(0, 0, 1.1, 0, 0, 0)),  # hangs above the robot
         model(body(BOX), pose(0, 0, -0.2, 0, 0, 0)),  # a floor
@@ -146,28 +124,18 @@ IN_A_CIRCLE = (
     ("broken", "message"),
     [
         (model(body(SPHERE), pose("nan", 0, 0, 0, 0, 0)), "pose must be 6 finite"),  # type: ignore[arg-type]
-        (model(body(SPHERE), pose(1e9, 2, 3, 4, 5, 6)), "at most 10000"),
         (model(body(SPHERE.replace("0.2", "-1"))), "radius must not be negative"),
-        (model(body(SPHERE.replace("0.2", "wide"))), "is 'wide'"),
-        (model(body("<sphere/>")), "its sphere has no <radius>"),
         (model(body("<mesh><uri>x.dae</uri></mesh>")), "there is no mesh 'x.dae'"),
         (model(body("<heightmap><uri>x.png</uri></heightmap>")), "a heightmap is uneven ground"),
-        (model(body("<torus/>")), "a torus can't be read"),
         (
             model(body("<polyline><height>1</height></polyline>"), pose(0, 0, 0, 1, 0, 0)),
             "a polyline is tilted",
         ),
-        (model(body("<plane><normal>1 0 0</normal></plane>")), "a plane must be level"),
         (model(body(CYLINDER), pose(0, 0, 0, 0, 0, 0, attributes="relative_to='x'")), "'x'"),
-        (
-            model(body(CYLINDER), pose(*[0] * 7, attributes="rotation_format='quat_xyzw'")),
-            "a quaternion of a pose is zero",
-        ),
         (
             model(body(CYLINDER, relative("a", *[0] * 6)), link=IN_A_CIRCLE),
             "frames are relative to each other in a circle",
         ),
-        (model(body(CYLINDER)).replace("'m'", "'m' placement_frame='f'"), "'f'"),
     ],
 )
 def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Path) -> None:
@@ -183,10 +151,8 @@ def test_bad_models_are_refused_by_name(broken: str, message: str, tmp_path: Pat
     ("data", "message"),
     [
         (b"", "not valid XML"),
-        (b"<?xml version='1.0' encoding='klingon'?><sdf/>", "not valid XML"),
         (b"<robot/>", "one <world>"),
         (sdf_of("<include><uri>model://house</uri></include>"), "includes 'model://house'"),
-        (sdf_of("<population><model/></population>"), "population"),
         (sdf_of("<model>" * 12 + "</model>" * 12), "nested"),
         (f"{BILLION_LAUGHS}<sdf>&e9;</sdf>".encode(), "entities"),
         (b"<!DOCTYPE sdf [<!ENTITY e SYSTEM 'file:///etc/passwd'>]><sdf>&e;</sdf>", "entities"),
@@ -199,12 +165,6 @@ def test_bad_files_are_refused(data: bytes, message: str, tmp_path: Path) -> Non
         files.load_world(path)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_million_bodies_are_refused_at_once() -> None:
-    data = b"<sdf><world>" + model(body(SPHERE)).encode() * 500_000
-    with pytest.raises(WorldError, match="too many"):
-        sdf.read_obstacles(data)
 
 
 CORRIDOR = [
@@ -263,7 +223,6 @@ HEADER = b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
         *([[10**9, 0]], [[-(2**63), 0]], [[0, 0]] * 20_001),
         *(b"", b"PK\x03\x04", b"\x80\x04K\x01."),
         HEADER % b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000, 2), }",
-        HEADER % b"{'descr': '|O', 'fortran_order': False, 'shape': (1, 2), }",
         HEADER % b"{'",
     ],
     ids=lambda cells: str(cells)[:20],
@@ -288,7 +247,6 @@ def moving(plugin: str, name: str = "m") -> str:
 @pytest.mark.parametrize(
     ("parts", "said"),
     [
-        ([moving(WALKER)], "model 'm' (plugin 'libwalk_back_and_forth.so') stands where it begins"),
         ([ACTOR], "actor 'person' is left out"),
         (
             [moving(WALKER, "a"), moving(WALKER, "b"), ACTOR],
@@ -298,15 +256,11 @@ def moving(plugin: str, name: str = "m") -> str:
             ),
         ),
         (
-            [f"<model name='o'>{moving(WALKER)}</model>"],
-            "model 'o::m' (plugin 'libwalk_back_and_forth.so')",
-        ),
-        (
             [moving("<plugin filename='gz-sim-velocity-control-system' name='gz::sim::V'/>")],
             "model 'm' (plugin 'gz-sim-velocity-control-system')",
         ),
     ],
-    ids=["plugin", "actor", "several", "nested", "new Gazebo"],
+    ids=["actor", "several", "new Gazebo"],
 )
 def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> None:
     path = tmp_path / "moving.world"
@@ -331,7 +285,6 @@ def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> Non
             )
         ),
         ["<plugin name='p' filename='libx.so'/>", model("")],
-        ["<light name='l' type='point'/>", model(body(CYLINDER))],
     ],
 )
 def test_what_only_measures_or_shines_is_no_mover(parts: list[str]) -> None:
@@ -365,9 +318,7 @@ MOVED = model(AHEAD, pose(1, 0, 0, 0, 0, QUARTER), name="table")
     ("inside", "expected"),
     [
         ("", [1.0, 1.0, 0.1]),
-        (pose(5, 5, 0, 0, 0, 0), [6.0, 5.0, 0.1]),
         (f"<name>t2</name>{pose(5, 5, 0, 0, 0, QUARTER)}<static>true</static>", [5.0, 6.0, 0.1]),
-        (f"<placement_frame>l</placement_frame>{pose(5, 5, 0, 0, 0, 0)}", [6.0, 5.0, 0.1]),
         (f"<name>n</name>{relative('base', 1, 0, 0, 0, 0, 0)}", [2.0, 3.0, 0.1]),
     ],
 )
@@ -395,17 +346,6 @@ def test_models_are_found_where_gazebo_finds_them(
         monkeypatch.setenv(way, folders)
         where = load_included(tmp_path / "worlds", include("model://table"))
     assert where == [[1.0, 1.0, 0.1]]
-
-
-@pytest.mark.parametrize(
-    "uri", ["package://my_gazebo/models/table", "..\\models\\table", ".\\own\\table", "own/table"]
-)
-def test_models_are_found_by_package_and_path(uri: str, tmp_path: Path) -> None:
-    """A world of a ROS package names its models so; one of Windows with backslashes."""
-    package = tmp_path / "my_gazebo"
-    write_model(package / "models", "table", MOVED)
-    write_model(package / "worlds" / "own", "table", MOVED)
-    assert load_included(package / "worlds", include(uri)) == [[1.0, 1.0, 0.1]]
 
 
 @pytest.mark.parametrize(

@@ -58,12 +58,6 @@ def test_turns_are_whole_whatever_the_pieces(model: str, size: int) -> None:
 
 
 @every_maker
-def test_a_head_turns_as_its_maker_says(model: str) -> None:
-    (turn, *_) = turns_of(model, stream(model))
-    assert np.sign(np.median(show_turned(turn))) == (1.0 if model == "neato" else -1.0)
-
-
-@every_maker
 def test_a_turn_that_lost_bytes_is_dropped(model: str) -> None:
     data = stream(model)
     whole = turns_of(model, data)
@@ -151,6 +145,3 @@ def test_each_measurement_has_the_time_at_which_it_was_made(
             assert np.abs(late).max() < 0.005
             assert turn.stamp <= now
     assert turns > 6
-
-
-"""A measurement of an RPLIDAR in the midst of a turn."""

@@ -9,15 +9,21 @@ import time
 
 import numpy as np
 import pytest
-from lidar_tools import room, state, turns
+from lidar_tools import state, turns
 from lidar_twins import MAKERS
-from serial_lidar_tools import Open, Start, measure, newer, open_serial, reset, shows_the_room
+from serial_lidar_tools import (
+    MODELS,
+    Open,
+    Start,
+    measure,
+    newer,
+    open_serial,
+    reset,
+    shows_the_room,
+)
 from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
 
 from acsar_gym.errors import LidarError
-from acsar_gym.lidar.drivers import find_drivers
-from acsar_gym.lidar.serial import RevolutionAssembler, _Reader
-from acsar_gym.tools.emulation.lidar import RplidarTwin
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -86,7 +92,7 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
     assert shows_the_room(measure(make(sensor)))
 
 
-@pytest.mark.parametrize("model", MAKERS)
+@pytest.mark.parametrize("model", MODELS)
 def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
     emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
     lidar = make(emulated, model)
@@ -101,36 +107,3 @@ def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -
     # The emulator says when it has sent the beginning of the next turn.
     off = [float(np.abs(ends - stamp).min()) for stamp in stamps]
     assert statistics.median(off) < 0.25 / 5.5  # were it the turn before, a whole turn
-
-
-class SlowPort:
-    """A port whose reader sleeps now and then; what it missed is as old as its sleep."""
-
-    def __init__(self) -> None:
-        self.twin = RplidarTwin(room, rate=20.0, samples=100)
-        self.twin.receive(b"\xa5\x20")
-        self.pause = 0.0
-        self.flushed = 0
-
-    def read(self, size: int) -> bytes:
-        time.sleep(self.pause)
-        return self.twin.advance(0.005 + self.pause)[-size:]
-
-    def reset_input_buffer(self) -> None:
-        self.flushed += 1
-
-
-def test_what_was_missed_is_dropped_not_stamped_as_new() -> None:
-    port = SlowPort()
-    reader = _Reader(port, RevolutionAssembler(find_drivers()["rplidar"]()), time.monotonic)
-    reader.start()
-    wait_until(lambda: reader.newest is not None, "a turn")
-    port.pause = 0.2
-    wait_until(lambda: port.flushed > 2, "flushes")
-    stale = reader.newest
-    time.sleep(0.5)
-    assert reader.newest is stale
-    port.pause = 0.0
-    wait_until(lambda: reader.newest is not stale, "a turn")
-    reader.running = False
-    reader.join()

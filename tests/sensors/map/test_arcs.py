@@ -104,27 +104,3 @@ def test_what_passes_beside_the_footprint_counts_for_the_wider_one() -> None:
     assert beside == pytest.approx([longest, 0.75], abs=1e-3)
     far = measure(outline, (1.0, 0.2 + 1.01 * margin))[:, ARCS // 2]
     assert far == pytest.approx([longest, longest])
-
-
-def test_the_outer_rear_corner_hits_what_stands_beside_it() -> None:
-    """A rectangle that turns left swings its right rear corner out."""
-    ways = measure(make_rectangle(0.6, 0.4), (0.0, -0.22))[0]
-    assert ways[-1] < 0.5 < ways[ARCS // 2]
-
-
-@pytest.mark.parametrize("degrees", range(4, 76, 4))
-def test_what_nearly_touches_a_slanted_front_counts_as_touched(degrees: int) -> None:
-    """Within a band of its width, a circle's front differs by up to a tenth of its radius."""
-    angle = math.radians(degrees)
-    spot = 0.301 * math.cos(angle), 0.301 * math.sin(angle)
-    straight, _ = drive(CIRCLE, ARCS // 2, spot)
-    assert straight < 0.03
-    assert measure(CIRCLE, spot)[0, ARCS // 2] < 0.03
-
-
-@pytest.mark.parametrize("curvature", [0.0, 0.5, -0.5, 2.0])
-def test_a_point_of_the_arc_lies_where_the_robot_will_be(curvature: float) -> None:
-    for far in (0.1, 0.7, 1.5):
-        x = math.sin(far * curvature) / curvature if curvature else far
-        y = (1.0 - math.cos(far * curvature)) / curvature if curvature else 0.0
-        assert along_arc(x, y, curvature) == pytest.approx((0.0, far), abs=1e-7)

@@ -20,7 +20,6 @@ from acsar_gym.sensors.map.seen import (
     MISS,
     OCCUPIED,
     SHARED_RAYS,
-    STAMP_REACH,
     Grid,
     add_scan,
     cell_at,
@@ -117,18 +116,6 @@ def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits:
     assert grid.counts.max() == COUNT_FREE
 
 
-@pytest.mark.parametrize("distance", [HALF * SIDE + 0.1, FARTHEST])
-def test_what_ends_beyond_the_window_or_nowhere_is_no_obstacle(distance: float) -> None:
-    grid = empty()
-    for turn in range(SHARED_RAYS):
-        ahead(distance, turn, grid)
-    assert not grid.costs.any()
-    assert grid.counts.max() < OCCUPIED
-    passed = [place((i, 0)) for i in range(2, HALF - 3)]  # seen, and free
-    assert [int(grid.counts[cell]) for cell in passed] == [COUNT_FREE] * len(passed)
-    assert not grid.counts[:, 1:].any()
-
-
 def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:
     grid, pose, mount = empty(), (1.3, -2.1, 2.0), (0.3, -0.2)
     rays = Rays(-0.5, 0.4, 0.05, FARTHEST, *mount, 0.01)
@@ -172,19 +159,3 @@ def test_costs_raised_and_lowered_are_those_made_from_scratch(
     occupied = grid.counts >= OCCUPIED
     assert (grid.counts[occupied] > OCCUPIED + COUNT_FREE).all()
     assert (grid.counts[~occupied] < COUNT_OCCUPIED).all()
-
-
-@given(middle=st.tuples(CELL, CELL), offset=st.tuples(*[st.integers(-HALF, HALF - 1)] * 2))
-@settings(max_examples=100, deadline=None)
-def test_a_stamp_is_cut_off_at_the_windows_edge_and_goes_on_beyond_the_arrays(
-    middle: tuple[int, int], offset: tuple[int, int]
-) -> None:
-    grid, cell = empty(), (middle[0] + offset[0], middle[1] + offset[1])
-    grid.costs[:] = 3
-    raise_costs(grid, STAMP, *cell, middle)
-    wanted = np.full((CELLS, CELLS), 3, np.uint8)
-    for (k, n), cost in np.ndenumerate(STAMP):
-        around = cell[0] + k - STAMP_REACH, cell[1] + n - STAMP_REACH
-        if in_window(around, middle):
-            wanted[place(around)] = max(int(cost), 3)
-    np.testing.assert_array_equal(grid.costs, wanted)

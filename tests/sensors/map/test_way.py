@@ -29,7 +29,6 @@ from acsar_gym.sensors.map.way import (
     octile,
     piece_cost,
     plan_way,
-    point_ahead,
     search_way,
 )
 
@@ -91,12 +90,8 @@ def measure_all(costs: Any, middle: tuple[int, int]) -> Any:
     ("seed", "middle", "offset"),
     [
         (0, (0, 0), (20, 3)),
-        (1, (-70, 1000), (-9, 17)),
-        (2, (5, -64), (-25, -25)),
         (3, (300, 2), (62, 0)),  # nearly at the edge
-        (4, (0, 0), (0, 0)),
         (5, (-1, -1), (200, -40)),  # outside of the window
-        (6, (63, 64), (-30, 100)),
     ],
 )
 @pytest.mark.parametrize("dense", [0.05, 0.3])
@@ -169,15 +164,6 @@ def test_the_way_goes_round_what_is_in_between(
     assert points[:, 2] == pytest.approx([*np.cumsum(lengths[::-1])[::-1], 0.0])
 
 
-def test_beyond_the_window_nothing_is_known() -> None:
-    """A wall near the robot isn't met again one window further on."""
-    grid, window = walled((-0.6, -1.0, -0.6, 1.0)), CELLS * SIDE
-    far = window - 0.6
-    assert piece_cost(grid.costs, SIDE, ORIGIN, (-0.8, 0.0), (-0.4, 0.0))[1] == LETHAL
-    cost, most = piece_cost(grid.costs, SIDE, ORIGIN, (far - 0.2, 0.0), (far + 0.2, 0.0))
-    assert (cost, most) == pytest.approx((0.4 / SIDE, 0.0))
-
-
 def test_a_robot_whose_goal_cannot_be_reached_still_gets_a_way() -> None:
     box = (
         (1.0, -0.5, 1.0, 0.5),
@@ -202,10 +188,3 @@ def test_corners_are_passed_and_the_way_that_is_left_measured(
 ) -> None:
     assert next_corner(POINTS, 3, 1, x, y) == corner
     assert length_left(POINTS, corner, x, y) == pytest.approx(left)
-
-
-@pytest.mark.parametrize(
-    ("length", "wanted"), [(0.25, (0.5, 0.0)), (1.75, (1.0, 1.0)), (99.0, (1.0, 2.0))]
-)
-def test_a_point_of_the_way_lies_so_far_ahead(length: float, wanted: tuple[float, float]) -> None:
-    assert point_ahead(POINTS, 3, 1, 0.25, 0.0, length) == pytest.approx(wanted)
