@@ -200,9 +200,9 @@ def run_job(job: SeedJob) -> SeedResult:
         last = said.get("held_out") or {}
         files = {}
         for path in sorted(out.rglob("*")) if job.sent is not None else ():
-            name = path.relative_to(out)
-            if path.is_file() and name.parts[0] not in UNSENT:
-                files[str(name)] = path.read_bytes()
+            place = path.relative_to(out)
+            if path.is_file() and place.parts[0] not in UNSENT:
+                files[str(place)] = path.read_bytes()
         return SeedResult(
             options.seed,
             float(last.get("success_rate", math.nan)),

@@ -23,5 +23,5 @@ from acsar_gym.tools.training.plan import TrainingOptions
     ],
 )
 def test_the_command_names_no_folder_and_no_address(given: dict[str, object], kept: str) -> None:
-    options = TrainingOptions(out=Path("/home/me/run"), **given)  # type: ignore[arg-type]
+    options = TrainingOptions(out=Path("/home/me/run"), **given)
     assert record.training_command(options) == ["acsar-gym", "train", *kept.split()]
