@@ -65,7 +65,6 @@ def test_a_world_without_start_and_goal_is_refused_by_every_command(
         ("worlds", "convert", file, out),
         ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--worlds", file),
         ("emulate", "--duration", "0.1", "--world", file),
-        ("calibrate", "planar", "turn", "--yes", "--world", file),
     ):
         code, _, error = call(*command, *models)
         assert code == 2, command

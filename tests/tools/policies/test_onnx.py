@@ -48,7 +48,8 @@ def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
     make = Maker()
     make.dense("observation", 7)
     path = tmp_path / "renamed.onnx"
-    path.write_bytes(make.bytes().replace(b"observation", b"observatiom"))
+    in_the_graph = b"\n\x0bobservation"  # a string of protobuf's; the bundle is JSON
+    path.write_bytes(make.bytes().replace(in_the_graph, b"\n\x0bobservatiom"))
     with pytest.raises(PolicyError, match="must map 'observation' to 'action'"):
         OnnxPolicy(path)
 
