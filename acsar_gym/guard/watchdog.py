@@ -35,6 +35,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
@@ -85,51 +86,67 @@ class Watchdog:
 
     def start(self, port: int | None, place: str = "") -> None:
         """Start the process, unless time-out or port are missing; LinkError where it can't."""
-        if not self._can_start or not WATCHDOG_AVAILABLE or port is None:
+        if port is not None:
+            command = (sys.executable, "-I", "-S", str(CHILD_PROGRAM))
+            self.launch(command, (str(port), self._zeros.hex(), place), (port,))
+
+    def launch(
+        self,
+        command: Sequence[str],
+        arguments: Sequence[str],
+        inherited: Sequence[int] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Start a process that watches; see `watchdog_child.join_program`.
+
+        Args:
+            command: the program.
+            arguments: its own.
+            inherited: descriptors that it shares.
+            environment: of the process; None for that of this one.
+        """
+        if not self._can_start or not WATCHDOG_AVAILABLE:
             return
         self._driving = self._halted = self._resting = False
         self._awake = self._unseen = self._drove = 0.0
         try:
-            with contextlib.ExitStack() as inherited, contextlib.ExitStack() as ours:
+            with contextlib.ExitStack() as shared_ends, contextlib.ExitStack() as ours:
                 page = _create_shared_page()
-                inherited.callback(os.close, page)
+                shared_ends.callback(os.close, page)
                 watched, self.lifeline = os.pipe()
-                inherited.callback(os.close, watched)
+                shared_ends.callback(os.close, watched)
                 ours.callback(os.close, self.lifeline)
                 self._ready, ready = os.pipe()
-                inherited.callback(os.close, ready)
+                shared_ends.callback(os.close, ready)
                 ours.callback(os.close, self._ready)
                 shared = mmap.mmap(page, PAGE_SIZE)
                 ours.callback(shared.close)
                 self.page = memoryview(shared).cast("d")
                 ours.callback(self.page.release)
                 # In a new session, and without TTYs and pipes of this program: it would hold them.
-                inherit = (port, page, watched, ready)
-                options = map(str, (*inherit, os.getpid(), self._timeout))
+                common = map(str, (page, watched, ready, os.getpid(), self._timeout))
                 self._process = subprocess.Popen(
-                    [
-                        *(sys.executable, "-I", "-S", str(CHILD_PROGRAM)),
-                        *(*options, self._zeros.hex(), place),
-                    ],
+                    [*command, *common, *arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                     cwd="/",
-                    pass_fds=inherit,
+                    pass_fds=(page, watched, ready, *inherited),
                     start_new_session=True,
+                    env=environment,
                 )
                 self._ours = ours.pop_all()
                 self._open = True
         except (OSError, subprocess.SubprocessError) as error:
             raise _start_error(str(error)) from error
 
-    def wait_ready(self) -> None:
-        """Wait until it watches; LinkError if that fails."""
+    def wait_ready(self, timeout: float = CHILD_TIMEOUT) -> None:
+        """Wait until it watches, for so long at most [s]; LinkError if that fails."""
         if not self._open:
             return
         pipe = select.poll()
         pipe.register(self._ready, select.POLLIN)
-        if not pipe.poll(1000.0 * CHILD_TIMEOUT):
+        if not pipe.poll(1000.0 * timeout):
             raise _start_error("it doesn't answer")
         try:
             answer = os.read(self._ready, 1)

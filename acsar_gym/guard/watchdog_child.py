@@ -52,13 +52,32 @@ def boot_clock() -> float:
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
-class SharedPort:
-    """The port that the program shares, and the name under which it reappears.
+class Stopper:
+    """What commands zero for the program.
 
-    Attributes: `taken`, whether another program has the port, or its name isn't known.
+    Attributes: `taken`, whether it can't any more, as another program drives.
     """
 
     taken = False
+
+    def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        """Command zero if `wanted()`; returns whether that was sent."""
+        raise NotImplementedError
+
+    def has_answer(self) -> bool:
+        """Return whether the robot has shown since the last call that it hears."""
+        return True
+
+    def share(self) -> None:
+        """Let other programs drive until the next `stop_robot`."""
+
+    def find_again(self) -> bool:
+        """Find a lost robot again; returns whether it is there."""
+        return False
+
+
+class SharedPort(Stopper):
+    """The port that the program shares, and the name under which it reappears."""
 
     def __init__(self, descriptor: int, zeros: bytes, place: str) -> None:
         self._descriptor = descriptor
@@ -130,7 +149,7 @@ class ProgramWatch:
     """Watches one program until it closes the port or dies."""
 
     def __init__(
-        self, page: memoryview[float], lifeline: int, parent: int, timeout: float, port: SharedPort
+        self, page: memoryview[float], lifeline: int, parent: int, timeout: float, port: Stopper
     ) -> None:
         self._page = page
         self._lifeline = lifeline
@@ -203,21 +222,21 @@ class ProgramWatch:
         return due if now < due else now + ZERO_INTERVAL
 
 
-def main() -> None:
-    """Run the watchdog; it writes one byte to `ready` when it watches.
+def join_program(make_stopper: Callable[[list[str]], Stopper]) -> None:
+    """Run a watchdog; it writes one byte to `ready` when it watches.
 
-    Arguments: port, page, lifeline, ready (descriptors), parent (PID), time-out [s], zeros (hex),
-    place.
+    The first arguments: page, lifeline, ready (descriptors), parent (PID), time-out [s]; the rest
+    is for `make_stopper`.
     """
     for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
-    port, page, lifeline, ready, parent = map(int, sys.argv[1:6])
+    page, lifeline, ready, parent = map(int, sys.argv[1:5])
     with contextlib.suppress(OSError, AttributeError):  # ahead of the program, if that is allowed
         priority = os.sched_getparam(0).sched_priority + 1
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     memory = memoryview(mmap.mmap(page, PAGE_SIZE)).cast("d")
-    shared = SharedPort(port, bytes.fromhex(sys.argv[7]), sys.argv[8])
-    watch = ProgramWatch(memory, lifeline, parent, float(sys.argv[6]), shared)
+    stopper = make_stopper(sys.argv[6:])
+    watch = ProgramWatch(memory, lifeline, parent, float(sys.argv[5]), stopper)
     with contextlib.suppress(OSError):
         os.write(ready, b".")
     os.close(ready)
@@ -226,4 +245,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    join_program(lambda rest: SharedPort(int(rest[0]), bytes.fromhex(rest[1]), rest[2]))
