@@ -22,11 +22,13 @@ from acsar_gym.config.sections import (
     EncoderConfig,
     FirmwareConfig,
     Geofence,
+    JointNames,
     LidarConfig,
     LinearLimits,
     LogHashes,
     Measured,
     MotorConfig,
+    Ros2Config,
     WheelsConfig,
     default_acceleration,
     validate_measured,
@@ -201,7 +203,7 @@ class RobotConfig(Section):
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
     None: the rectangle around body and wheels."""
-    wheel_joints: tuple[Name, Name, Name, Name] = (
+    wheel_joints: JointNames = (
         "front_right_wheel_joint",
         "front_left_wheel_joint",
         "rear_left_wheel_joint",
@@ -210,6 +212,8 @@ class RobotConfig(Section):
     """Names of the joints of the wheels a, b, c, d in ROS."""
     wheels: WheelsConfig = WheelsConfig()
     """Letters and signs of motors and encoders, where the board is wired differently."""
+    ros2: Ros2Config = Ros2Config()
+    """Names and topics of a robot that is in ROS 2, for the link "ros2"."""
     motor: MotorConfig = MotorConfig()
     """Motors and their speed control, as simulated."""
     encoder: EncoderConfig = EncoderConfig()
@@ -306,6 +310,27 @@ class RobotConfig(Section):
                 f"{MAX_ENCODER_SAMPLES:,} periods of firmware.loop_rate ({1.0 / loop:g} s)"
             )
         return self
+
+    @model_validator(mode="after")
+    def _commanded_joints_are_the_wheels(self) -> Self:
+        """Check that each joint of the array of wheel speeds is a wheel's, and none is missing."""
+        commanded, joints = self.ros2.command_joints, self.ros_joints
+        if commanded is not None and sorted(commanded) != sorted({*joints}):
+            raise ConfigError(
+                f"ros2.command_joints = {show_value([*commanded])}: must be the wheels' joints, "
+                f"each once: {', '.join(dict.fromkeys(joints))}"
+            )
+        return self
+
+    @property
+    def ros_joints(self) -> JointNames:
+        """Joints of the wheels a, b, c, d in ROS 2; of two wheels, that of the side."""
+        return self.ros2.joints or self.wheel_joints
+
+    @property
+    def has_two_wheels(self) -> bool:
+        """Whether one driven wheel stands for each side, which only the link "ros2" drives."""
+        return len({*self.ros_joints}) == 2
 
     @property
     def misfit(self) -> str:

@@ -1,9 +1,10 @@
-"""The sections of a robot's configuration: board, wiring, body, LiDAR, limits, intervals."""
+"""The sections of a robot's configuration: board, wiring, body, LiDAR, ROS 2, limits, intervals."""
 
 from __future__ import annotations
 
 import functools
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -286,6 +287,70 @@ def _letters(named: Sequence[tuple[str, int]]) -> WheelLetters | None:
     a, b, c, d = (WIRE_LETTERS.index(letter) for letter, _ in named)
     sa, sb, sc, sd = (float(sign) for _, sign in named)
     return WheelLetters((a, b, c, d), (sa, sb, sc, sd))
+
+
+# ROS 2
+
+JointNames = tuple[Name, Name, Name, Name]
+"""Joints of the wheels a, b, c, d; where two stand for a side, each of them twice."""
+_TOPIC = re.compile("/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def _topic(name: str) -> str:
+    """Return a name that ROS 2 allows; ValueError for others."""
+    if not _TOPIC.fullmatch(name):
+        raise ValueError("must be a topic, such as 'cmd_vel' or '/base/cmd_vel'")
+    return name
+
+
+Topic = Annotated[str, Field(max_length=200), AfterValidator(_topic)]
+"""Relative to the link's namespace, but for names that begin with a slash."""
+
+
+def _name_joints(given: Any) -> Any:
+    """Return names in the order a, b, c, d; ValueError for what isn't four, or one of a side."""
+    if given is None:
+        return None
+    if isinstance(given, Mapping):
+        if given.keys() == {"left", "right"}:
+            given = [given[side] for side in ("right", "left", "left", "right")]
+        elif given.keys() == set(WIRE_LETTERS):
+            given = [given[letter] for letter in WIRE_LETTERS]
+    names = [*given] if isinstance(given, list | tuple) else []
+    if len(names) != 4 or not all(isinstance(name, str) and name for name in names):
+        raise ValueError("must be four names in the order a, b, c, d, or {left: NAME, right: NAME}")
+    a, b, c, d = names
+    if len({*names}) != 4 and not (a == d != b == c):
+        raise ValueError("must name each joint once, or {left: NAME, right: NAME}")
+    return a, b, c, d
+
+
+class Ros2Config(Section):
+    """How a robot that is in ROS 2 is reached by the link "ros2"."""
+
+    section = "ros2"
+    joints: Annotated[JointNames | None, BeforeValidator(_name_joints)] = None
+    """Joints of the wheels in `joint_states`: four names in the order a, b, c, d, a mapping
+    {a, b, c, d}, or {left, right} where one joint stands for a side. None: `wheel_joints`."""
+    command: Literal["twist_stamped", "twist", "wheel_speeds"] | None = None
+    """What the robot takes: geometry_msgs/TwistStamped or Twist, or the wheels' speeds [rad/s] as
+    std_msgs/Float64MultiArray. None: as its subscription says."""
+    command_topic: Topic = "cmd_vel"
+    """Topic of the commands. Topics are relative to the link's namespace, but for those that begin
+    with a slash."""
+    command_joints: tuple[Name, ...] | None = None
+    """Order of the joints in the array of wheel speeds; None: a, b, c, d."""
+    joint_states_topic: Topic = "joint_states"
+    """Topic of the measured wheels, sensor_msgs/JointState."""
+    odom_topic: Topic = "odom"
+    """Topic of the robot's odometry, nav_msgs/Odometry."""
+    scan_topic: Topic = "scan"
+    """Topic of the LiDAR `--lidar ros2`, sensor_msgs/LaserScan."""
+    feedback: Literal["joint_states", "odom"] | None = None
+    """Where the wheels' speeds come from; None: `joint_states`, or `odom` where nobody publishes
+    those."""
+    use_sim_time: bool | None = None
+    """Whether time is that of the topic /clock; None: where somebody publishes it."""
 
 
 # Limits

@@ -68,6 +68,17 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"wheels": {"c": {"sign": 0}}}, "wheels.c.sign = 0: must be 1 or -1"),
     ({"wheels": {"b": {"motor": "d"}}}, "wheels: motor d belongs to 2 wheels"),
     ({"wheels": {"e": {}}}, "unknown field 'wheels.e'"),
+    ({"ros2": {"joints": ["r", "l", "r", "l"]}}, "ros2.joints = ['r', 'l', 'r', 'l']: must name"),
+    ({"ros2": {"joints": {"left": "l"}}}, "ros2.joints = {'left': 'l'}: must be four names in the"),
+    (
+        {"ros2": {"joints": {"left": "j", "right": "j"}}},
+        "ros2.joints = {'left': 'j', 'right': 'j'}",
+    ),
+    ({"ros2": {"joints": ["r", "", "l", "m"]}}, "ros2.joints = ['r', '', 'l', 'm']: must be four"),
+    ({"ros2": {"command": "speed"}}, "ros2.command = 'speed': must be 'twist_stamped', 'twist' or"),
+    ({"ros2": {"scan_topic": "/scan/"}}, "ros2.scan_topic = '/scan/': must be a topic, such as"),
+    ({"ros2": {"command_joints": ["l", "r"]}}, "ros2.command_joints = ['l', 'r']: must be the"),
+    ({"ros2": {"topic": "cmd_vel"}}, "unknown field 'ros2.topic'; did you mean 'scan_topic'?"),
     ({"port": "COM3"}, "unknown field 'port'; did you mean 'serial_port'?"),
     ({"control_rate": 30}, "firmware.loop_rate = 200 Hz"),
     ({"firmware": {"loop_rate": 100, "feedback_rate": 200}}, "firmware.feedback_rate = 200 Hz"),
@@ -95,6 +106,39 @@ def test_motor_values_are_one_number_or_four(field: str) -> None:
     assert RobotConfig(**four.model_dump(mode="json")) == four
     message = refusal(RobotConfig, {"motor": {field: [1.0, 2.0, -3.0, 4.0]}})
     assert message.startswith(f"motor.{field} = -3.0: must be greater than")
+
+
+SIDES = {"left": "l", "right": "r"}
+FOUR = ("fr", "fl", "rl", "rr")
+JOINTS = {
+    "four": ([*FOUR], FOUR),
+    "letters": (dict(zip("bcda", FOUR, strict=True)), ("rr", "fr", "fl", "rl")),
+    "sides": (SIDES, ("r", "l", "l", "r")),
+}
+
+
+@pytest.mark.parametrize("kind", JOINTS)
+def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> None:
+    given, expected = JOINTS[kind]
+    config = RobotConfig(ros2={"joints": given, "command_joints": sorted({*expected})})
+    assert config.ros_joints == expected
+    assert config.has_two_wheels == (kind == "sides")
+    assert RobotConfig(**config.model_dump(mode="json")) == config
+    assert len({config, config.with_(ros2={"command_joints": None})}) == 2
+    file = tmp_path / "mine.yaml"
+    config.save(file)
+    assert RobotConfig.load(file) == config
+
+
+def test_joints_in_ros_are_the_robots_where_nothing_says_them(tmp_path: Path) -> None:
+    assert RobotConfig().ros_joints == RobotConfig().wheel_joints
+    assert not RobotConfig().has_two_wheels
+    file = tmp_path / "mine.yaml"
+    file.write_text("wheel_radius: 0.04\nros2: {joints: {left: l, right: r}}  # of the base\n")
+    RobotConfig.load(file).with_(ros2={"command": "twist"}).save(file)
+    assert file.read_text().splitlines()[1] == (
+        "ros2: {joints: {left: l, right: r}, command: twist}  # of the base"
+    )
 
 
 def test_with_changes_a_validated_copy_and_keeps_the_rest() -> None:
