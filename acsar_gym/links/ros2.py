@@ -1,0 +1,628 @@
+"""A link to a robot that is in ROS 2: commands are published, joint states become feedback lines.
+
+Commands go out as what the robot's controller takes: a twist, or the speeds of the wheels. What
+comes back is written as lines of the wire, each with the time at which the robot measured it, so
+that everything behind the link is the same as for a board on a serial device.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import sys
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from typing import Any
+
+from acsar_gym import kinematics
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyWarning
+from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
+from acsar_gym.guard.watchdog import Watchdog
+from acsar_gym.links.base import WHILE_WAITING, Arrivals
+from acsar_gym.protocol import ZERO, Decoder, Speeds
+from acsar_gym.ros.joints import JointReader
+from acsar_gym.ros.node import (
+    COMMAND_KINDS,
+    NANOSECONDS,
+    RosNode,
+    child_environment,
+    load_ros,
+    make_command,
+    make_stamp,
+    read_stamp,
+)
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.files import format_world
+
+DRIVER_NODE = "acsar_driver"
+"""Name of the node of `acsar-gym ros driver`, which puts a simulated robot into a scene."""
+SCENE_PARAMETER = "scene"
+WATCHDOG_SUFFIX = "_watchdog"
+"""End of the name of a watchdog's node; it commands nothing but zeros."""
+WATCHDOG_START = 20.0
+"""Longest wait for the watchdog, which imports ROS and finds the robot [s]."""
+RESET_TIMEOUT = 20.0
+"""Longest wait until a simulated robot stands in a new scene [s]."""
+FEEDBACK_DEPTH = 100
+"""How many joint states wait while a program doesn't step."""
+SLACK = 0.001
+"""Ticks end so long after a joint state, where these come at the control rate [s]."""
+PHASE_GAIN, PHASE_SHARE = 0.2, 0.05
+"""Part of a tick's phase error that the next deadline mends, and at most which part of a period."""
+KEPT_COMMANDS = 50
+"""How many commands are told apart from those of other nodes."""
+OTHERS_GRACE = 0.1
+"""Zeros of others count from so long after the first command that turns wheels [s]."""
+DRAIN_TIMEOUT = 0.1
+"""Longest wait until the robot has confirmed the last zeros [s]."""
+CLOCK_TIMEOUT = 5.0
+"""How long /clock may stand still [s]."""
+_numbers = itertools.count()
+
+
+class Ros2Link:
+    """A robot in ROS 2. Its clock is the node's, from the opening on.
+
+    While open, a watchdog process with a node of its own commands zero if this process dies, or
+    hangs longer than `watchdog_timeout` while wheels turn.
+
+    Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed.
+
+    Args:
+        url: "ros2", or "ros2:/namespace".
+        config: of the robot; `config.ros2` names topics and joints.
+    """
+
+    truth = None
+    stamped = True
+
+    def __init__(self, url: str, config: RobotConfig) -> None:
+        self.device = url
+        self._config = config
+        self._namespace = url.partition(":")[2] or "/"
+        self.watchdog = Watchdog(b"", config.watchdog_timeout)
+        self.node: RosNode | None = None
+        self.lateness = 0.0
+        self._epoch = 0
+        self._separation = config.effective_separation
+        self._forget()
+        self._make_locks()
+        install_handlers()
+
+    def _forget(self) -> None:
+        """Set everything to what it is before the first message."""
+        self._deadline = self._heard = self._newest = 0.0
+        self._clock_moved = time.monotonic()
+        self._sim_time = self._tripped = False
+        self._handled = 0
+        self._arrivals: Arrivals = []
+        self._pending: Arrivals = []
+        self._commands = Decoder()
+        self._reader = JointReader(self._config.ros_joints)
+        self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
+        self._driving_since: float | None = None
+        self._intruded = False
+        self._problem = ""
+        self._kind = self._feedback = ""
+        self._publisher: Any = None
+
+    def _make_locks(self) -> None:
+        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
+
+    @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the open link; empty where one does."""
+        if self._config.watchdog_timeout is None:
+            return "watchdog_timeout: null"
+        return "" if self.watchdog.is_started else "not on this system"
+
+    def open(self) -> None:
+        """Find the robot's topics, command zero, and wait for its wheels' speeds. Idempotent.
+
+        Raises:
+            MissingRosError: ROS 2 isn't installed.
+            LinkError: nobody takes commands or says how fast the wheels turn, or otherwise than
+                expected; the message says what was found.
+        """
+        if self.node is not None:
+            return
+        check_may_drive()
+        self._forget()
+        name = f"acsar_gym_{os.getpid()}_{next(_numbers)}"
+        self.node = node = RosNode(name, self._namespace)
+        close_at_exit(self)
+        try:
+            self._find_controller(node)
+            self._start_watchdog(node, name)
+            self._find_feedback(node)
+            self._start_clock(node)
+            self._wait_for_wheels(node)
+            self.watchdog.wait_ready(WATCHDOG_START)
+        except BaseException:
+            self.close()
+            raise
+        self._deadline = self.now()
+
+    def _find_controller(self, node: RosNode) -> None:
+        """Find who takes commands, and which kind; publish a zero."""
+        settings = self._config.ros2
+        topic = node.resolve(settings.command_topic)
+
+        def list_kinds() -> list[str]:
+            types = {kind for _, kind in node.list_peers(topic, publishers=False)}
+            return [kind for kind in COMMAND_KINDS if COMMAND_KINDS[kind] in types]
+
+        wanted = settings.command
+        timeout = self._config.connect_timeout
+        node.wait_until(
+            lambda: wanted in list_kinds() if wanted else list_kinds(),
+            timeout,
+            WHILE_WAITING.get(),
+        )
+        kinds = list_kinds()
+        if not kinds or (wanted and wanted not in kinds):
+            takes = f"{COMMAND_KINDS[wanted]} on {topic}" if wanted else topic
+            raise LinkError(
+                f"{self.device}: no node subscribes {takes} ({timeout:g} s)",
+                self._suggest_topic(node, tuple(COMMAND_KINDS.values()), "command_topic"),
+            )
+        self._kind = wanted or kinds[0]
+        self._command = make_command(node.ros, self._kind, self._config.base_frame)
+        self._publisher = node.publish(topic, type(self._command))
+        node.subscribe(topic, type(self._command), self._on_command, KEPT_COMMANDS)
+        node.wait_until(lambda: node.problem or self._publisher.get_subscription_count() > 1, 1.0)
+        self._check_qos(node)
+        self._publish(ZERO)
+        others = self._list_others(node)
+        if others:
+            warnings.warn(
+                f"{topic}: others publish it, too ({', '.join(others)}), and the robot obeys the "
+                "newest command: end them, or let a twist_mux choose",
+                SafetyWarning,
+                4,
+            )
+
+    def _list_others(self, node: RosNode) -> list[str]:
+        """List the nodes beside this one that may publish commands."""
+        mine = f"/{node.node.get_name()}"
+        topic = self._config.ros2.command_topic
+        names = dict.fromkeys(name for name, _ in node.list_peers(topic, publishers=True))
+        return [
+            name for name in names if not name.endswith((mine, f"{mine}{WATCHDOG_SUFFIX}"))
+        ]
+
+    def _suggest_topic(self, node: RosNode, types: tuple[str, ...], field: str) -> str:
+        """Say which topics of these types there are."""
+        topics = [
+            f"{name} ({kind})"
+            for name, kinds in node.node.get_topic_names_and_types()
+            for kind in kinds
+            if kind in types and name != node.resolve(getattr(self._config.ros2, field))
+        ]
+        if topics:
+            return f"set ros2.{field} in the robot's file; there is {', '.join(sorted(topics)[:4])}"
+        return "start the robot's driver, and check ROS_DOMAIN_ID and the namespace of both"
+
+    def _start_watchdog(self, node: RosNode, name: str) -> None:
+        settings = {
+            "name": f"{name}{WATCHDOG_SUFFIX}",
+            "topic": node.resolve(self._config.ros2.command_topic),
+            "kind": self._kind,
+            "frame": self._config.base_frame,
+        }
+        command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
+        with self._lock:
+            self.watchdog.launch(command, (json.dumps(settings),), environment=child_environment())
+
+    def _find_feedback(self, node: RosNode) -> None:
+        """Find who says how fast the wheels turn."""
+        settings, ros = self._config.ros2, node.ros
+        topics = {
+            "joint_states": (settings.joint_states_topic, ros.JointState, self._on_joints),
+            "odom": (settings.odom_topic, ros.Odometry, self._on_odometry),
+        }
+        kinds = [settings.feedback] if settings.feedback else [*topics]
+
+        def find() -> str:
+            return next((k for k in kinds if node.list_peers(topics[k][0], publishers=True)), "")
+
+        timeout = self._config.connect_timeout
+        node.wait_until(lambda: find() == kinds[0], timeout, WHILE_WAITING.get())
+        self._feedback = find()
+        if not self._feedback:
+            name, field = node.resolve(topics[kinds[0]][0]), f"{kinds[0]}_topic"
+            types = ("sensor_msgs/msg/JointState",)
+            raise LinkError(
+                f"{self.device}: no node publishes {name} ({timeout:g} s)",
+                self._suggest_topic(node, types, field),
+            )
+        topic, kind, callback = topics[self._feedback]
+        node.subscribe(topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
+
+    def _start_clock(self, node: RosNode) -> None:
+        wanted = self._config.ros2.use_sim_time
+        self._sim_time = bool(node.list_peers("/clock", publishers=True)) if wanted is None else wanted
+        if self._sim_time:
+            node.use_sim_time()
+            if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
+                raise LinkError(
+                    f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
+                    "start the simulation, or write use_sim_time: false into ros2 of the robot's file",
+                )
+        self._epoch = node.now()
+        self._now_before = 0.0
+
+    def _wait_for_wheels(self, node: RosNode) -> None:
+        """Wait for the first speeds of all wheels."""
+        timeout = self._config.connect_timeout
+        node.wait_until(lambda: self._pending or node.problem, timeout, WHILE_WAITING.get())
+        self._check_qos(node)
+        if not self._pending:
+            raise self._silence_error(timeout)
+
+    def _check_qos(self, node: RosNode) -> None:
+        if node.problem:
+            raise LinkError(
+                f"{self.device}: {node.problem}",
+                "the robot's node must offer and ask for no more than reliable, volatile topics",
+            )
+
+    def _silence_error(self, age: float) -> LinkError:
+        """Return the error for a robot that doesn't say how fast its wheels turn."""
+        settings = self._config.ros2
+        name = settings.odom_topic if self._feedback == "odom" else settings.joint_states_topic
+        topic = self.node.resolve(name) if self.node else name
+        if self._problem:
+            return BoardSilentError(
+                f"{topic}: nothing that can be used for {age:.2f} s: {self._problem}",
+                "mend what publishes it, or name joints and frames in the robot's file",
+            )
+        return BoardSilentError(
+            f"{topic}: no message for {age:.2f} s",
+            f"check the robot's driver: ros2 topic hz {topic}",
+        )
+
+    # What arrives
+
+    def to_link_time(self, nanoseconds: int) -> float:
+        """Convert a time of ROS to the link's clock [s]."""
+        return (nanoseconds - self._epoch) / NANOSECONDS
+
+    def _on_joints(self, message: Any) -> None:
+        self._handled += 1
+        when = self._check_stamp(message)
+        if when is None:
+            return
+        refused = self._reader.refused.total()
+        speeds = self._reader.read(message.name, message.position, message.velocity, when)
+        if speeds is not None:
+            self._take_speeds(when, speeds)
+        elif self._reader.refused.total() > refused:
+            self._problem = self._reader.reason
+
+    def _on_odometry(self, message: Any) -> None:
+        self._handled += 1
+        when = self._check_stamp(message)
+        if when is None or when <= self._newest:
+            return
+        frame, base = message.child_frame_id, self._config.base_frame
+        if frame.lstrip("/") not in ("", base):
+            self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
+            return
+        twist = message.twist.twist.linear.x, message.twist.twist.angular.z
+        sides = kinematics.compute_sides(
+            *twist, *self._config.wheel_radii, self._separation, float("inf")
+        )
+        if not all(abs(speed) < 1e3 for speed in sides):
+            self._problem = f"its twist is {twist}"
+            return
+        right, left = sides
+        self._take_speeds(when, (right, left, left, right))
+
+    def _check_stamp(self, message: Any) -> float | None:
+        """Return a message's time on the link's clock [s]; None where that can't be."""
+        stamp = read_stamp(message.header.stamp)
+        if not stamp:
+            self._problem = "its header has no stamp"
+            return None
+        when, now = self.to_link_time(stamp), self.now()
+        if abs(now - when) > self._config.feedback_timeout:
+            self._problem = (
+                f"its stamps are {abs(now - when):.2f} s {'behind' if now > when else 'ahead of'} "
+                f"{'/clock' if self._sim_time else 'the clock of this computer'}"
+            )
+            return None
+        return when
+
+    def _take_speeds(self, when: float, speeds: Speeds) -> None:
+        line = ",".join(
+            f"{letter}{'p' if speed >= 0.0 else 'n'}{abs(speed):09.6f}"
+            for letter, speed in zip("abcd", speeds, strict=True)
+        )
+        self._pending.append((when, f"{line}\r\n".encode()))
+        self._newest, self._heard, self._problem = when, self.now(), ""
+
+    def _on_command(self, message: Any) -> None:
+        """Find commands of other nodes among those that the robot gets."""
+        self._handled += 1
+        content = read_command(message)
+        if content in self._sent:
+            return
+        since = self._driving_since
+        late = since is not None and time.monotonic() - since > OTHERS_GRACE
+        if any(content[-1]) or (late and not self.watchdog.has_tripped):
+            self._intruded = True
+
+    # What is sent
+
+    def write(self, data: bytes) -> None:
+        """Publish the newest command of whole lines; zero commands are always sent.
+
+        Raises:
+            LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
+                the program is ending, or was asked to; zeros are sent instead.
+        """
+        readings = self._commands.feed(data)
+        with self._lock:
+            self._require_node()
+            if not readings:
+                return
+            speeds = readings[-1].over(ZERO)
+            if not any(speeds):
+                self._stop()
+                return
+            try:
+                self.watchdog.allow_drive()
+                check_may_drive()  # last, as a signal may come at any time
+                self._publish(speeds)
+                self.watchdog.note_drive()
+            except LinkError:
+                self._publish(ZERO)
+                raise
+            if self._driving_since is None:
+                self._driving_since = time.monotonic()
+
+    def _stop(self) -> None:
+        """Publish zeros, and tell the watchdog."""
+        self._publish(ZERO)
+        self._driving_since = None
+        self.watchdog.note_stop()
+
+    def _publish(self, speeds: Speeds) -> None:
+        """Publish wheel speeds [rad/s] as what the robot takes."""
+        node, command = self.node, self._command
+        if node is None:
+            return
+        a, b, c, d = speeds
+        if self._kind == "wheel_speeds":
+            joints = self._config.ros_joints
+            order = self._config.ros2.command_joints or joints
+            sides = len({*joints}) == 2
+            wheels = dict(zip(joints, ((a + d) / 2.0, (b + c) / 2.0) * 2 if sides else speeds))
+            if sides:
+                wheels = {joints[0]: (a + d) / 2.0, joints[1]: (b + c) / 2.0}
+            command.data = [wheels[joint] for joint in order]
+        else:
+            stamped = self._kind == "twist_stamped"
+            twist = command.twist if stamped else command
+            radii = self._config.wheel_radii
+            twist.linear.x, twist.angular.z = kinematics.compute_twist(
+                a, b, c, d, *radii, self._separation
+            )
+            if stamped:
+                command.header.stamp = make_stamp(node.ros, node.now())
+        self._sent.append(read_command(command))
+        self._publisher.publish(command)
+
+    # The contract
+
+    def reset(self, scene: Scene) -> None:
+        """Command zero, put a simulated robot into the scene, and restart the deadlines.
+
+        After the watchdog stopped the robot, this allows driving again.
+        """
+        node = self._require_node()
+        with self._lock:
+            self._stop()
+        check_may_drive()
+        try:
+            with self._lock:
+                restart = self.watchdog.is_started and not self.watchdog.is_alive
+                if restart:
+                    self.watchdog.close()
+                    self._start_watchdog(node, f"acsar_gym_{os.getpid()}_{next(_numbers)}")
+            if restart:
+                self.watchdog.wait_ready(WATCHDOG_START)
+            self._reset_simulation(node, scene)
+            with self._lock:
+                self.watchdog.rearm()
+        except BaseException:  # don't drive without a watchdog
+            self.close()
+            raise
+        self._intruded = False
+        self._pending = []
+        self._heard = self._deadline = self.now()
+        self.lateness = 0.0
+
+    def _reset_simulation(self, node: RosNode, scene: Scene) -> None:
+        """Put a simulated robot of `acsar-gym ros driver` into a scene, if there is one."""
+        prefix = f"{self._namespace.rstrip('/')}/{DRIVER_NODE}"
+        services = {name for name, _ in node.node.get_service_names_and_types()}
+        if f"{prefix}/reset" not in services:
+            return
+        ros = node.ros
+        request = ros.SetParameters.Request()
+        parameter = ros.parameter.Parameter
+        text = parameter(SCENE_PARAMETER, parameter.Type.STRING, format_scene(scene))
+        request.parameters = [text.to_parameter_msg()]
+        self._call(node, ros.SetParameters, f"{prefix}/set_parameters", request)
+        answer = self._call(node, ros.Trigger, f"{prefix}/reset", ros.Trigger.Request())
+        if not answer.success:
+            raise LinkError(f"{prefix}/reset: {answer.message}", "see what its driver prints")
+
+    def _call(self, node: RosNode, kind: Any, name: str, request: Any) -> Any:
+        """Call a service, and wait for its answer."""
+        client = node.node.create_client(kind, name)
+        future = client.call_async(request)
+        try:
+            if not node.wait_until(future.done, RESET_TIMEOUT, self._poll):
+                raise LinkError(f"{name}: no answer in {RESET_TIMEOUT:g} s", "is its node alive?")
+            return future.result()
+        finally:
+            node.node.destroy_client(client)
+
+    def _poll(self) -> None:
+        WHILE_WAITING.get()()
+        self._beat()
+
+    def advance(self, period: float) -> bytes:
+        """Spin until the absolute deadline of the period [s]; return lines of what has arrived.
+
+        The deadlines' phase follows the joint states. After a delay of more than a period they
+        restart from now.
+
+        Raises:
+            LinkError: the robot is silent, somebody else commands it, or the clock jumped back.
+        """
+        node = self._require_node()
+        self._deadline += period
+        while True:
+            remaining = self._deadline - self._check_clock()
+            handled = self._handled
+            node.spin(min(max(remaining, 0.0), self.watchdog.beat_interval, period))
+            self._beat()
+            if remaining <= 0.0 and handled == self._handled:
+                break
+        now = self.now()
+        self.lateness = now - self._deadline
+        if self.lateness > period:
+            self._deadline = now
+        self._arrivals, self._pending = self._pending, []
+        if self._arrivals and not self._sim_time:
+            self._follow_phase(self._heard - self._deadline, period)
+        if self._intruded:
+            others = self._list_others(node)
+            raise LinkError(
+                f"{node.resolve(self._config.ros2.command_topic)}: somebody else commands the "
+                f"robot, too ({', '.join(others) or 'a node that has ended'})",
+                "end that, or let a twist_mux choose, then reset",
+            )
+        if now - self._heard > self._config.feedback_timeout:
+            raise self._silence_error(now - self._heard)
+        return b"".join([line for _, line in self._arrivals])
+
+    def _follow_phase(self, arrived: float, period: float) -> None:
+        """Move the deadlines towards `SLACK` after the arrivals, which is before the deadline."""
+        error = (arrived + SLACK + period / 2.0) % period - period / 2.0
+        most = PHASE_SHARE * period
+        self._deadline += min(max(PHASE_GAIN * error, -most), most)
+
+    def _check_clock(self) -> float:
+        """Return the link's time [s]; LinkError where it jumped back, or stands still."""
+        now, real = self.now(), time.monotonic()
+        before, self._now_before = self._now_before, now
+        if now != before:
+            self._clock_moved = real
+        source = "/clock" if self._sim_time else "the clock of this computer"
+        if now < before:
+            raise LinkError(f"{self.device}: {source} jumped back by {before - now:.3f} s", "reset")
+        if real - self._clock_moved > CLOCK_TIMEOUT:
+            raise LinkError(
+                f"{self.device}: {source} stands still for {CLOCK_TIMEOUT:g} s",
+                "let the simulation go on",
+            )
+        return now
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """The lines of the newest period, and when the robot measured each [s]."""
+        return self._arrivals
+
+    def _beat(self) -> None:
+        with self._lock:
+            self.watchdog.beat()
+
+    def now(self) -> float:
+        """Return the time of the node's clock since the opening [s]; 0 before."""
+        return self.to_link_time(self.node.now()) if self.node is not None else 0.0
+
+    def close(self) -> None:
+        """Command zero, wait until the robot has it, and end the node. Idempotent."""
+        with self._lock:
+            node = self.node
+            if node is None:
+                return
+            try:
+                self._send_stop()
+            except BaseException:
+                self._send_stop()
+                raise
+            finally:
+                with contextlib.ExitStack() as last_to_first:
+                    last_to_first.callback(self._let_go, node)
+                    last_to_first.callback(self.watchdog.close)
+
+    def _send_stop(self) -> None:
+        """Publish zeros, and wait until they were received."""
+        if self._publisher is not None and self.node is not None:
+            with contextlib.suppress(Exception):  # of rclpy, whose context may be shut down
+                self._publish(ZERO)
+                self._publisher.wait_for_all_acked(self.node.make_duration(DRAIN_TIMEOUT))
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Command zero, and lock out commands of other threads, as a context manager."""
+        with self._lock:
+            self._send_stop()
+            yield
+
+    def _let_go(self, node: RosNode) -> None:
+        self.node = self._publisher = None
+        forget_link(self)
+        node.close()
+
+    def abandon(self) -> None:
+        """Forget the node without sending anything, for a forked child, which can't use it."""
+        self._make_locks()
+        if self.node is not None:
+            self.watchdog.abandon()
+            self.node = self._publisher = None
+            forget_link(self)
+
+    def __del__(self) -> None:
+        if getattr(self, "node", None) is not None:
+            self.close()
+
+    def __reduce__(self) -> tuple[type[Ros2Link], tuple[object, ...]]:
+        """Copy and pickle as a closed link to the same robot."""
+        return Ros2Link, (self.device, self._config)
+
+    def _require_node(self) -> RosNode:
+        if self.node is None:
+            raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
+        return self.node
+
+
+def read_command(message: Any) -> tuple[Any, ...]:
+    """Return what tells a command from others, and last its numbers."""
+    if hasattr(message, "data"):
+        return (tuple(message.data),)
+    if hasattr(message, "header"):
+        twist = message.twist
+        return read_stamp(message.header.stamp), (twist.linear.x, twist.angular.z)
+    return ((message.linear.x, message.angular.z),)
+
+
+def format_scene(scene: Scene) -> str:
+    """Return a scene as JSON, for the parameter `scene` of a simulated robot's driver."""
+    world = None if scene.world is None else json.loads(format_world(scene.world, ".json"))
+    return json.dumps({"start": scene.start, "goal": scene.goal, "world": world})
+
+
+__all__ = ["DRIVER_NODE", "Ros2Link", "format_scene", "load_ros"]
