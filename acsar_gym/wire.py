@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.links.base import WHILE_WAITING, Link, echoes_of
+from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of, echoes_of, is_stamped
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.links.lateness import STANDSTILL
 from acsar_gym.protocol import (
@@ -58,6 +58,9 @@ class Wire:
         self._echoes: EchoDecoder | None = None
         self._set_points: SetPointWatch | None = None
         self._line_time = config.line_time
+        self._stamped = False
+        self._measured: float | None = None
+        self._shares: list[float] = []
 
     def reset(self) -> None:
         """Forget what was received; the wheels count as standing."""
@@ -70,6 +73,7 @@ class Wire:
         self.stamp = self.began = self._link.now()
         self._settled = False
         self._timed = self._link.lateness is not None  # a replay knows it from its reset on
+        self._stamped, self._measured = is_stamped(self._link), None
 
     def send(self, speeds: Speeds) -> None:
         """Send a command line; it is encoded again only where `speeds` is another object."""
@@ -112,6 +116,8 @@ class Wire:
                 reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
             self.speeds = reading.over(self.speeds)
             heard.append(self.speeds)
+        if self._stamped:
+            self._take_stamps()
         stamp = link.now()
         lasted = stamp - self.stamp
         self.stamp = stamp
@@ -128,8 +134,18 @@ class Wire:
         age = self.age / ECHO_SHARE
         return echoes is not None and echoes.only_echoes and rules.is_silent(age, self._rules)
 
+    def _take_stamps(self) -> None:
+        """Note for how long the speeds of each line held, by the times at which it was measured."""
+        self._shares = []
+        for stamp, _ in arrivals_of(self._link):
+            before = stamp if self._measured is None else self._measured
+            self._shares.append(max(stamp - before, 0.0))
+            self._measured = max(stamp, before)
+
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
         """What odometry integrates: wheel speeds [rad/s], and for how long they held [s]."""
+        if self._stamped and len(heard) == len(self._shares):
+            return list(zip(heard, self._shares, strict=True))
         if lasted > 2.0 * self._period and len(heard) > 1:
             return [(speeds, lasted / len(heard)) for speeds in heard]
         return [(self.speeds, lasted)]

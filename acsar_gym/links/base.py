@@ -122,6 +122,14 @@ def tape_of(link: Link) -> ScannedLink | None:
     return tape
 
 
+def is_stamped(link: Link) -> bool:
+    """Return whether a link's `arrivals` are lines, and the times at which the robot measured them.
+
+    Odometry then integrates each line up to its own time, as the robot's own driver does.
+    """
+    return bool(getattr(link, "stamped", False))
+
+
 def clock_of(link: Link) -> Callable[[], float]:
     """Return the clock of a link as it goes on between periods, for a device that measures [s].
 
@@ -182,6 +190,11 @@ class ForwardingLink:
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived, on the link's clock [s]."""
         return arrivals_of(self.link)
+
+    @property
+    def stamped(self) -> bool:
+        """Whether `arrivals` tells when each line was measured."""
+        return is_stamped(self.link)
 
     @property
     def echoes(self) -> bool | None:

@@ -56,10 +56,21 @@ def _make_replay(url: str, config: RobotConfig, window: bool) -> Link:
     return ReplayLink(Path(url.removeprefix("replay:")))
 
 
+def _make_ros2(url: str, config: RobotConfig, window: bool) -> Link:
+    from acsar_gym.links.ros2 import Ros2Link  # noqa: PLC0415
+
+    return Ros2Link(url, config)
+
+
 BACKENDS = {
     name: Backend(_make_simulated, is_simulated=True, has_window=body.has_window)
     for name, body in BODIES.items()
-} | {"replay:": Backend(_make_replay), "serial": Backend(_make_serial, is_real=True)}
+} | {
+    "replay:": Backend(_make_replay),
+    "serial": Backend(_make_serial, is_real=True),
+    "ros2": Backend(_make_ros2, is_real=True),
+    "ros2:": Backend(_make_ros2, is_real=True),
+}
 """All kinds of links. Devices and URLs that no entry names are serial."""
 
 LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")  # for messages
@@ -78,7 +89,8 @@ def open_link(
     Args:
         url: "bullet", "planar" or "mujoco" for a simulation; "/dev/ttyUSB0", "COM3",
             "usb:A50285BI" (USB serial number of an adapter) or "socket://host:port" for a serial
-            device; "serial" for the device that the config names; "replay:FILE" for a recording.
+            device; "serial" for the device that the config names; "ros2" or "ros2:/namespace" for
+            a robot in ROS 2; "replay:FILE" for a recording.
         config: configuration, preset or file of the robot; None for the default.
         window: open PyBullet's window; implies `realtime`.
         realtime: run a simulation in real time instead of as fast as possible.

@@ -9,7 +9,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.guard import shutdown
-from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
+from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of, is_stamped
 from acsar_gym.recording.encoder import Event, Exchange, Written
 from acsar_gym.recording.recorder import Recorder, close_recorders
 from acsar_gym.recording.types import WireLog
@@ -57,7 +57,9 @@ class RecordedLink(ForwardingLink):
         self._record_writes()
         self.link.reset(scene)
         self._now = self.link.now()
-        self._recorder.begin(self._now, simulated=self.link.lateness is None)
+        self._recorder.begin(
+            self._now, simulated=self.link.lateness is None, stamped=is_stamped(self.link)
+        )
 
     def write(self, data: bytes) -> None:
         """Send bytes to the link."""
@@ -122,7 +124,7 @@ class WireTape(Recorder):
     def open(self, config: RobotConfig) -> None:
         """Nothing to open."""
 
-    def begin(self, stamp: float, *, simulated: bool) -> None:
+    def begin(self, stamp: float, *, simulated: bool, stamped: bool = False) -> None:
         """Begin a new log."""
         self.number = 0
         self.has_begun = True

@@ -24,7 +24,8 @@ class Tape:
     """Plays the control periods of an episode.
 
     Attributes: `now`, the time at the end of the newest period [s]; `first_period`, how long the
-    first one lasts [s]; `echoes`, whether what arrived has echoes.
+    first one lasts [s]; `echoes`, whether what arrived has echoes; `stamped`, whether its times are
+    those at which it was measured.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -32,6 +33,7 @@ class Tape:
         self._periods = periods = episode.exchanges
         self._wire, self._turns = episode.wire, episode.revolutions
         self.echoes = self._wire.echoes
+        self.stamped = bool(episode.info.get("stamped"))
         self._writes, self._pieces = (
             np.concatenate([[0], np.cumsum(np.maximum(counts, 0))])
             for counts in (periods.writes, periods.pieces)
@@ -242,6 +244,11 @@ class ReplayLink:
     def echoes(self) -> bool | None:
         """Whether the board of this episode echoed; None where it was simulated."""
         return None if self._tape is None or self.lateness is None else self._tape.echoes
+
+    @property
+    def stamped(self) -> bool:
+        """Whether the lines of this episode have the times at which they were measured."""
+        return self._tape is not None and self._tape.stamped
 
     @property
     def lateness(self) -> float | None:

@@ -32,7 +32,6 @@ from acsar_gym.ros.node import (
     NANOSECONDS,
     RosNode,
     child_environment,
-    load_ros,
     make_command,
     make_stamp,
     read_stamp,
@@ -139,9 +138,9 @@ class Ros2Link:
         close_at_exit(self)
         try:
             self._find_controller(node)
+            self._start_clock(node)
             self._start_watchdog(node, name)
             self._find_feedback(node)
-            self._start_clock(node)
             self._wait_for_wheels(node)
             self.watchdog.wait_ready(WATCHDOG_START)
         except BaseException:
@@ -214,7 +213,7 @@ class Ros2Link:
             "name": f"{name}{WATCHDOG_SUFFIX}",
             "topic": node.resolve(self._config.ros2.command_topic),
             "kind": self._kind,
-            "frame": self._config.base_frame,
+            "sim_time": self._sim_time,
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
         with self._lock:
@@ -402,12 +401,10 @@ class Ros2Link:
         a, b, c, d = speeds
         if self._kind == "wheel_speeds":
             joints = self._config.ros_joints
-            order = self._config.ros2.command_joints or joints
-            sides = len({*joints}) == 2
-            wheels = dict(zip(joints, ((a + d) / 2.0, (b + c) / 2.0) * 2 if sides else speeds))
-            if sides:
-                wheels = {joints[0]: (a + d) / 2.0, joints[1]: (b + c) / 2.0}
-            command.data = [wheels[joint] for joint in order]
+            if self._config.has_two_wheels:
+                speeds = ((a + d) / 2.0, (b + c) / 2.0, (b + c) / 2.0, (a + d) / 2.0)
+            wheels = dict(zip(joints, speeds, strict=True))
+            command.data = [wheels[name] for name in self._config.ros2.command_joints or joints]
         else:
             stamped = self._kind == "twist_stamped"
             twist = command.twist if stamped else command
@@ -623,6 +620,3 @@ def format_scene(scene: Scene) -> str:
     """Return a scene as JSON, for the parameter `scene` of a simulated robot's driver."""
     world = None if scene.world is None else json.loads(format_world(scene.world, ".json"))
     return json.dumps({"start": scene.start, "goal": scene.goal, "world": world})
-
-
-__all__ = ["DRIVER_NODE", "Ros2Link", "format_scene", "load_ros"]

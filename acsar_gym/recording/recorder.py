@@ -211,11 +211,15 @@ class Recorder:
         for name, value in about.items():
             self.about.setdefault(name, value)
 
-    def begin(self, stamp: float, *, simulated: bool) -> None:
-        """Begin an episode at a time of the link's clock [s]; a simulation waits for the writer."""
+    def begin(self, stamp: float, *, simulated: bool, stamped: bool = False) -> None:
+        """Begin an episode at a time of the link's clock [s]; a simulation waits for the writer.
+
+        `stamped`: what arrives has the times at which it was measured; see `links.base.is_stamped`.
+        """
         self.number, self._waits, self.has_begun = 0, simulated, True
         self._clock_due = stamp + 1.0
-        self._queue.append(Began(stamp, time.time_ns(), self._info))
+        info = {**self._info, "stamped": True} if stamped else self._info
+        self._queue.append(Began(stamp, time.time_ns(), info))
         self._info = {}
 
     def add_exchange(self, event: Exchange) -> None:

@@ -1,1 +1,1 @@
-"""ROS 2: nodes, and what its messages mean."""
+"""ROS 2, live: the one door to rclpy, and what its messages mean."""

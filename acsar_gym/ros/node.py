@@ -67,6 +67,7 @@ def load_ros() -> SimpleNamespace:
         from rcl_interfaces.srv import SetParameters  # noqa: PLC0415
         from rclpy import init, parameter, qos  # noqa: PLC0415
         from rclpy.context import Context  # noqa: PLC0415
+        from rclpy.duration import Duration  # noqa: PLC0415
         from rclpy.event_handler import (  # noqa: PLC0415
             PublisherEventCallbacks,
             SubscriptionEventCallbacks,
@@ -128,7 +129,6 @@ class RosNode:
                 context=self._context,
                 start_parameter_services=services,
                 enable_rosout=services,
-                **({} if parameters is None else {"automatically_declare_parameters_from_overrides": False}),
             )
         except Exception as error:  # noqa: BLE001 - rclpy has a dozen kinds
             with contextlib.suppress(Exception):
@@ -213,6 +213,10 @@ class RosNode:
     def now(self) -> int:
         """Return the time of the node's clock [ns]."""
         return int(self.node.get_clock().now().nanoseconds)
+
+    def make_duration(self, seconds: float) -> Any:
+        """Return a rclpy.duration.Duration."""
+        return self.ros.Duration(nanoseconds=round(seconds * NANOSECONDS))
 
     def spin(self, timeout: float) -> None:
         """Handle what has arrived, or the first that arrives within a time [s]."""

@@ -1,0 +1,135 @@
+"""Joint states to wheel speeds: any order, other joints, no velocities, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from acsar_gym.ros.joints import JointReader
+
+FOUR = ("fr", "fl", "rl", "rr")
+SPEEDS = (1.0, 2.0, 3.0, 4.0)
+SIDES = ("r", "l", "l", "r")
+NAN, INF = math.nan, math.inf
+
+
+def test_speeds_are_found_by_name_among_other_joints() -> None:
+    reader = JointReader(FOUR)
+    names = ["arm", "rr", "fl", "gripper", "fr", "rl"]
+    got = reader.read(names, array("d"), array("d", [9.0, 4.0, 2.0, NAN, 1.0, 3.0]), 0.0)
+    assert got == SPEEDS
+    assert (reader.reason, reader.refused) == ("", {})
+
+
+def test_one_joint_of_a_side_stands_for_both_wheels() -> None:
+    assert JointReader(SIDES).read(["l", "r"], [], [2.0, 1.0], 0.0) == (1.0, 2.0, 2.0, 1.0)
+
+
+def test_messages_of_other_joints_are_no_mistake() -> None:
+    reader = JointReader(FOUR)
+    assert reader.read(["arm", "arm"], [], [NAN, 1.0, 2.0], 5.0) is None
+    assert reader.read([], [], [], NAN) is None
+    assert (reader.reason, reader.refused) == ("", {})
+    assert reader.read(FOUR, [], SPEEDS, 1.0) == SPEEDS
+
+
+@pytest.mark.parametrize("velocities", [[], [NAN] * 4])
+def test_without_velocities_positions_say_the_speeds(velocities: list[float]) -> None:
+    reader = JointReader(FOUR)
+    assert reader.read(FOUR, [100.0, 0.0, 0.0, 0.0], velocities, 1.0) is None
+    assert not reader.refused
+    assert reader.read(FOUR, [100.5, -0.5, 0.0, 1.0], velocities, 1.5) == (1.0, -1.0, 0.0, 2.0)
+    assert reader.read(["arm"], [7.0], [], 1.6) is None
+    assert reader.read(FOUR, [100.5, -0.5, 0.0, 1.0], [NAN, 1.0, 1.0, 1.0], 1.7) is None
+    assert reader.read(FOUR, [101.5, -0.5, 0.0, 1.0], velocities, 2.5) == (1.0, 0.0, 0.0, 0.0)
+    assert reader.read(FOUR, [0.0] * 4, SPEEDS, 3.0) == SPEEDS
+
+
+def test_positions_may_be_nan_beside_velocities() -> None:
+    reader = JointReader(FOUR)
+    assert reader.read(FOUR, [NAN] * 4, SPEEDS, 1.0) == SPEEDS
+    assert reader.read(FOUR, [NAN, 0.0, 0.0, 0.0], SPEEDS, 2.0) == SPEEDS
+
+
+def test_encoders_that_were_reset_are_refused_once() -> None:
+    reader = JointReader(FOUR)
+    for stamp, turned in ((0.0, 900.0), (0.1, 0.0), (0.2, 0.3)):
+        got = reader.read(FOUR, [turned, 0.0, 0.0, 0.0], [], stamp)
+    assert got == pytest.approx((3.0, 0.0, 0.0, 0.0))
+    assert reader.refused == {"too fast": 1}
+
+
+REFUSED: dict[str, tuple[Sequence[str], Sequence[float], Sequence[float], float, str, str]] = {
+    "missing": (
+        ["fr", "fl", "rr"], [], [1.0] * 3, 2.0, "joint missing",
+        "joint_states has no 'rl' (it has 'fr', 'fl', 'rr')",
+    ),
+    "twice": (
+        [*FOUR, "rl"], [], [1.0] * 5, 2.0, "joint repeated", "joint_states names 'rl' 2 times",
+    ),
+    "velocities": (
+        FOUR, [], [1.0] * 3, 2.0, "wrong length",
+        "joint_states has 4 names and 3 values of velocity",
+    ),
+    "positions": (FOUR, [1.0] * 5, SPEEDS, 2.0, "wrong length", "5 values of position"),
+    "nan": (FOUR, [], [1.0, 1.0, NAN, 1.0], 2.0, "not finite", "has nan as the velocity of 'rl'"),
+    "inf": (FOUR, [], [1.0, -INF, 1.0, 1.0], 2.0, "not finite", "has -inf as the velocity of 'fl'"),
+    "position": (FOUR, [0.0, INF, 0.0, 0.0], [], 2.0, "not finite", "inf as the position of 'fl'"),
+    "nothing": (FOUR, [], [], 2.0, "no numbers", "has neither velocities nor positions"),
+    "all nan": (FOUR, [], [NAN] * 4, 2.0, "no numbers", "has neither velocities nor positions"),
+    "same time": (
+        FOUR, [], SPEEDS, 1.0, "stamp",
+        "joint_states is stamped 1 s, not after the one before (1 s)",
+    ),
+    "earlier": (FOUR, [], SPEEDS, 0.5, "stamp", "stamped 0.5 s, not after"),
+    "no time": (FOUR, [], SPEEDS, NAN, "stamp", "stamped nan s"),
+    "endless": (FOUR, [], SPEEDS, INF, "stamp", "stamped inf s"),
+    "fast": (
+        FOUR, [], [1.0, 1.0, 1.0, -1001.0], 2.0, "too fast",
+        "joint_states says that 'rr' turns at -1001 rad/s, more than 1,000",
+    ),
+    "hostile": (["fr", "\x1b[31m\n" * 99], [], [1.0, 1.0], 2.0, "joint missing", "has no 'fl'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_messages_are_refused_and_said_in_one_line(name: str) -> None:
+    names, positions, velocities, stamp, kind, reason = REFUSED[name]
+    reader = JointReader(FOUR)
+    assert reader.read(FOUR, [], SPEEDS, 1.0) == SPEEDS
+    assert reader.read(names, positions, velocities, stamp) is None
+    assert reader.refused == {kind: 1}
+    assert reason in reader.reason
+    assert reader.reason.isprintable()
+    assert len(reader.reason) < 200
+    assert reader.read(FOUR, [], SPEEDS, 3.0) == SPEEDS
+    assert reader.reason == ""
+
+
+NUMBERS = st.floats()
+TEXTS = st.sampled_from([*FOUR, "arm"])
+
+
+@given(
+    st.lists(
+        st.tuples(st.lists(TEXTS, max_size=6), st.lists(NUMBERS, max_size=6),
+                  st.lists(NUMBERS, max_size=6), NUMBERS)
+    )
+)  # fmt: skip
+def test_whatever_is_read_is_four_speeds_that_wheels_make(
+    messages: list[tuple[list[str], list[float], list[float], float]],
+) -> None:
+    reader = JointReader(FOUR)
+    for names, positions, velocities, stamp in messages:
+        refused = reader.refused.total()
+        got = reader.read(names, positions, velocities, stamp)
+        if got is not None:
+            assert len(got) == 4
+            assert all(abs(speed) <= 1000.0 for speed in got)
+        if {*names} & {*FOUR}:
+            assert reader.refused.total() - refused == bool(reader.reason)
