@@ -192,9 +192,7 @@ class Ros2Link:
         mine = f"/{node.node.get_name()}"
         topic = self._config.ros2.command_topic
         names = dict.fromkeys(name for name, _ in node.list_peers(topic, publishers=True))
-        return [
-            name for name in names if not name.endswith((mine, f"{mine}{WATCHDOG_SUFFIX}"))
-        ]
+        return [name for name in names if not name.endswith((mine, f"{mine}{WATCHDOG_SUFFIX}"))]
 
     def _suggest_topic(self, node: RosNode, types: tuple[str, ...], field: str) -> str:
         """Say which topics of these types there are."""
@@ -246,7 +244,9 @@ class Ros2Link:
 
     def _start_clock(self, node: RosNode) -> None:
         wanted = self._config.ros2.use_sim_time
-        self._sim_time = bool(node.list_peers("/clock", publishers=True)) if wanted is None else wanted
+        self._sim_time = (
+            bool(node.list_peers("/clock", publishers=True)) if wanted is None else wanted
+        )
         if self._sim_time:
             node.use_sim_time()
             if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):

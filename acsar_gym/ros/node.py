@@ -51,40 +51,40 @@ def load_ros() -> SimpleNamespace:
         MissingRosError: something else is missing.
     """
     try:
-        from diagnostic_msgs.msg import (  # noqa: PLC0415
+        from diagnostic_msgs.msg import (
             DiagnosticArray,
             DiagnosticStatus,
             KeyValue,
         )
-        from geometry_msgs.msg import (  # noqa: PLC0415
+        from geometry_msgs.msg import (
             Point,
             PoseStamped,
             TransformStamped,
             Twist,
             TwistStamped,
         )
-        from nav_msgs.msg import Odometry, Path  # noqa: PLC0415
-        from rcl_interfaces.srv import SetParameters  # noqa: PLC0415
-        from rclpy import init, parameter, qos  # noqa: PLC0415
-        from rclpy.context import Context  # noqa: PLC0415
-        from rclpy.duration import Duration  # noqa: PLC0415
-        from rclpy.event_handler import (  # noqa: PLC0415
+        from nav_msgs.msg import Odometry, Path
+        from rcl_interfaces.srv import SetParameters
+        from rclpy import init, parameter, qos
+        from rclpy.context import Context
+        from rclpy.duration import Duration
+        from rclpy.event_handler import (
             PublisherEventCallbacks,
             SubscriptionEventCallbacks,
         )
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-        from rclpy.node import Node  # noqa: PLC0415
-        from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-        from rosgraph_msgs.msg import Clock  # noqa: PLC0415
-        from sensor_msgs.msg import JointState, LaserScan  # noqa: PLC0415
-        from std_msgs.msg import Float64MultiArray  # noqa: PLC0415
-        from std_srvs.srv import Trigger  # noqa: PLC0415
-        from visualization_msgs.msg import Marker, MarkerArray  # noqa: PLC0415
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
+        from rosgraph_msgs.msg import Clock
+        from sensor_msgs.msg import JointState, LaserScan
+        from std_msgs.msg import Float64MultiArray
+        from std_srvs.srv import Trigger
+        from visualization_msgs.msg import Marker, MarkerArray
     except ImportError as error:
         raise MissingRosError(" ".join(str(error).split())) from error
     TFMessage: Any = None  # noqa: N806 - a class
     with contextlib.suppress(ImportError):
-        from tf2_msgs.msg import TFMessage  # noqa: PLC0415
+        from tf2_msgs.msg import TFMessage
     return SimpleNamespace(**locals())
 
 
@@ -130,7 +130,7 @@ class RosNode:
                 start_parameter_services=services,
                 enable_rosout=services,
             )
-        except Exception as error:  # noqa: BLE001 - rclpy has a dozen kinds
+        except Exception as error:  # rclpy has a dozen kinds
             with contextlib.suppress(Exception):
                 self._context.try_shutdown()
             raise RosSetupError(name, namespace, error) from error
@@ -139,7 +139,9 @@ class RosNode:
         self._executor = ros.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
-    def publish(self, topic: str, kind: Any, *, best_effort: bool = False, latched: bool = False) -> Any:
+    def publish(
+        self, topic: str, kind: Any, *, best_effort: bool = False, latched: bool = False
+    ) -> Any:
         """Make a publisher: reliable, depth 1, unless asked otherwise."""
         return self.node.create_publisher(
             kind,
@@ -222,7 +224,9 @@ class RosNode:
         """Handle what has arrived, or the first that arrives within a time [s]."""
         self._executor.spin_once(timeout_sec=max(timeout, 0.0))
 
-    def wait_until(self, condition: Callable[[], Any], timeout: float, poll: Callable[[], None] = lambda: None) -> bool:
+    def wait_until(
+        self, condition: Callable[[], Any], timeout: float, poll: Callable[[], None] = lambda: None
+    ) -> bool:
         """Spin until a condition holds; whether it does within a time [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
