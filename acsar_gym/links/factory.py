@@ -82,7 +82,7 @@ def open_link(
     config: RobotConfig | str | Path | None = None,
     *,
     window: bool = False,
-    realtime: bool = False,
+    realtime: bool | float = False,
 ) -> Link:
     """Return a link, closed; it connects only in `open()` or `Robot.activate()`.
 
@@ -93,7 +93,8 @@ def open_link(
             a robot in ROS 2; "replay:FILE" for a recording.
         config: configuration, preset or file of the robot; None for the default.
         window: open PyBullet's window; implies `realtime`.
-        realtime: run a simulation in real time instead of as fast as possible.
+        realtime: run a simulation in real time instead of as fast as possible; a number: so many
+            times as fast.
 
     Raises:
         ConfigError: for any other URL.
@@ -116,7 +117,7 @@ def open_link(
     if backend.is_simulated and (realtime or window):
         from acsar_gym.links.simulated import PacedLink  # noqa: PLC0415
 
-        return PacedLink(link)
+        return PacedLink(link, float(realtime or 1.0))
     return link
 
 

@@ -252,7 +252,7 @@ class Ros2Link:
             if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
                 raise LinkError(
                     f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
-                    "start the simulation, or write use_sim_time: false into ros2 of the robot's file",
+                    "start the simulation, or write use_sim_time: false under ros2: in the robot's file",
                 )
         self._epoch = node.now()
         self._now_before = 0.0

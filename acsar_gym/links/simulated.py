@@ -103,10 +103,15 @@ class PacedLink(ForwardingLink):
 
     `advance` doesn't return before its absolute deadline; clock and bytes are those of the inner
     link.
+
+    Args:
+        link: which is simulated.
+        speed: how fast its time passes, in parts of real time.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, speed: float = 1.0) -> None:
         super().__init__(link)
+        self._speed = speed
         self._deadline = time.monotonic()
 
     def reset(self, scene: Scene) -> None:
@@ -117,6 +122,7 @@ class PacedLink(ForwardingLink):
     def advance(self, period: float) -> bytes:
         """Advance the link, then wait for the deadline; missed deadlines are skipped."""
         got = super().advance(period)
-        self._deadline = max(self._deadline + period, time.monotonic() - period)
+        real = period / self._speed
+        self._deadline = max(self._deadline + real, time.monotonic() - real)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
         return got

@@ -64,6 +64,7 @@ def load_ros() -> SimpleNamespace:
             TwistStamped,
         )
         from nav_msgs.msg import Odometry, Path
+        from rcl_interfaces.msg import ParameterDescriptor
         from rcl_interfaces.srv import SetParameters
         from rclpy import init, parameter, qos
         from rclpy.context import Context
@@ -135,18 +136,30 @@ class RosNode:
                 self._context.try_shutdown()
             raise RosSetupError(name, namespace, error) from error
         for key, value in (parameters or {}).items():
-            self.node.declare_parameter(key, value)
+            self.node.declare_parameter(key, value, ros.ParameterDescriptor(dynamic_typing=True))
         self._executor = ros.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
-    def publish(
-        self, topic: str, kind: Any, *, best_effort: bool = False, latched: bool = False
-    ) -> Any:
-        """Make a publisher: reliable, depth 1, unless asked otherwise."""
+    @property
+    def name(self) -> str:
+        """Name of the node."""
+        return str(self.node.get_name())
+
+    @property
+    def namespace(self) -> str:
+        """Namespace of the node."""
+        return str(self.node.get_namespace())
+
+    def read_parameter(self, name: str) -> Any:
+        """Return the value of a parameter."""
+        return self.node.get_parameter(name).value
+
+    def publish(self, topic: str, kind: Any, depth: int = 1, *, latched: bool = False) -> Any:
+        """Make a publisher, which is reliable."""
         return self.node.create_publisher(
             kind,
             topic,
-            self.make_qos(1, best_effort=best_effort, latched=latched),
+            self.make_qos(depth, latched=latched),
             event_callbacks=self.ros.PublisherEventCallbacks(
                 incompatible_qos=lambda event: self._note_problem(topic, event),
                 use_default_callbacks=False,

@@ -1,0 +1,638 @@
+"""A robot behind any link as a robot of ROS 2: `acsar-gym ros driver`.
+
+The control loop runs in the main thread and knows nothing of ROS: it takes the newest command from
+a `CommandInbox`, and puts what it measured into a queue. Nodes spin in threads of their own, so
+that one that stalls doesn't stall wheels.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import math
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError, ConfigError, LinkError, escape_unprintable, shorten_text
+from acsar_gym.guard.estop import StopListener
+from acsar_gym.lidar.laser_scan import LaserScan, make_scan
+from acsar_gym.lidar.scan import Revolution
+from acsar_gym.links import open_link
+from acsar_gym.links.ros2 import DRIVER_NODE, SCENE_PARAMETER
+from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
+from acsar_gym.protocol import Speeds
+from acsar_gym.recording import Recorder
+from acsar_gym.robot import Robot
+from acsar_gym.ros.node import NANOSECONDS, RosNode, make_stamp, read_stamp
+from acsar_gym.safety.rules import Reason
+from acsar_gym.sensors.lidar import find_lidar
+from acsar_gym.sensors.suite import sensor_factories
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.files import load_world
+
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between two messages of /diagnostics [s]."""
+REQUEST_TIMEOUT = 15.0
+"""How long a service waits for the control loop, as a reset builds a world [s]."""
+QUEUE_TICKS = 1000
+"""How many ticks wait for a node that stalls; then the oldest are lost."""
+SIMULATION_START = NANOSECONDS
+"""Time of /clock at which a simulation begins [ns]; 0 means that a stamp isn't set."""
+SPIN_PERIOD = 0.1
+"""How soon threads notice that they must end [s]."""
+OTHER_PUBLISHER_STEP = 1000
+"""Sequence numbers of one publisher's messages don't jump farther."""
+DRIVER_PARAMETERS = (
+    "name",
+    "serial_port",
+    "baud_rate",
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+    "control_rate",
+    "max_linear",
+    "max_angular",
+    "max_wheel_speed",
+    "feedback_timeout",
+    "watchdog_timeout",
+    "odom_frame",
+    "base_frame",
+    "lidar_frame",
+    "lidar_x_offset",
+    "lidar_y_offset",
+    "lidar_z_offset",
+)
+"""Fields of a robot that are parameters of the node, by the same names."""
+
+
+class Twist(NamedTuple):
+    """A command."""
+
+    linear: float
+    angular: float
+    when: float
+    """When it arrived, on the clock of `time.monotonic` [s]."""
+
+
+STANDING = Twist(0.0, 0.0, -math.inf)
+
+
+class CommandInbox:
+    """Keeps the newest twist, and refuses what must not be driven.
+
+    Args:
+        timeout: after which a twist doesn't count any more [s].
+        frame: of the base; stamped twists in others are refused.
+        report: is called with one line for what is refused.
+    """
+
+    def __init__(self, timeout: float, frame: str, report: Callable[[str], None]) -> None:
+        self._timeout = timeout
+        self._frame = frame
+        self._report = report
+        self._newest = STANDING
+        self._sources: dict[object, float] = {}
+        self._sequence = 0
+        self.problem = ""
+
+    def take(
+        self, linear: float, angular: float, source: object, age: float = 0.0, frame: str = ""
+    ) -> None:
+        """Take a twist [m/s, rad/s] that a publisher sent before so long [s]; or refuse it, and stop.
+
+        Two publishers that both send are refused, but for zeros.
+        """
+        now = time.monotonic()
+        if not (math.isfinite(linear) and math.isfinite(angular)):
+            self._refuse(f"cmd_vel: refused a twist of {linear:g} m/s, {angular:g} rad/s")
+            return
+        if frame.lstrip("/") not in ("", self._frame):
+            self._refuse(f"cmd_vel: refused a twist in frame {frame!r}, not {self._frame!r}")
+            return
+        if not -self._timeout < age < self._timeout:
+            self._refuse(f"cmd_vel: refused a twist that is {age:.2f} s old; do the clocks agree?")
+            return
+        if linear or angular:
+            self._sources[source] = now
+            active = [one for one, when in self._sources.items() if now - when < self._timeout]
+            if len(active) > 1:
+                self._refuse("cmd_vel: refused twists of two publishers; end one of them")
+                return
+            self._sources = {source: now}
+        self.problem = ""
+        self._newest = Twist(linear, angular, now)
+
+    def _refuse(self, problem: str) -> None:
+        self._newest = STANDING
+        if problem != self.problem:
+            self._report(problem)
+        self.problem = problem
+
+    def current(self) -> tuple[float, float]:
+        """Return the twist to drive now [m/s, rad/s]; zero where none is new enough."""
+        newest = self._newest
+        if time.monotonic() - newest.when > self._timeout:
+            return 0.0, 0.0
+        return newest.linear, newest.angular
+
+
+class Measured(NamedTuple):
+    """What the control loop hands over after a tick."""
+
+    stamp: int
+    """Of ROS's clock [ns]."""
+    pose: tuple[float, float, float]
+    twist: tuple[float, float]
+    speeds: Speeds
+    angles: Speeds
+    scan: LaserScan | None
+    """A new one, whose stamp is relative to this tick's [s]."""
+    lateness: float | None
+    age: float
+    reason: Reason
+
+
+@dataclass
+class Request:
+    """What a service asks of the control loop, and its answer."""
+
+    work: Callable[[], str]
+    done: threading.Event = field(default_factory=threading.Event)
+    answer: str = ""
+    failed: bool = True
+
+    def run(self) -> None:
+        """Do the work, in the control loop."""
+        try:
+            self.answer, self.failed = self.work(), False
+        except AcsarError as error:
+            self.answer = escape_unprintable(str(error))
+            raise
+        finally:
+            self.done.set()
+
+
+class RobotNode:
+    """The node of a robot: topics, services and parameters, in threads of their own.
+
+    Attributes: `config`, of the robot, with the values of the node's parameters; `inbox`, the
+    commands; `requests`, what services ask for; `link` and `lidar`, by the node's parameters.
+
+    Args:
+        config: of the robot, as its file says.
+        namespace: of the node.
+        arguments: ROS's own, after "--ros-args".
+        link: URL of the robot's link, where no parameter says it.
+        lidar: URL of its LiDAR, likewise.
+    """
+
+    def __init__(
+        self,
+        config: RobotConfig,
+        namespace: str = "",
+        arguments: Sequence[str] = (),
+        link: str = "",
+        lidar: str = "",
+    ) -> None:
+        given = {name: getattr(config, name) for name in DRIVER_PARAMETERS}
+        parameters = {name: "" if value is None else value for name, value in given.items()}
+        parameters |= {"link": link, "lidar": lidar, SCENE_PARAMETER: "", "publish_tf": True}
+        parameters["cmd_vel_timeout"] = config.firmware.command_timeout or 0.5
+        self._node = node = RosNode(DRIVER_NODE, namespace, arguments, parameters, services=True)
+        self._ros = ros = node.ros
+        try:
+            changed = {
+                name: node.read_parameter(name)
+                for name, value in parameters.items()
+                if name in given and node.read_parameter(name) != value
+            }
+            self.config = config = config.with_(**changed)
+            self.link, self.lidar = node.read_parameter("link"), node.read_parameter("lidar")
+            timeout = float(node.read_parameter("cmd_vel_timeout"))
+            self.inbox = CommandInbox(timeout, config.base_frame, self.warn)
+            self.requests: deque[Request] = deque()
+            self._measured: deque[Measured] = deque(maxlen=QUEUE_TICKS)
+            self._make_messages()
+            # One participant can't have a topic of two types.
+            self._unstamped = RosNode(f"{DRIVER_NODE}_twist", node.namespace, _remaps(arguments))
+        except BaseException:
+            node.close()
+            raise
+        topic = "cmd_vel"
+        node.subscribe(topic, ros.TwistStamped, self._take_stamped, 10)
+        self._unstamped.subscribe(topic, ros.Twist, self._take_unstamped, 10)
+        self._joints = node.publish("joint_states", ros.JointState, depth=10)
+        self._odometry = node.publish("odom", ros.Odometry, depth=10)
+        self._scan = node.publish("scan", ros.LaserScan, depth=5)
+        self._diagnostics = node.publish("/diagnostics", ros.DiagnosticArray, depth=10)
+        self._clock: Any = None
+        self._tf: Any = None
+        if ros.TFMessage is not None and node.read_parameter("publish_tf"):
+            self._tf = node.publish("/tf", ros.TFMessage, depth=100)
+        self._publish_static()
+        self._due = 0.0
+        self._lateness = 0.0
+        self._running = True
+        self._wake = node.node.create_guard_condition(self._publish_measured)
+        self._threads = [
+            threading.Thread(target=self._spin, args=(one,), name=one.name, daemon=True)
+            for one in (node, self._unstamped)
+        ]
+
+    def _make_messages(self) -> None:
+        """Make the messages that are filled and published again and again."""
+        ros, config = self._ros, self.config
+        self._state = ros.JointState(name=list(config.ros_joints))
+        self._moved = ros.Odometry(child_frame_id=config.base_frame)
+        self._moved.header.frame_id = config.odom_frame
+        self._moved.pose.covariance = POSE_COVARIANCE
+        self._moved.twist.covariance = TWIST_COVARIANCE
+        self._seen = ros.LaserScan()
+        self._seen.header.frame_id = config.lidar_frame
+        self._transform = ros.TransformStamped(child_frame_id=config.base_frame)
+        self._transform.header.frame_id = config.odom_frame
+
+    def _publish_static(self) -> None:
+        """Publish where the LiDAR sits."""
+        ros, config = self._ros, self.config
+        if ros.TFMessage is None:
+            self.warn("tf2_msgs isn't installed: no /tf and /tf_static are published")
+            return
+        mount = ros.TransformStamped(child_frame_id=config.lidar_frame)
+        mount.header.frame_id = config.base_frame
+        mount.header.stamp = make_stamp(ros, self._node.now())
+        place = mount.transform.translation
+        place.x, place.y = config.lidar_x_offset, config.lidar_y_offset
+        place.z = config.lidar_z_offset
+        self._static = self._node.publish("/tf_static", ros.TFMessage, latched=True)
+        self._static.publish(ros.TFMessage(transforms=[mount]))
+
+    def warn(self, text: str) -> None:
+        """Log a line."""
+        self._node.node.get_logger().warning(escape_unprintable(text))
+
+    def say(self, text: str) -> None:
+        """Log a line about what goes well."""
+        self._node.node.get_logger().info(escape_unprintable(text))
+
+    def offer(self, services: dict[str, Callable[[], str]]) -> None:
+        """Offer services of type std_srvs/Trigger, whose work the control loop does."""
+        for name, work in services.items():
+            self._node.node.create_service(self._ros.Trigger, f"~/{name}", self._make_service(work))
+
+    def _make_service(self, work: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        def serve(_: Any, response: Any) -> Any:
+            request = Request(work)
+            self.requests.append(request)
+            if not request.done.wait(REQUEST_TIMEOUT):
+                request.answer = "the control loop doesn't answer"
+            response.success, response.message = not request.failed, request.answer
+            return response
+
+        return serve
+
+    def start_clock(self) -> None:
+        """Publish /clock from now on: time is simulated."""
+        self._clock = self._node.publish("/clock", self._ros.Clock)
+
+    def start(self) -> None:
+        """Start the threads."""
+        for thread in self._threads:
+            thread.start()
+
+    def now(self) -> int:
+        """Return the time of the node's clock [ns]."""
+        return self._node.now()
+
+    def read_scene(self) -> Scene:
+        """Return the scene that the node's parameter names. ConfigError where it can't be used."""
+        return parse_scene(str(self._node.read_parameter(SCENE_PARAMETER)))
+
+    def put(self, measured: Measured) -> None:
+        """Hand over what was measured in a tick; doesn't wait."""
+        self._measured.append(measured)
+        self._wake.trigger()
+
+    def _spin(self, node: RosNode) -> None:
+        while self._running:
+            node.spin(SPIN_PERIOD)
+
+    def _take_stamped(self, message: Any, info: Any = None) -> None:
+        stamp, twist = read_stamp(message.header.stamp), message.twist
+        age = (self._ros_time() - stamp) / NANOSECONDS if stamp else 0.0
+        source = self._find_source("stamped", info)
+        frame = message.header.frame_id
+        self.inbox.take(twist.linear.x, twist.angular.z, source, age, frame)
+
+    def _take_unstamped(self, message: Any, info: Any = None) -> None:
+        self.inbox.take(message.linear.x, message.angular.z, self._find_source("twist", info))
+
+    def _find_source(self, kind: str, info: Any) -> object:
+        """Return what tells publishers apart, where the middleware tells that."""
+        gid = (info or {}).get("publisher_gid")
+        return (kind, gid["data"] if gid else "")
+
+    def _ros_time(self) -> int:
+        """Return the time of what is published [ns]."""
+        if self._clock is None:
+            return self._node.now()
+        return self._newest
+
+    _newest = SIMULATION_START
+
+    def _publish_measured(self) -> None:
+        """Publish what the control loop has handed over; the executor calls it."""
+        while self._measured:
+            measured = self._measured.popleft()
+            stamp = make_stamp(self._ros, measured.stamp)
+            state = self._state
+            state.header.stamp = stamp
+            state.position, state.velocity = measured.angles, measured.speeds
+            self._joints.publish(state)
+            self._publish_pose(measured, stamp)
+            if measured.scan is not None:
+                self._publish_scan(measured, measured.scan)
+            self._newest = measured.stamp
+            if self._clock is not None:
+                self._clock.publish(self._ros.Clock(clock=stamp))
+            self._lateness = max(self._lateness, measured.lateness or 0.0)
+            if time.monotonic() >= self._due:
+                self._due = time.monotonic() + DIAGNOSTICS_PERIOD
+                self._publish_diagnostics(measured, stamp)
+
+    def _publish_pose(self, measured: Measured, stamp: Any) -> None:
+        x, y, theta = measured.pose
+        sin, cos = math.sin(theta / 2.0), math.cos(theta / 2.0)
+        moved = self._moved
+        moved.header.stamp = stamp
+        pose, twist = moved.pose.pose, moved.twist.twist
+        pose.position.x, pose.position.y = x, y
+        pose.orientation.z, pose.orientation.w = sin, cos
+        twist.linear.x, twist.angular.z = measured.twist
+        self._odometry.publish(moved)
+        if self._tf is not None:
+            transform = self._transform
+            transform.header.stamp = stamp
+            place = transform.transform
+            place.translation.x, place.translation.y = x, y
+            place.rotation.z, place.rotation.w = sin, cos
+            self._tf.publish(self._ros.TFMessage(transforms=[transform]))
+
+    def _publish_scan(self, measured: Measured, scan: LaserScan) -> None:
+        seen = self._seen
+        first = measured.stamp + round(scan.stamp * NANOSECONDS)
+        seen.header.stamp = make_stamp(self._ros, max(first, 0))
+        for name in ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time"):
+            setattr(seen, name, getattr(scan, name))
+        seen.range_min, seen.range_max = scan.range_min, scan.range_max
+        seen.ranges = scan.ranges
+        self._scan.publish(seen)
+
+    def _publish_diagnostics(self, measured: Measured, stamp: Any) -> None:
+        ros, config = self._ros, self.config
+        kinds = ros.DiagnosticStatus
+        stopped = measured.reason is Reason.EMERGENCY_STOP
+        late = measured.lateness is not None and self._lateness > config.late_tick
+        level, text = kinds.OK, "drives"
+        if self.inbox.problem or late:
+            level, text = kinds.WARN, self.inbox.problem or "the control loop is late"
+        if stopped or measured.reason in (Reason.GEOFENCE, Reason.STALE_FEEDBACK):
+            level, text = kinds.ERROR, measured.reason.name.lower().replace("_", " ")
+        values = {
+            "emergency stop": str(stopped).lower(),
+            "why the twist isn't the asked one": measured.reason.name.lower(),
+            "age of the feedback [s]": f"{measured.age:.4f}",
+            "latest tick [s]": "simulated"
+            if measured.lateness is None
+            else f"{self._lateness:.6f}",
+            "commands": self.inbox.problem or "taken",
+        }
+        self._lateness = 0.0
+        status = kinds(
+            level=level, name=f"{DRIVER_NODE}: link", message=text, hardware_id=self.link
+        )
+        status.values = [ros.KeyValue(key=key, value=value) for key, value in values.items()]
+        array = ros.DiagnosticArray(status=[status])
+        array.header.stamp = stamp
+        self._diagnostics.publish(array)
+
+    def close(self) -> None:
+        """End threads and nodes."""
+        self._running = False
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join(2.0 * SPIN_PERIOD)
+        self._unstamped.close()
+        self._node.close()
+
+
+def _remaps(arguments: Sequence[str]) -> list[str]:
+    """Return those of ROS's arguments that remap topics, which a second node needs, too."""
+    pairs = itertools.pairwise(arguments)
+    kept = [
+        (option, rule)
+        for option, rule in pairs
+        if option in ("-r", "--remap") and not rule.startswith(("__node:", "__ns:", "__name:"))
+    ]
+    return [word for pair in kept for word in pair]
+
+
+def parse_scene(text: str) -> Scene:
+    """Return the scene that JSON describes, as of `links.ros2.format_scene`; "" is an open floor.
+
+    Raises:
+        ConfigError: it can't be used.
+    """
+    if not text.strip():
+        return Scene()
+    try:
+        data = json.loads(text)
+        x, y, theta = map(float, data.get("start") or (0.0, 0.0, 0.0))
+        goal = data.get("goal")
+        goal = None if goal is None else (float(goal[0]), float(goal[1]))
+        world = data.get("world")
+    except (ValueError, TypeError, AttributeError, IndexError) as error:
+        short = shorten_text(" ".join(text.split()), 60)
+        raise ConfigError(
+            f'scene = {short}: must be like {{"start": [0, 0, 0], "goal": [2, 1], "world": null}}'
+        ) from error
+    if world is None:
+        return Scene((x, y, theta), goal)
+    if isinstance(world, str):
+        return Scene((x, y, theta), goal, load_world(world))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.json"
+        path.write_text(json.dumps(world), encoding="utf-8")
+        return Scene((x, y, theta), goal, load_world(path))
+
+
+class DrivenRobot:
+    """The control loop: a robot that drives what its node hears.
+
+    Args:
+        node: of the robot.
+        speed: how fast simulated time passes, in parts of real time.
+        recorder: records what the robot does.
+    """
+
+    def __init__(
+        self, node: RobotNode, speed: float = 1.0, recorder: Recorder | None = None
+    ) -> None:
+        self._node = node
+        config = node.config
+        link = open_link(node.link or "serial", config, realtime=speed)
+        self._simulated = link.lateness is None
+        sensors = (
+            sensor_factories(["lidar"], node.lidar or None) if node.lidar or self._simulated else ()
+        )
+        self._robot = Robot(link, config, sensors, recorder)
+        self._scanned = -math.inf
+        self._turn: tuple[float, int] | None = None
+        self._offset = SIMULATION_START
+        self._newest = SIMULATION_START
+        services = {
+            "estop": self._estop,
+            "release": self._release,
+            "reset_odometry": self._reset_odometry,
+        }
+        if self._simulated:
+            services["reset"] = self._reset
+            node.start_clock()
+        node.offer(services)
+
+    def run(self) -> None:
+        """Drive until an error or an interrupt; stops and closes on any way out."""
+        robot, node = self._robot, self._node
+        try:
+            self._begin(node.read_scene())
+            node.start()
+            node.say(f"drives {node.link or node.config.serial_port}")
+            while True:
+                while node.requests:
+                    self._answer(node.requests.popleft())
+                robot.drive(*node.inbox.current())
+                self._hand_over()
+                if robot.safety.stopped and not self._is_held():
+                    robot.safety.reset()  # released from another terminal
+        finally:
+            robot.close()
+            node.close()
+
+    def _answer(self, request: Request) -> None:
+        """Do what a service asks for; an error is its answer."""
+        with contextlib.suppress(ConfigError, LinkError):
+            request.run()
+        if not self._robot.active:
+            self._begin(Scene())
+
+    def _begin(self, scene: Scene) -> None:
+        """Reset the robot; stamps go on growing."""
+        self._robot.reset(scene)
+        link = self._robot.link
+        begin = self._newest if self._simulated else self._node.now()
+        self._offset = begin - round(link.now() * NANOSECONDS)
+        self._scanned = -math.inf
+
+    def _hand_over(self) -> None:
+        robot = self._robot
+        stamp = self._offset + round(robot.wire.stamp * NANOSECONDS)
+        self._newest = stamp
+        odometry, safety = robot.odometry, robot.safety
+        self._node.put(
+            Measured(
+                stamp,
+                odometry.pose,
+                odometry.twist,
+                robot.speeds,
+                odometry.wheel_positions,
+                self._take_scan(),
+                robot.link.lateness,
+                robot.feedback_age,
+                safety.reason,
+            )
+        )
+
+    def _take_scan(self) -> LaserScan | None:
+        """Return the newest revolution as a message, if it is new."""
+        sensor = find_lidar(self._robot.sensors)
+        if sensor is None or sensor.revolution.stamp <= self._scanned:
+            return None
+        revolution = sensor.revolution
+        self._scanned = revolution.stamp
+        now = self._robot.wire.stamp
+        moved = Revolution(revolution.bearings, revolution.distances, revolution.times - now, 0.0)
+        lidar = self._node.config.lidar
+        angle_min, rays = self._turn or (None, None)
+        scan = make_scan(moved, lidar.min_range, lidar.max_range, angle_min=angle_min, rays=rays)
+        if self._turn is None:
+            self._turn = scan.angle_min, len(scan.ranges)  # programs for maps want them to stay
+        return scan
+
+    def _is_held(self) -> bool:
+        return bool(StopListener.held) or self._held
+
+    _held = False
+
+    def _estop(self) -> str:
+        self._held = True
+        self._robot.estop()
+        return "stopped; call release to drive again"
+
+    def _release(self) -> str:
+        self._held = False
+        self._robot.release_estop()
+        self._robot.safety.reset()
+        return "released"
+
+    def _reset_odometry(self) -> str:
+        self._robot.odometry.reset()
+        return "the robot is at the origin of its odometry"
+
+    def _reset(self) -> str:
+        self._begin(self._node.read_scene())
+        return "the robot stands in the scene"
+
+
+def drive_node(
+    config: RobotConfig,
+    link: str = "",
+    lidar: str = "",
+    namespace: str = "",
+    arguments: Sequence[str] = (),
+    speed: float = 1.0,
+    recorder: Recorder | None = None,
+) -> None:
+    """Drive a robot as a node of ROS, until an interrupt or an error.
+
+    Args:
+        config: of the robot.
+        link: URL of its link; "" for the `serial_port` of the config or of a parameter.
+        lidar: URL of its LiDAR; "" for none, or a simulated one.
+        namespace: of the node.
+        arguments: ROS's own, after "--ros-args".
+        speed: how fast simulated time passes, in parts of real time.
+        recorder: records what the robot does.
+
+    Raises:
+        MissingRosError: ROS 2 isn't installed.
+        ConfigError: a parameter can't be used.
+        LinkError: the robot can't be reached, or is lost.
+    """
+    node = RobotNode(config, namespace, arguments, link, lidar)
+    try:
+        driven = DrivenRobot(node, speed, recorder)
+    except BaseException:
+        node.close()
+        raise
+    driven.run()
