@@ -327,10 +327,25 @@ class RobotConfig(Section):
         """Joints of the wheels a, b, c, d in ROS 2; of two wheels, that of the side."""
         return self.ros2.joints or self.wheel_joints
 
-    @property
-    def has_two_wheels(self) -> bool:
-        """Whether one driven wheel stands for each side, which only the link "ros2" drives."""
-        return len({*self.ros_joints}) == 2
+    def check_four_wheels(self) -> None:
+        """Raise ConfigError for a robot with two driven wheels, which only ROS 2 drives."""
+        joints = dict.fromkeys(self.ros_joints)
+        if len(joints) == 2 and self.ros2.only is not False:
+            raise ConfigError(
+                f"this robot has two driven wheels ({', '.join(joints)}): only robots with four "
+                "driven wheels that skid are simulated or driven over a serial port; --link ros2 "
+                "drives it"
+            )
+
+    def check_simulated(self) -> None:
+        """Raise ConfigError for a robot that can't be simulated, but driven in ROS 2."""
+        self.check_four_wheels()
+        if self.ros2.only:
+            raise ConfigError(
+                "no file says the wheelbase of this robot, so it can't be simulated: give its "
+                "URDF, too (URDF,FILE), or set wheelbase, and ros2.only to false; --link ros2 "
+                "drives it"
+            )
 
     @property
     def misfit(self) -> str:

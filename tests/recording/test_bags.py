@@ -11,9 +11,10 @@ from recording_tools import drive
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig
+from acsar_gym.config.wheel_names import find_corner
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, read
-from acsar_gym.recording.bags import find_corner, is_recording, open_recording
+from acsar_gym.recording.bags import is_recording, open_recording
 from acsar_gym.tools.sysid.identify import identify_files
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
