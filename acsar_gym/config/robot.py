@@ -327,12 +327,17 @@ class RobotConfig(Section):
         """Joints of the wheels a, b, c, d in ROS 2; of two wheels, that of the side."""
         return self.ros2.joints or self.wheel_joints
 
+    @property
+    def has_two_wheels(self) -> bool:
+        """Whether one joint stands for each side in ROS 2, so that b and c, and a and d are one."""
+        return len({*self.ros_joints}) == 2
+
     def check_four_wheels(self) -> None:
         """Raise ConfigError for a robot with two driven wheels, which only ROS 2 drives."""
-        joints = dict.fromkeys(self.ros_joints)
-        if len(joints) == 2 and self.ros2.only is not False:
+        if self.has_two_wheels and self.ros2.only is not False:
+            right, left = self.ros_joints[:2]
             raise ConfigError(
-                f"this robot has two driven wheels ({', '.join(joints)}): only robots with four "
+                f"this robot has two driven wheels ({right}, {left}): only robots with four "
                 "driven wheels that skid are simulated or driven over a serial port; --link ros2 "
                 "drives it"
             )

@@ -122,6 +122,7 @@ def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> Non
     given, expected = JOINTS[kind]
     config = RobotConfig(ros2={"joints": given, "command_joints": sorted({*expected})})
     assert config.ros_joints == expected
+    assert config.has_two_wheels == (kind == "sides")
     if kind == "sides":
         with pytest.raises(ConfigError, match=r"two driven wheels \(r, l\): .*--link ros2 drives"):
             config.check_simulated()
