@@ -450,15 +450,15 @@ class RobotConfig(Section):
 
         Args:
             path: a `.yaml` file of this package, a `.urdf` file (its `<ros2_control>` parameters,
-                links and joints), or a file of ROS parameters: those of a diff_drive_controller,
-                "controllers.yaml:base_drive" where it has several, or nav2's footprint. In a URDF
-                of the robot's own driver, no baud_rate means 9600 baud, and by default a
-                control_rate of 20 Hz.
+                links and joints), or a file of ROS parameters: those of a diff_drive_controller or
+                JointGroupVelocityController, "controllers.yaml:base_drive" where it has several, or
+                nav2's footprint. In a URDF of the robot's own driver, no baud_rate means 9600 baud,
+                and by default a control_rate of 20 Hz.
             *more: further files of the same robot; a later one counts more.
 
         Raises:
             ConfigError: a file is missing or malformed, holds a bad value, or isn't of a robot with
-                four driven wheels that skid; or they don't say how large it is.
+                four driven wheels that skid, or two in ROS; or they don't say how large it is.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
