@@ -47,7 +47,10 @@ class RobotPart:
         skids: whether wheelbase and separation say how the wheels skid in a turn, where no file has
             a multiplier.
         driven: the wheels' joints that a controller drives.
-        drive_problem: why those alone aren't of a robot with four driven wheels; or empty.
+        drive_problem: why those alone aren't of a robot that can be driven; or empty.
+        sides: the joints "left" and "right", where each stands for the wheels of a side; they count
+            where no file names four.
+        is_controller: whether it is of a robot in ROS 2, which drives without a known wheelbase.
         base_footprint: corners in that base frame [m], where the file says no wheels' places.
     """
 
@@ -58,6 +61,8 @@ class RobotPart:
     skids: bool = False
     driven: list[str] = field(default_factory=list)
     drive_problem: str = ""
+    sides: dict[str, str] = field(default_factory=dict)
+    is_controller: bool = False
     base_footprint: list[tuple[float, float]] = field(default_factory=list)
 
 
@@ -72,6 +77,13 @@ def merge_parts(parts: Sequence[RobotPart]) -> dict[str, Any]:
         for name, reason in part.missing.items()
         if name not in fields
     }
+    sides = next((part.sides for part in parts if part.sides), {})
+    if sides and "wheel_joints" not in fields:
+        fields = _update({"ros2": {"joints": sides}}, fields)
+    if [*reasons] == ["wheelbase"] and any(part.is_controller for part in parts):
+        # a square: nothing but a simulation needs it, and there is none of this robot
+        unknown = {"wheelbase": fields["wheel_separation"], "ros2": {"only": True}}
+        fields, reasons = _update(unknown, fields), {}
     if reasons:
         why = "; ".join(dict.fromkeys(reasons.values()))
         names = [*reasons]

@@ -329,8 +329,28 @@ class RobotConfig(Section):
 
     @property
     def has_two_wheels(self) -> bool:
-        """Whether one driven wheel stands for each side, which only the link "ros2" drives."""
+        """Whether one joint stands for each side in ROS 2, so that b and c, and a and d are one."""
         return len({*self.ros_joints}) == 2
+
+    def check_four_wheels(self) -> None:
+        """Raise ConfigError for a robot with two driven wheels, which only ROS 2 drives."""
+        if self.has_two_wheels and self.ros2.only is not False:
+            right, left = self.ros_joints[:2]
+            raise ConfigError(
+                f"this robot has two driven wheels ({right}, {left}): only robots with four "
+                "driven wheels that skid are simulated or driven over a serial port; --link ros2 "
+                "drives it"
+            )
+
+    def check_simulated(self) -> None:
+        """Raise ConfigError for a robot that can't be simulated, but driven in ROS 2."""
+        self.check_four_wheels()
+        if self.ros2.only:
+            raise ConfigError(
+                "no file says the wheelbase of this robot, so it can't be simulated: give its "
+                "URDF, too (URDF,FILE), or set wheelbase, and ros2.only to false; --link ros2 "
+                "drives it"
+            )
 
     @property
     def misfit(self) -> str:
@@ -430,15 +450,15 @@ class RobotConfig(Section):
 
         Args:
             path: a `.yaml` file of this package, a `.urdf` file (its `<ros2_control>` parameters,
-                links and joints), or a file of ROS parameters: those of a diff_drive_controller,
-                "controllers.yaml:base_drive" where it has several, or nav2's footprint. In a URDF
-                of the robot's own driver, no baud_rate means 9600 baud, and by default a
-                control_rate of 20 Hz.
+                links and joints), or a file of ROS parameters: those of a diff_drive_controller or
+                JointGroupVelocityController, "controllers.yaml:base_drive" where it has several, or
+                nav2's footprint. In a URDF of the robot's own driver, no baud_rate means 9600 baud,
+                and by default a control_rate of 20 Hz.
             *more: further files of the same robot; a later one counts more.
 
         Raises:
             ConfigError: a file is missing or malformed, holds a bad value, or isn't of a robot with
-                four driven wheels that skid; or they don't say how large it is.
+                four driven wheels that skid, or two in ROS; or they don't say how large it is.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 

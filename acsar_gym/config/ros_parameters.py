@@ -1,4 +1,4 @@
-"""Robots in ROS parameter files: a diff_drive_controller of ros2_controllers, footprints of nav2.
+"""Robots in ROS parameter files: controllers of ros2_controllers, footprints of nav2.
 
 Parameters may be nested or written with dots, and stand under a node's name, in namespaces, or
 under wildcards. Names are those of Humble and of Jazzy, and of ROS 1, whose files have no
@@ -15,6 +15,7 @@ from typing import Any
 from acsar_gym import reading
 from acsar_gym.config.footprint import make_circle
 from acsar_gym.config.parts import GEOMETRY_FIELDS, MEASURES, ONLY_FOUR, RobotPart
+from acsar_gym.config.wheel_names import CORNERS, find_corner
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
 MARK = "ros__parameters"  # key of a node's parameters in ROS 2
@@ -38,9 +39,10 @@ _OTHER_DRIVES = {
     "mecanum or omni wheels": re.compile(r"mecanum|omni_wheel"),
     "a steered axle": re.compile(r"ackermann|bicycle|tricycle|steering"),
 }
-_NAMED_FRONT = re.compile(r"front|(^|_)f[lr]?(_|$)|fwd", re.IGNORECASE)
-_NAMED_REAR = re.compile(r"rear|back|(^|_)[rb][lr](_|$)", re.IGNORECASE)
 _DIFF_DRIVE = re.compile(r"diff_drive_controller")
+_VELOCITY_GROUP = re.compile(r"velocity_controllers/JointGroupVelocityController")
+TWO_WHEELS_BASE = 0.02
+"""Wheelbase of a robot with two driven wheels, the least: so it turns as the formula says [m]."""
 
 
 def is_parameter_file(data: Any) -> bool:
@@ -60,32 +62,74 @@ def read_parameters(data: Any, name: str = "") -> RobotPart:
     types = _controller_types(nodes)
     drives = [node for node in nodes if _is_diff_drive(nodes[node], types.get(_last(node), ""))]
     drives = [node for node in drives if node not in wild] or drives
+    groups = [node for node in nodes if _VELOCITY_GROUP.search(types.get(_last(node), ""))]
+    chosen = drives or groups
     if name:
         matching = [node for node in nodes if name in (node, _last(node), node.strip("/"))]
         if not matching:
-            controllers = [_last(node) for node in drives or nodes]
+            controllers = [_last(node) for node in [*drives, *groups] or nodes]
             raise ConfigError(
                 f"has no controller {show_value(name)}{suggest_name(name, controllers)}"
             )
-        drives = matching
-    if len(drives) > 1:
-        names = [_last(node) for node in drives]
+        chosen = matching
+        groups += [node for node in matching if "joints" in nodes[node]]
+    if len(chosen) > 1:
+        names = [_last(node) for node in chosen]
         raise ConfigError(
-            f"has {len(drives)} controllers of a differential drive ({', '.join(names[:5])}): say "
+            f"has {len(chosen)} controllers of a differential drive ({', '.join(names[:5])}): say "
             f"which one, such as FILE:{names[0]}"
         )
-    part = RobotPart()
-    if drives:
-        _read_controller({**shared, **nodes[drives[0]]}, part)
-        _read_manager(nodes, part)
-    part.base_footprint = _find_footprint(nodes)
-    if not (drives or part.base_footprint):
+    part = RobotPart(base_footprint=_find_footprint(nodes))
+    if not (chosen or part.base_footprint):
         raise ConfigError(_explain_others(nodes, types))
-    if not drives:
-        part.missing = dict.fromkeys(
-            MEASURES, "nav2 knows the footprint alone; give the robot, too: ROBOT,FILE"
-        )
+    part.missing = dict.fromkeys(
+        MEASURES,
+        "a velocity controller doesn't know it; give the robot, too: ROBOT,FILE"
+        if chosen
+        else "nav2 knows the footprint alone; give the robot, too: ROBOT,FILE",
+    )
+    is_group = bool(chosen) and chosen[0] in groups
+    base = drives if is_group and len(drives) == 1 else [] if is_group else chosen
+    if base:
+        _read_controller({**shared, **nodes[base[0]]}, part)
+    if is_group:
+        _read_group(chosen[0], nodes[chosen[0]], part)
+    if chosen:
+        part.is_controller = True
+        _read_manager(nodes, part)
     return part
+
+
+def _read_group(node: str, params: Mapping[str, Any], part: RobotPart) -> None:
+    """Read a controller that takes the speeds of single wheels."""
+    joints = params.get("joints")
+    if not (
+        isinstance(joints, list)
+        and len(joints) in (2, 4)
+        and all(isinstance(joint, str) for joint in joints)
+    ):
+        raise ConfigError(
+            f"{_last(node)}.joints = {show_value(joints)}: must be a list of 2 or 4 names"
+        )
+    part.fields["ros2"] = {
+        "command": "wheel_speeds",
+        "command_joints": joints,
+        "command_topic": f"{_last(node)}/commands",
+    }
+    if not part.driven:
+        part.driven = joints
+        corners = {find_corner(joint): joint for joint in joints}
+        if corners.keys() == {*CORNERS}:
+            part.guesses["wheel_joints"] = [corners[corner] for corner in CORNERS]
+        elif corners.keys() == {"l", "r"}:
+            _set_sides(corners["l"], corners["r"], part)
+
+
+def _set_sides(left: str, right: str, part: RobotPart) -> None:
+    """Set the joints of a robot with one driven wheel on each side."""
+    part.sides = {"left": left, "right": right}
+    part.missing.pop("wheelbase", None)
+    part.guesses["wheelbase"] = TWO_WHEELS_BASE
 
 
 def _find_nodes(data: Any) -> dict[str, dict[str, Any]]:
@@ -151,12 +195,13 @@ def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
     for name, field in OTHER_NAMES.items():
         if isinstance(value := params.get(name), str) and value:
             fields[field] = value
+    if isinstance(stamped := params.get("use_stamped_vel"), bool):
+        fields["ros2"] = {"command": "twist_stamped" if stamped else "twist"}
     timeout = params.get("cmd_vel_timeout")
     if timeout is not None and not _is_unset(timeout):
         fields["firmware"] = {"command_timeout": timeout}
     for axis, limits, largest in AXES:
         _read_limits(params, axis, limits, largest, fields)
-    _read_names(params, part)
     part.missing = {
         name: "its controller takes it from the URDF; give that, too: URDF,FILE"
         for name in ("wheel_radius", "wheel_separation")
@@ -170,6 +215,7 @@ def _read_controller(params: Mapping[str, Any], part: RobotPart) -> None:
             "a controller doesn't know it, and its multiplier doesn't tell; give the URDF, too: "
             "URDF,FILE"
         )
+    _read_names(params, part)
 
 
 def _guess_wheelbase(fields: Mapping[str, Any]) -> float | None:
@@ -223,25 +269,34 @@ def _read_names(params: Mapping[str, Any], part: RobotPart) -> None:
     if len(right) == len(left) == 2:
         (front_right, rear_right), (front_left, rear_left) = map(_order_wheels, sides)
         part.guesses["wheel_joints"] = [front_right, front_left, rear_left, rear_right]
-    elif part.driven and (len(part.driven) > 2 or params.get("wheels_per_side", 1) in (0, 1)):
-        count = "two driven wheels" if len(part.driven) == 2 else f"{len(part.driven)} wheels"
+    elif len(right) == len(left) == 1 and params.get("wheels_per_side", 1) in (0, 1):
+        _set_sides(left[0], right[0], part)
+    elif len(right) == len(left) == 1:
+        part.sides = {"left": left[0], "right": right[0]}
+        part.fields.setdefault("ros2", {})["only"] = False
+    elif part.driven:
+        names = ", ".join(part.driven[:6])
         part.drive_problem = (
-            f"is the controller of a robot with {count} ({', '.join(part.driven[:6])}): {ONLY_FOUR}"
+            f"is the controller of a robot with {len(part.driven)} wheels ({names}): {ONLY_FOUR}"
         )
 
 
 def _order_wheels(names: list[str]) -> tuple[str, str]:
     """The front wheel, then the rear one, by their names; else as they are listed."""
     first, second = names
-    swapped = _NAMED_REAR.search(first) and _NAMED_FRONT.search(second)
+    swapped = find_corner(first)[:1] == "b" and find_corner(second)[:1] == "f"
     return (second, first) if swapped else (first, second)
 
 
 def _read_manager(nodes: Mapping[str, Mapping[str, Any]], part: RobotPart) -> None:
-    """Take the controller manager's rate, if a robot can tick at it."""
+    """Take the controller manager's rate: of ticks, if a robot can tick at it, or of feedback."""
     for node, params in nodes.items():
-        if _last(node) == "controller_manager" and params.get("update_rate") in USUAL_RATES:
-            part.guesses["control_rate"] = params["update_rate"]
+        rate = params.get("update_rate")
+        if _last(node) == "controller_manager" and isinstance(rate, float | int):
+            if rate in USUAL_RATES:
+                part.guesses["control_rate"] = rate
+            elif USUAL_RATES[0] <= rate <= USUAL_RATES[-1]:
+                part.guesses["firmware"] = {"feedback_rate": rate}
 
 
 def _find_footprint(nodes: Mapping[str, Mapping[str, Any]]) -> list[tuple[float, float]]:

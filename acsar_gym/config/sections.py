@@ -351,6 +351,9 @@ class Ros2Config(Section):
     those."""
     use_sim_time: bool | None = None
     """Whether time is that of the topic /clock; None: where somebody publishes it."""
+    only: bool | None = None
+    """Whether the robot can't be simulated, as it has two driven wheels, or nothing says its
+    wheelbase. None: where one joint stands for a side."""
 
 
 # Limits

@@ -237,7 +237,8 @@ def _check_drive(
         track = abs(first.place[1] - second.place[1])
         raise ConfigError(
             f"is a robot with two driven wheels ({names}), {track:.4g} m apart, and what "
-            f"carries it besides, a differential drive: {ONLY_FOUR}"
+            "carries it besides, a differential drive: only four driven wheels that skid are "
+            "simulated; for --link ros2 give the file of its controller alone"
         )
     if chosen and len(chosen) != 4:
         count = f"{len(chosen)} wheel{'s' * (len(chosen) > 1)}"

@@ -35,6 +35,7 @@ class Backend(NamedTuple):
 def _make_simulated(url: str, config: RobotConfig, window: bool) -> Link:
     from acsar_gym.links.simulated import SimulatedLink  # noqa: PLC0415
 
+    config.check_simulated()
     check_installed(url)
     return SimulatedLink(config, partial(make_body, url, config, window=window))
 
@@ -42,6 +43,7 @@ def _make_simulated(url: str, config: RobotConfig, window: bool) -> Link:
 def _make_serial(url: str, config: RobotConfig, window: bool) -> Link:
     from acsar_gym.links.serial import SerialLink  # noqa: PLC0415
 
+    config.check_four_wheels()
     device = config.serial_port if url == "serial" else url
     if device is None:
         raise ConfigError(
@@ -97,7 +99,7 @@ def open_link(
             times as fast.
 
     Raises:
-        ConfigError: for any other URL.
+        ConfigError: for any other URL, or for a robot that only the link "ros2" drives.
         MissingExtraError: the simulator isn't installed.
     """
     config = RobotConfig.of(config)

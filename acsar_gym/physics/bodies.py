@@ -65,8 +65,10 @@ def check_installed(name: str) -> None:
 def make_body(name: str, config: RobotConfig, *, window: bool = False) -> Body:
     """Make a body of the table, with the simulator's window if asked for.
 
-    ConfigError for any other name, MissingExtraError where the simulator isn't installed.
+    ConfigError for any other name, or a robot that can't be simulated, MissingExtraError where the
+    simulator isn't installed.
     """
+    config.check_simulated()
     if name not in BODIES:
         raise ConfigError(f"unknown body {name!r}{suggest_name(name[:40], BODIES)}")
     backend = BODIES[name]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import atexit
 import hashlib
 import math
-import re
 import shutil
 import sqlite3
 import tempfile
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.wheel_names import CORNERS, find_corner
 from acsar_gym.errors import (
     ConfigError,
     RecordingWarning,
@@ -67,24 +67,6 @@ IDENTIFYING_BYTES = 5_000_000  # a recording of this package shows within them w
 BATCH = 64  # events that are encoded at once
 MAX_TIME = 2**62  # times are smaller [ns]
 FASTEST_WHEEL = 99.99  # what a line can say, either sign [rad/s]
-
-PLACE_WORDS = {
-    word: place
-    for place, words in {
-        "l": "l left",
-        "r": "r right",
-        "f": "f front fore forward",
-        "b": "b rear back hind aft",
-        "fl": "fl lf",
-        "fr": "fr rf",
-        "bl": "rl bl lb lr",
-        "br": "rr br rb",
-    }.items()
-    for word in words.split()
-}
-"""Where a wheel is, by the words of its joint's name."""
-OTHER_WHEELS = re.compile(r"mid|middle|cent(er|re)|cast[eo]r|steer.*")
-CORNERS = ("fr", "fl", "bl", "br")  # of the wheels a, b, c, d
 
 
 class BagMessage(NamedTuple):
@@ -277,12 +259,12 @@ def _joint_names(data: bytes) -> list[str]:
 def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | None:
     """Find the joints of the wheels a, b, c, d by their names; None where there aren't.
 
-    The robot's `wheel_joints` count first, then what names say: front_left_wheel_joint, fl_wheel,
+    The robot's `ros_joints` count first, then what names say: front_left_wheel_joint, fl_wheel,
     wheel_rear_right. Two wheels, as left_wheel_joint, stand for both of their side.
     """
-    wheel_joints = robot.wheel_joints
-    if all(name in names for name in wheel_joints):
-        return tuple(names.index(name) for name in wheel_joints)
+    joints = robot.ros_joints
+    if all(name in names for name in joints):
+        return tuple(names.index(name) for name in joints)
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         corner = find_corner(name)
@@ -297,21 +279,6 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
     if "l" in places and "r" in places:
         return tuple(places[corner[1]] for corner in CORNERS)
     return None
-
-
-def find_corner(name: str) -> str:
-    """Where a wheel is by its joint's name: "fl", or "l" where it says no more; "" if nothing."""
-    words = re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower())
-    if any(map(OTHER_WHEELS.fullmatch, words)):
-        return ""
-    places = [PLACE_WORDS[word] for word in words if word in PLACE_WORDS]
-    joined = "".join(words)
-    parts = re.findall("left|right|front|rear|back", joined)
-    places += [PLACE_WORDS[part] for part in parts]
-    corner = next((place for place in places if len(place) == 2), "")
-    side = next((place for place in places if place in ("l", "r")), "")
-    end = next((place for place in places if place in ("f", "b")), "")
-    return corner or (end + side if side else "")
 
 
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:

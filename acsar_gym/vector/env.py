@@ -130,6 +130,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
         fleet = make_fleet(robot, self.num_envs)
         self.fleet, self.config = fleet.robots, fleet.robots[0]
+        for config in self.fleet:
+            config.check_simulated()
         limit, rate = read_step_limit(chosen.max_episode_steps), chosen.policy_rate
         self.autoreset_mode = chosen.autoreset_mode
         modes = {"autoreset_mode": self.autoreset_mode, "render_fps": rate}

@@ -123,6 +123,11 @@ def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> Non
     config = RobotConfig(ros2={"joints": given, "command_joints": sorted({*expected})})
     assert config.ros_joints == expected
     assert config.has_two_wheels == (kind == "sides")
+    if kind == "sides":
+        with pytest.raises(ConfigError, match=r"two driven wheels \(r, l\): .*--link ros2 drives"):
+            config.check_simulated()
+    else:
+        config.check_simulated()
     assert RobotConfig(**config.model_dump(mode="json")) == config
     assert len({config, config.with_(ros2={"command_joints": None})}) == 2
     file = tmp_path / "mine.yaml"
@@ -132,7 +137,6 @@ def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> Non
 
 def test_joints_in_ros_are_the_robots_where_nothing_says_them(tmp_path: Path) -> None:
     assert RobotConfig().ros_joints == RobotConfig().wheel_joints
-    assert not RobotConfig().has_two_wheels
     file = tmp_path / "mine.yaml"
     file.write_text("wheel_radius: 0.04\nros2: {joints: {left: l, right: r}}  # of the base\n")
     RobotConfig.load(file).with_(ros2={"command": "twist"}).save(file)

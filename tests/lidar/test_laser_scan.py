@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.contract import check_revolution
-from acsar_gym.lidar.laser_scan import LaserScan, Mount, find_mount, make_scan, read_scan
+from acsar_gym.lidar.laser_scan import (
+    LaserScan,
+    Mount,
+    Transform,
+    find_mount,
+    find_transform,
+    make_scan,
+    read_scan,
+)
 from acsar_gym.lidar.scan import Floats, Revolution
 
 NAN, INF = math.nan, math.inf
@@ -89,6 +97,51 @@ def test_a_mount_turns_and_mirrors_as_its_transform_does(
     got = read_scan(SCAN._replace(angle_min=angle, ranges=[1.0]), mount)
     assert -math.pi <= got.bearings[0] <= math.pi
     assert apart(math.atan2(turned[1], turned[0]), got.bearings).max() < tilt**2 + 1e-6
+
+
+def rigid(transform: Transform) -> Floats:
+    """The 4 x 4 matrix of a transform."""
+    x, y, z, w = transform.rotation
+    matrix = np.eye(4)
+    for column in range(3):
+        unit = np.eye(3)[column]
+        across = np.cross([x, y, z], unit)
+        matrix[:3, column] = unit + 2.0 * (w * across + np.cross([x, y, z], across))
+    matrix[:3, 3] = transform.translation
+    return matrix
+
+
+NUMBER = st.floats(-2.0, 2.0)
+TRANSFORMS = st.builds(
+    lambda at, rpy: Transform("", at, quaternion(*rpy)),
+    st.tuples(NUMBER, NUMBER, NUMBER),
+    st.tuples(ANGLES, ANGLES, ANGLES),
+)
+
+
+@given(st.lists(TRANSFORMS, min_size=3, max_size=3))
+def test_a_chain_of_transforms_is_their_product(chain: list[Transform]) -> None:
+    tree = {
+        "base_link": chain[0]._replace(parent="base_footprint"),
+        "mast": chain[1]._replace(parent="/base_link"),
+        "/laser": chain[2]._replace(parent="mast"),
+        "wheel": chain[0]._replace(parent="mast"),
+    }
+    upward = find_transform(tree, "laser", "base_footprint")
+    product = rigid(chain[0]) @ rigid(chain[1]) @ rigid(chain[2])
+    assert rigid(Transform("", *upward)) == pytest.approx(product, abs=1e-9)
+    aside = rigid(Transform("", *find_transform(tree, "laser", "wheel")))
+    expected = np.linalg.inv(rigid(chain[0])) @ rigid(chain[2])
+    assert aside == pytest.approx(expected, abs=1e-9)
+    assert find_transform({}, "laser", "/laser") == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def test_frames_that_nothing_connects_are_one_line() -> None:
+    still = Transform("mast", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    circle = {"laser": still, "mast": still._replace(parent="laser")}
+    for tree in ({}, circle):
+        with pytest.raises(LidarError, match="says where its frame 'laser' is in 'base_link': pub"):
+            find_transform(tree, "laser", "base_link", "/scan")
 
 
 BAD_SCANS: dict[str, tuple[LaserScan, str]] = {

@@ -11,9 +11,10 @@ from recording_tools import drive
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig
+from acsar_gym.config.wheel_names import find_corner
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, read
-from acsar_gym.recording.bags import find_corner, is_recording, open_recording
+from acsar_gym.recording.bags import find_wheels, is_recording, open_recording
 from acsar_gym.tools.sysid.identify import identify_files
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
@@ -126,6 +127,11 @@ def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
 )
 def test_joints_are_known_by_their_names(name: str, corner: str) -> None:
     assert find_corner(name) == corner
+
+
+def test_the_robots_joints_count_more_than_what_names_say() -> None:
+    robot = RobotConfig(ros2={"joints": {"left": "fr_wheel", "right": "j2"}})
+    assert find_wheels(["fr_wheel", "fl_wheel", "j2"], robot) == (2, 0, 0, 2)
 
 
 def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
