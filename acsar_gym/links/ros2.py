@@ -60,6 +60,8 @@ OTHERS_GRACE = 0.1
 """Zeros of others count from so long after the first command that turns wheels [s]."""
 DRAIN_TIMEOUT = 0.1
 """Longest wait until the robot has confirmed the last zeros [s]."""
+CLOCK_STEP = 1e-6
+"""Deadlines are met so exactly; a simulated clock goes on by whole steps [s]."""
 CLOCK_TIMEOUT = 5.0
 """How long /clock may stand still [s]."""
 _numbers = itertools.count()
@@ -138,9 +140,10 @@ class Ros2Link:
         close_at_exit(self)
         try:
             self._find_controller(node)
-            self._start_clock(node)
-            self._start_watchdog(node, name)
             self._find_feedback(node)
+            self._start_clock(node)
+            self._publish(ZERO)
+            self._start_watchdog(node, name)
             self._wait_for_wheels(node)
             self.watchdog.wait_ready(WATCHDOG_START)
         except BaseException:
@@ -177,7 +180,6 @@ class Ros2Link:
         node.subscribe(topic, type(self._command), self._on_command, KEPT_COMMANDS)
         node.wait_until(lambda: node.problem or self._publisher.get_subscription_count() > 1, 1.0)
         self._check_qos(node)
-        self._publish(ZERO)
         others = self._list_others(node)
         if others:
             warnings.warn(
@@ -241,6 +243,11 @@ class Ros2Link:
             )
         topic, kind, callback = topics[self._feedback]
         node.subscribe(topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
+        # When it is heard, the robot's other topics are known as well, /clock among them.
+        node.wait_until(lambda: self._handled or node.problem, timeout, WHILE_WAITING.get())
+        self._check_qos(node)
+        if not self._handled:
+            raise self._silence_error(timeout)
 
     def _start_clock(self, node: RosNode) -> None:
         wanted = self._config.ros2.use_sim_time
@@ -252,10 +259,12 @@ class Ros2Link:
             if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
                 raise LinkError(
                     f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
-                    "start the simulation, or write use_sim_time: false under ros2: in the robot's file",
+                    "start the simulation, or say use_sim_time: false in ros2 of the robot's file",
                 )
         self._epoch = node.now()
-        self._now_before = 0.0
+        self._now_before = self._newest = 0.0
+        self._pending, self._problem = [], ""
+        self._reader = JointReader(self._config.ros_joints)
 
     def _wait_for_wheels(self, node: RosNode) -> None:
         """Wait for the first speeds of all wheels."""
@@ -349,7 +358,6 @@ class Ros2Link:
 
     def _on_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
-        self._handled += 1
         content = read_command(message)
         if content in self._sent:
             return
@@ -492,9 +500,9 @@ class Ros2Link:
         while True:
             remaining = self._deadline - self._check_clock()
             handled = self._handled
-            node.spin(min(max(remaining, 0.0), self.watchdog.beat_interval, period))
+            node.spin(min(remaining, self.watchdog.beat_interval, period))
             self._beat()
-            if remaining <= 0.0 and handled == self._handled:
+            if remaining <= CLOCK_STEP and handled == self._handled:
                 break
         now = self.now()
         self.lateness = now - self._deadline
