@@ -11,7 +11,7 @@ monotonic time, which all processes of a computer share:
     {"monotonic": 12.34, "command": [0.2, 0.0]}      # or wheel speeds; "refused" tells why not
     {"monotonic": 12.35, "speeds": [3.9, ...], "pose": [x, y, theta], "stamp": seconds}
 
-Faults "after S" begin S seconds after the first command, or at once where S is 0. Names of topics
+Faults "after S" begin S seconds after the first command that moves it, or at once where S is 0. Names of topics
 are remapped as those of any node: `--ros-args -r joint_states:=wheels`.
 """
 
@@ -238,7 +238,8 @@ class ForeignRobot:
         self.write(now, command=command.tolist(), **({"refused": refused} if refused else {}))
         if refused:
             return
-        self.first_command = min(self.first_command, now)
+        if any(command):
+            self.first_command = min(self.first_command, now)
         # A command takes the place of the last one's time-out.
         while world.events and world.events[-1][0] > now + self.given.delay:
             world.events.pop()
