@@ -11,8 +11,8 @@ monotonic time, which all processes of a computer share:
     {"monotonic": 12.34, "command": [0.2, 0.0]}      # or wheel speeds; "refused" tells why not
     {"monotonic": 12.35, "speeds": [3.9, ...], "pose": [x, y, theta], "stamp": seconds}
 
-Faults "after S" begin S seconds after the first command that moves it, or at once where S is 0. Names of topics
-are remapped as those of any node: `--ros-args -r joint_states:=wheels`.
+Faults "after S" begin S seconds after the first command that moves it, or at once where S is 0.
+Names of topics are remapped as those of any node: `--ros-args -r joint_states:=wheels`.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import rclpy
-from geometry_msgs.msg import Quaternion, TransformStamped, Twist, TwistStamped
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, LaserScan
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, Header
 from tf2_msgs.msg import TFMessage
 
 Array = npt.NDArray[np.float64]
@@ -170,11 +170,9 @@ class ForeignRobot:
         self.given, self.world = given, World(given)
         self.controller_width = given.separation * given.multiplier
         self.odometry = (0.0, 0.0, 0.0)
-        self.odometry_angles = self.world.angles
-        self.first_command = math.inf
+        self.odometry_angles, self.first_command = self.world.angles, math.inf
         self.log = open(given.log, "w", buffering=1)  # noqa: SIM115
-        self.speed = given.sim_time or 1.0
-        self.start = time.monotonic()
+        self.speed, self.start = given.sim_time or 1.0, time.monotonic()
         self.epoch = SIM_EPOCH * 10**9 if given.sim_time else time.time_ns()
         self.node = node = rclpy.create_node("foreign_robot", namespace=given.namespace)
         sensors = QoSProfile(depth=10, reliability=ReliabilityPolicy[given.qos.upper()])
@@ -185,17 +183,16 @@ class ForeignRobot:
             self.joint_states = node.create_publisher(JointState, "joint_states", sensors)
         self.odom = node.create_publisher(Odometry, "odom", sensors)
         self.tf = node.create_publisher(TFMessage, "/tf", 100)
-        self.due: list[tuple[float, float, Callable[[float], None]]] = []
-        """When what is published next, and its period, in seconds of the robot's own clock."""
+        self.periods: dict[Callable[[float], None], float] = {}
         if given.sim_time:
             self.clock = node.create_publisher(Clock, "/clock", best_effort)
-            self.due.append((0.0, 1.0 / given.clock_rate, self.publish_clock))
-        self.due.append((0.0, 1.0 / given.rate, self.publish_state))
+            self.periods[self.publish_clock] = 1.0 / given.clock_rate
+        self.periods[self.publish_state] = 1.0 / given.rate
         if given.scan_rate:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
             self.tf_static = node.create_publisher(TFMessage, "/tf_static", latched)
             self.tf_static.publish(TFMessage(transforms=self.mount()))
-            self.due.append((1.0 / given.scan_rate, 1.0 / given.scan_rate, self.publish_scan))
+            self.periods[self.publish_scan] = 1.0 / given.scan_rate
         qos = {"reliable": 10, "best_effort": best_effort, "transient_local": latched}
         kind, topic = COMMANDS[given.command], given.command_topic
         node.create_subscription(kind, topic, self.receive, qos[given.command_qos])
@@ -262,21 +259,20 @@ class ForeignRobot:
             return
         if self.begun(given.nan_after, now):
             speeds[0] = math.nan
-        odom = Odometry(child_frame_id=given.frame)
-        odom.header.stamp, odom.header.frame_id = Time(nanoseconds=stamp).to_msg(), "odom"
+        header = Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id="odom")
+        odom = Odometry(header=header, child_frame_id=given.frame)
         odom.pose.pose.position.x, odom.pose.pose.position.y, theta = self.odometry
         odom.pose.pose.orientation = quaternion(theta)
         linear, angular = world.body(np.array(speeds), self.controller_width)
         odom.twist.twist.linear.x, odom.twist.twist.angular.z = linear, angular
         self.odom.publish(odom)
-        transform = TransformStamped(header=odom.header, child_frame_id=given.frame)
+        transform = TransformStamped(header=header, child_frame_id=given.frame)
         transform.transform.translation.x, transform.transform.translation.y, _ = self.odometry
         transform.transform.rotation = odom.pose.pose.orientation
         self.tf.publish(TFMessage(transforms=[transform]))
         if self.joint_states is None:
             return
-        states = JointState()
-        states.header.stamp = odom.header.stamp
+        states = JointState(header=Header(stamp=header.stamp))
         wheels = iter(zip(world.angles.tolist(), speeds, strict=True))
         for joint in given.joints:
             name, *wheel = joint.split("=")
@@ -321,26 +317,26 @@ class ForeignRobot:
             hops += [("mast", "laser", 0.0, given.scan_yaw - 1.5, given.upside_down)]
         transforms = []
         for parent, child, x, yaw, upside_down in hops:
-            hop = TransformStamped(child_frame_id=child)
-            hop.header.frame_id = parent
-            hop.transform.translation.x, hop.transform.translation.z = x, 0.1
-            hop.transform.rotation = quaternion(yaw, upside_down=upside_down)
-            transforms.append(hop)
+            place = Transform(rotation=quaternion(yaw, upside_down=upside_down))
+            place.translation.x, place.translation.z = x, 0.1
+            header = Header(frame_id=parent)
+            transforms.append(
+                TransformStamped(header=header, child_frame_id=child, transform=place)
+            )
         return transforms
 
     def run(self) -> None:
-        """Publish what is due, and receive commands in between."""
+        """Publish at absolute deadlines, the clock first, and receive commands in between."""
         executor = SingleThreadedExecutor()
         executor.add_node(self.node)
+        dues = dict.fromkeys(self.periods, 0.0)
         while rclpy.ok():
-            # The first of those that are due at the same time is the clock.
-            index = min(range(len(self.due)), key=lambda index: self.due[index][0])
-            due, period, publish = self.due[index]
-            while (left := due - self.now()) > 0.0:
+            publish = min(dues, key=dues.__getitem__)
+            while (left := dues[publish] - self.now()) > 0.0:
                 executor.spin_once(timeout_sec=left / self.speed)
-            self.world.advance(due)
-            publish(due)
-            self.due[index] = (due + period, period, publish)
+            self.world.advance(dues[publish])
+            publish(dues[publish])
+            dues[publish] += self.periods[publish]
 
 
 def main() -> None:

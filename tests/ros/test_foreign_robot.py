@@ -128,8 +128,9 @@ def test_scan_is_that_of_the_room(
     assert hop.child_frame_id == "laser"
     scan = scans.messages[-1]
     assert (scan.angle_increment < 0.0) == (direction == "cw")
-    stamps = np.array([state["stamp"] for state in robot.states])
-    poses = np.array([state["pose"] for state in robot.states]).T
+    states = robot.states
+    stamps = np.array([state["stamp"] for state in states])
+    poses = np.array([state["pose"] for state in states]).T
     hits = 0
     for index, distance in enumerate(scan.ranges):
         if not math.isfinite(distance):
