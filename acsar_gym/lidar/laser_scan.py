@@ -214,6 +214,29 @@ def read_scan(scan: LaserScan, mount: Mount | None = None, source: str = "scan")
     return Revolution(_wrap(bearings), distances, times, float(times.max()))
 
 
+def move_revolution(revolution: Revolution, dx: float, dy: float) -> Revolution:
+    """Tell what a scanner at another place of the robot would have measured.
+
+    What wasn't measured stays in its direction.
+
+    Args:
+        revolution: with bearings in the directions of the base frame.
+        dx: where it was measured, ahead of the other place [m].
+        dy: likewise, to the left of it [m].
+    """
+    if dx == dy == 0.0:
+        return revolution
+    bearings, distances, times, stamp = revolution
+    x, y = dx + distances * np.cos(bearings), dy + distances * np.sin(bearings)
+    measured = distances > 0.0
+    return Revolution(
+        np.where(measured, np.arctan2(y, x), bearings),
+        np.where(measured, np.hypot(x, y), 0.0),
+        times,
+        stamp,
+    )
+
+
 def _check_fields(scan: LaserScan, rays: int, source: str) -> None:
     """Raise LidarError for fields that no scan has."""
     if rays == 0:

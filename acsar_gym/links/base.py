@@ -130,6 +130,11 @@ def is_stamped(link: Link) -> bool:
     return bool(getattr(link, "stamped", False))
 
 
+def ros_link_of(link: Link) -> Any:
+    """Return the `links.ros2.Ros2Link`, or the one that a link wraps; None where there is none."""
+    return _find_inner(link, "epoch")
+
+
 def clock_of(link: Link) -> Callable[[], float]:
     """Return the clock of a link as it goes on between periods, for a device that measures [s].
 

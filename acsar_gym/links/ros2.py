@@ -73,7 +73,8 @@ class Ros2Link:
     While open, a watchdog process with a node of its own commands zero if this process dies, or
     hangs longer than `watchdog_timeout` while wheels turn.
 
-    Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed.
+    Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed; `epoch`, the
+    node's time at which the link's clock is 0 [ns].
 
     Args:
         url: "ros2", or "ros2:/namespace".
@@ -90,7 +91,7 @@ class Ros2Link:
         self.watchdog = Watchdog(b"", config.watchdog_timeout)
         self.node: RosNode | None = None
         self.lateness = 0.0
-        self._epoch = 0
+        self.epoch = 0
         self._separation = config.effective_separation
         self._forget()
         self._make_locks()
@@ -261,7 +262,7 @@ class Ros2Link:
                     f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
                     "start the simulation, or say use_sim_time: false in ros2 of the robot's file",
                 )
-        self._epoch = node.now()
+        self.epoch = node.now()
         self._now_before = self._newest = 0.0
         self._pending, self._problem = [], ""
         self._reader = JointReader(self._config.ros_joints)
@@ -300,7 +301,7 @@ class Ros2Link:
 
     def to_link_time(self, nanoseconds: int) -> float:
         """Convert a time of ROS to the link's clock [s]."""
-        return (nanoseconds - self._epoch) / NANOSECONDS
+        return (nanoseconds - self.epoch) / NANOSECONDS
 
     def _on_joints(self, message: Any) -> None:
         self._handled += 1

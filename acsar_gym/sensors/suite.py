@@ -14,7 +14,7 @@ from acsar_gym.errors import ConfigError, SensorError, show_value, suggest_name,
 from acsar_gym.lidar.contract import Lidar
 from acsar_gym.lidar.replayed import ReplayedLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
-from acsar_gym.links.base import Link, clock_of, tape_of
+from acsar_gym.links.base import Link, clock_of, ros_link_of, tape_of
 from acsar_gym.odometry import Odometry
 from acsar_gym.reading import import_object
 from acsar_gym.sensors.lidar import LidarSensor, find_lidar
@@ -262,6 +262,10 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         ConfigError: for anything else, for a simulated LiDAR on a link without a simulation, and
             for a device on a link that doesn't run in real time.
     """
+    if url is None and (ros_link := ros_link_of(link)) is not None:
+        url = ros_link.device
+    if isinstance(url, str) and (url == "ros2" or url.startswith("ros2:")):
+        return _open_topic(url, link, config)
     if url is None or (isinstance(url, str) and url == "simulated"):
         if (tape := tape_of(link)) is not None:
             return ReplayedLidar(tape, link)
@@ -281,11 +285,27 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
             made = made(link, config)
     if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
         raise ConfigError(
-            f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or "
-            "'simulated'"
+            f"lidar = {show_value(url)}: must be like 'rplidar:///dev/ttyUSB1', 'ros2', "
+            "'module:Class', or 'simulated'"
         )
     ready: Lidar = made
     return ready
+
+
+def _check_real_time(url: str, link: Link) -> None:
+    """Raise ConfigError for a LiDAR that measures in real time on a link that doesn't."""
+    if link.truth is not None or tape_of(link) is not None:
+        raise ConfigError(
+            f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
+            "simulation or a recording: leave it out there"
+        )
+
+
+def _open_topic(url: str, link: Link, config: RobotConfig) -> Lidar:
+    from acsar_gym.lidar.ros2 import RosLidar  # noqa: PLC0415
+
+    _check_real_time(url, link)
+    return RosLidar(url, link, config)
 
 
 def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
@@ -301,11 +321,7 @@ def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
         raise ConfigError(
             f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
         )
-    if link.truth is not None or tape_of(link) is not None:
-        raise ConfigError(
-            f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
-            "simulation or a recording: leave it out there"
-        )
+    _check_real_time(url, link)
     return SerialLidar(device, make_driver, config, clock_of(link))
 
 
