@@ -314,6 +314,9 @@ class Ros2Link:
             self._take_speeds(when, speeds)
         elif self._reader.refused.total() > refused:
             self._problem = self._reader.reason
+        elif not {*message.name} & {*self._config.ros_joints}:
+            joints = ", ".join(dict.fromkeys(self._config.ros_joints))
+            self._problem = f"joint_states has none of {joints} (it has {', '.join(message.name)})"
 
     def _on_odometry(self, message: Any) -> None:
         self._handled += 1
@@ -422,7 +425,10 @@ class Ros2Link:
                 a, b, c, d, *radii, self._separation
             )
             if stamped:
-                command.header.stamp = make_stamp(node.ros, node.now())
+                # A controller refuses old commands, and /clock is as old as the last spin: a zero
+                # says 0, which means now.
+                is_timeless = self._sim_time and not any(speeds)
+                command.header.stamp = make_stamp(node.ros, 0 if is_timeless else node.now())
         self._sent.append(read_command(command))
         self._publisher.publish(command)
 
@@ -451,6 +457,7 @@ class Ros2Link:
         except BaseException:  # don't drive without a watchdog
             self.close()
             raise
+        node.wait_until(lambda: False, DRAIN_TIMEOUT, self._poll)  # what came while nobody spun
         self._intruded = False
         self._pending = []
         self._heard = self._deadline = self.now()
@@ -499,11 +506,12 @@ class Ros2Link:
         node = self._require_node()
         self._deadline += period
         while True:
-            remaining = self._deadline - self._check_clock()
-            handled = self._handled
+            now, handled = self._check_clock(), self._handled
+            remaining = self._deadline - now
             node.spin(min(remaining, self.watchdog.beat_interval, period))
             self._beat()
-            if remaining <= CLOCK_STEP and handled == self._handled:
+            jumped = self._sim_time and self.now() != now
+            if remaining <= CLOCK_STEP and handled == self._handled and not jumped:
                 break
         now = self.now()
         self.lateness = now - self._deadline
