@@ -162,7 +162,7 @@ class RosLidar:
             raise LidarError(
                 f"LiDAR {self.topic}: no scan in {self._config.connect_timeout:g} s",
                 self._node.problem
-                or f"start its node, or name its topic in ros2.scan_topic: ros2 topic hz {self.topic}",
+                or f"start its node, or set ros2.scan_topic (ros2 topic hz {self.topic})",
             )
         check_age(f"LiDAR {self.topic}", self._newest, clock_of(self._link)(), self._config)
         return self._newest

@@ -83,9 +83,10 @@ def load_ros() -> SimpleNamespace:
         from visualization_msgs.msg import Marker, MarkerArray
     except ImportError as error:
         raise MissingRosError(" ".join(str(error).split())) from error
-    TFMessage: Any = None  # noqa: N806 - a class
-    with contextlib.suppress(ImportError):
+    try:
         from tf2_msgs.msg import TFMessage
+    except ImportError:
+        TFMessage = None  # noqa: N806 - a class
     return SimpleNamespace(**locals())
 
 

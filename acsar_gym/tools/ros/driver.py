@@ -20,6 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, ConfigError, LinkError, escape_unprintable, shorten_text
 from acsar_gym.guard.estop import StopListener
@@ -109,7 +111,7 @@ class CommandInbox:
     def take(
         self, linear: float, angular: float, source: object, age: float = 0.0, frame: str = ""
     ) -> None:
-        """Take a twist [m/s, rad/s] that a publisher sent before so long [s]; or refuse it, and stop.
+        """Take a twist [m/s, rad/s] that was sent before so long [s]; or refuse it, and stop.
 
         Two publishers that both send are refused, but for zeros.
         """
@@ -576,7 +578,7 @@ class DrivenRobot:
         angle_min, rays = self._turn or (None, None)
         scan = make_scan(moved, lidar.min_range, lidar.max_range, angle_min=angle_min, rays=rays)
         if self._turn is None:
-            self._turn = scan.angle_min, len(scan.ranges)  # programs for maps want them to stay
+            self._turn = scan.angle_min, np.size(scan.ranges)  # programs for maps want them to stay
         return scan
 
     def _is_held(self) -> bool:
