@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from acsar_gym import RobotConfig
@@ -128,6 +128,7 @@ def test_a_file_without_fields_gets_them(text: str, tmp_path: Path) -> None:
     assert path.read_text().startswith(text)
 
 
+@example({"name": "\x85"})
 @given(
     st.fixed_dictionaries(
         {},

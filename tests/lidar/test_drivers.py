@@ -85,8 +85,8 @@ def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: 
     [
         ("rplidr:///dev/ttyUSB1", r"unknown model; known: ld06, .*rplidar, .*ydlidar_x4_pro$"),
         ("rplidar://", "names no device: must be like 'rplidar:///dev/ttyUSB1'"),
-        ("ld06:/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class'"),
-        ("/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'module:Class', or 'simulated'"),
+        ("ld06:/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'ros2', 'module:Class'"),
+        ("/dev/ttyUSB1", "must be like 'rplidar:///dev/ttyUSB1', 'ros2', 'module:Class'"),
         (7, "must be like"),
         (f"{__name__}:make_none", "must be like"),
         (f"{__name__}:Nobody", "has no attribute 'Nobody'"),
