@@ -1,0 +1,113 @@
+"""What of the link to ROS 2 needs no ROS; tests/ros drives it."""
+
+from __future__ import annotations
+
+import copy
+from importlib.util import find_spec
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.links.factory import is_device
+from acsar_gym.links.ros2 import Ros2Link, format_scene, read_command
+from acsar_gym.protocol import ZERO
+from acsar_gym.ros.node import MissingRosError
+from acsar_gym.wire import Wire
+from acsar_gym.worlds import Scene, World
+
+PERIOD = 0.01
+
+
+def make_link(url: str = "ros2") -> Ros2Link:
+    link = open_link(url)
+    assert isinstance(link, Ros2Link)
+    return link
+
+
+def test_urls_name_a_real_robot() -> None:
+    assert is_device("ros2")
+    assert is_device("ros2:/robot1")
+    assert make_link("ros2:/robot1").device == "ros2:/robot1"
+
+
+@pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is installed")
+def test_without_ros_one_line_says_what_to_source() -> None:
+    with pytest.raises(MissingRosError, match=r"^ROS 2 can't be used here .*setup\.bash") as raised:
+        Robot(make_link()).activate()
+    assert "\n" not in str(raised.value)
+
+
+def test_copies_are_closed_links_to_the_same_robot() -> None:
+    copied = copy.deepcopy(make_link("ros2:/robot1"))
+    assert copied.device == "ros2:/robot1"
+    assert copied.node is None
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.0017, 0.005, 0.0099])
+def test_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
+    link = make_link()
+    link._deadline, ticks = begin, 300
+    for tick in range(ticks):
+        arrived = tick * PERIOD
+        if arrived > link._deadline:
+            arrived -= PERIOD  # that of the tick before
+        link._follow_phase(arrived - link._deadline, PERIOD)
+        link._deadline += PERIOD
+    after = (link._deadline - ticks * PERIOD) % PERIOD
+    assert after == pytest.approx(0.001, abs=1e-4)
+
+
+def test_commands_are_told_apart_by_stamp_and_numbers() -> None:
+    def make_twist(x: float) -> SimpleNamespace:
+        return SimpleNamespace(linear=SimpleNamespace(x=x), angular=SimpleNamespace(z=0.5))
+
+    def make_stamped(x: float, nanosec: int) -> SimpleNamespace:
+        stamp = SimpleNamespace(sec=1, nanosec=nanosec)
+        return SimpleNamespace(header=SimpleNamespace(stamp=stamp), twist=make_twist(x))
+
+    assert read_command(make_twist(1.0)) == read_command(make_twist(1.0))
+    assert read_command(make_stamped(1.0, 2)) != read_command(make_stamped(1.0, 3))
+    assert read_command(SimpleNamespace(data=[1.0, 2.0]))[-1] == (1.0, 2.0)
+
+
+class StampedLink:
+    """Hands over given lines with the times at which they were measured."""
+
+    stamped, lateness, truth = True, 0.0, None
+
+    def __init__(self, periods: list[list[tuple[float, bytes]]]) -> None:
+        self._periods = iter(periods)
+        self.arrivals: list[tuple[float, bytes]] = []
+        self._now = 0.0
+
+    def write(self, data: bytes) -> None:
+        """Take commands."""
+
+    def advance(self, period: float) -> bytes:
+        self._now += period
+        self.arrivals = next(self._periods)
+        return b"".join(line for _, line in self.arrivals)
+
+    def now(self) -> float:
+        return self._now
+
+
+def test_each_line_holds_from_the_stamp_before_it_to_its_own() -> None:
+    line = b"ap%09.6f,bp01.000000,cp01.000000,dp01.000000\r\n"
+    link = StampedLink(
+        [[(0.007, line % 1)], [], [(0.018, line % 2), (0.0285, line % 3)], [(0.0385, line % 4)]]
+    )
+    wire = Wire(link, RobotConfig())  # type: ignore[arg-type]
+    wire.reset()
+    shares = [wire.shares(*wire.exchange(ZERO)) for _ in range(4)]
+    measured = [[(speeds[0], round(share, 9)) for speeds, share in tick] for tick in shares]
+    assert measured == [[(1.0, 0.0)], [], [(2.0, 0.011), (3.0, 0.0105)], [(4.0, 0.01)]]
+
+
+def test_a_scene_becomes_one_text() -> None:
+    world = World(circles=np.array([[1.0, 0.5, 0.2]]))
+    text = format_scene(Scene((0.1, 0.2, 0.3), (2.0, 1.0), world))
+    assert "\n" not in text
+    assert '"start": [0.1, 0.2, 0.3]' in text
