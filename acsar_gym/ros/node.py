@@ -9,6 +9,7 @@ import contextlib
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -125,13 +126,15 @@ class RosNode:
                 context=self._context,
                 signal_handler_options=ros.SignalHandlerOptions.NO,
             )
-            self.node = ros.Node(
-                name,
-                namespace=namespace or None,
-                context=self._context,
-                start_parameter_services=services,
-                enable_rosout=services,
-            )
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # beside the error that says why
+                self.node = ros.Node(
+                    name,
+                    namespace=namespace or None,
+                    context=self._context,
+                    start_parameter_services=services,
+                    enable_rosout=services,
+                )
         except Exception as error:  # rclpy has a dozen kinds
             with contextlib.suppress(Exception):
                 self._context.try_shutdown()
