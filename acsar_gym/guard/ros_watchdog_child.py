@@ -21,9 +21,11 @@ MATCH_TIMEOUT = 5.0  # longest wait for the robot's subscription [s]
 class CommandPublisher(Stopper):
     """Publishes zero commands."""
 
-    def __init__(self, name: str, topic: str, kind: str, *, sim_time: bool) -> None:
+    def __init__(self, name: str, topic: str, kind: str, joints: int, *, sim_time: bool) -> None:
         self._node = RosNode(name)
         self._command = make_command(self._node.ros, kind)
+        if kind == "wheel_speeds":
+            self._command.data = [0.0] * joints  # controllers refuse any other number
         self._publisher = self._node.publish(topic, type(self._command))
         self._stamped = kind == "twist_stamped" and not sim_time  # else zero, which means now
         deadline = time.monotonic() + MATCH_TIMEOUT
