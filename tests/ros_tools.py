@@ -30,10 +30,12 @@ class Program:
     Attributes:
         process: with a session of its own, so that a signal can go to all of its processes.
         output: file of what it printed, errors included.
+        signalled: whether it got a signal, so that it may end.
     """
 
     def __init__(self, arguments: tuple[str, ...], folder: Path) -> None:
         self.arguments = arguments
+        self.signalled = False
         self.output = folder / f"program{len(list(folder.glob('program*.txt')))}.txt"
         with self.output.open("wb") as output:
             self.process = subprocess.Popen(
@@ -52,6 +54,7 @@ class Program:
 
     def send(self, number: int) -> None:
         """Send a signal to the process alone."""
+        self.signalled = True
         self.process.send_signal(number)
 
     def end(self, number: int = signal.SIGTERM) -> int:
@@ -65,6 +68,7 @@ class Program:
 
     def kill(self) -> None:
         """Kill it with all that it started."""
+        self.signalled = True
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait(TIMEOUT)
@@ -174,12 +178,16 @@ class Client:
         """Hear until a condition holds.
 
         Raises:
-            AssertionError: it doesn't within this time, or a program ended before.
+            AssertionError: it doesn't within this time, or a program ended by itself before.
         """
         deadline = time.monotonic() + timeout
         alive = [program for program in self.programs if program.process.poll() is None]
         while not condition():
-            ended = [program for program in alive if program.process.poll() is not None]
+            ended = [
+                program
+                for program in alive
+                if program.process.poll() is not None and not program.signalled
+            ]
             if not (ended or time.monotonic() > deadline):
                 self.executor.spin_once(timeout_sec=0.01)
             elif not condition():

@@ -15,19 +15,28 @@ from collections.abc import Callable
 from acsar_gym.guard.watchdog_child import Stopper, join_program
 from acsar_gym.ros.node import RosNode, make_command, make_stamp
 
-MATCH_TIMEOUT = 5.0  # longest wait for the robot's subscription [s]
+MATCH_TIMEOUT = 15.0  # longest wait for the subscriptions of robot and program [s]
 
 
 class CommandPublisher(Stopper):
-    """Publishes zero commands."""
+    """Publishes zero commands, once it knows all subscriptions that the program knows.
 
-    def __init__(self, name: str, topic: str, kind: str, *, sim_time: bool) -> None:
+    One of them is the program's own: a watchdog that knows that one alone reaches nobody.
+    """
+
+    def __init__(
+        self, name: str, topic: str, kind: str, joints: int, subscriptions: int, *, sim_time: bool
+    ) -> None:
         self._node = RosNode(name)
         self._command = make_command(self._node.ros, kind)
+        if kind == "wheel_speeds":
+            self._command.data = [0.0] * joints  # controllers refuse any other number
         self._publisher = self._node.publish(topic, type(self._command))
         self._stamped = kind == "twist_stamped" and not sim_time  # else zero, which means now
         deadline = time.monotonic() + MATCH_TIMEOUT
-        while not self._publisher.get_subscription_count() and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            if self._publisher.get_subscription_count() >= subscriptions:
+                break
             time.sleep(0.01)
 
     def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:

@@ -214,6 +214,8 @@ class Ros2Link:
             "name": f"{name}{WATCHDOG_SUFFIX}",
             "topic": node.resolve(self._config.ros2.command_topic),
             "kind": self._kind,
+            "joints": len({*self._config.ros_joints}),
+            "subscriptions": max(self._publisher.get_subscription_count(), 2),
             "sim_time": self._sim_time,
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pytest
 from geometry_msgs.msg import TwistStamped
-from ros_tools import Client, ForeignRobot, StartRobot
+from ros_tools import Client, ForeignRobot, StartProgram, StartRobot
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, LinkError, SafetyWarning
@@ -241,6 +243,49 @@ def test_a_second_commander_is_told_at_the_opening_and_stops_the_drive(
     assert is_one_line(raised.value)
     client.wait(foreign.stands, "standing wheels")
     assert not any(foreign.commands[-1]["command"])
+
+
+ENDS = (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM, signal.SIGINT)
+DRIVER = """
+import sys
+from acsar_gym import Robot, RobotConfig, open_link
+
+config = RobotConfig.load(sys.argv[2])
+with Robot(open_link(sys.argv[1], config), config) as robot:
+    while True:
+        robot.drive(0.2, 0.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        *(("plain", number) for number in ENDS),
+        *((name, signal.SIGKILL) for name in ("twist", "speeds of two wheels", "simulated time")),
+    ],
+)
+def test_the_wheels_stand_soon_after_the_program(
+    name: str,
+    number: signal.Signals,
+    namespace: str,
+    start_robot: StartRobot,
+    start_program: StartProgram,
+    client: Client,
+    tmp_path: Path,
+) -> None:
+    variant = VARIANTS[name]
+    foreign = start_robot("--cmd-vel-timeout", 20.0, *variant.options)
+    file = tmp_path / "robot.yaml"
+    make_config(variant, watchdog_timeout=0.15).save(file)
+    program = start_program("-c", DRIVER, f"ros2:{namespace}", file)
+    client.wait(lambda: turned(foreign), "turning wheels")
+    client.spin(0.3)
+    begun = time.monotonic()
+    program.send(number)
+    client.wait(foreign.stands, "standing wheels")
+    # 0.15 s of the watchdog, and five time constants of the wheels; a busy machine adds to it.
+    assert foreign.stood_at() - begun < 0.4 + 0.6
+    assert not [command for command in foreign.commands if "refused" in command]
 
 
 def test_it_opens_again(namespace: str, start_robot: StartRobot, client: Client) -> None:
