@@ -16,6 +16,7 @@ from acsar_gym.guard.watchdog_child import Stopper, join_program
 from acsar_gym.ros.node import RosNode, make_command, make_stamp
 
 MATCH_TIMEOUT = 15.0  # longest wait for the subscriptions of robot and program [s]
+FEWEST_SUBSCRIPTIONS = 2  # one more may have ended meanwhile, such as somebody's who looked
 
 
 class CommandPublisher(Stopper):
@@ -34,10 +35,12 @@ class CommandPublisher(Stopper):
         self._publisher = self._node.publish(topic, type(self._command))
         self._stamped = kind == "twist_stamped" and not sim_time  # else zero, which means now
         deadline = time.monotonic() + MATCH_TIMEOUT
-        while time.monotonic() < deadline:
-            if self._publisher.get_subscription_count() >= subscriptions:
-                break
+        matched = 0
+        while matched < subscriptions and time.monotonic() < deadline:
             time.sleep(0.01)
+            matched = self._publisher.get_subscription_count()
+        if matched < FEWEST_SUBSCRIPTIONS:
+            raise SystemExit  # so that nobody drives without it
 
     def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
         """Publish zeros if `wanted()`; returns whether they were sent."""
