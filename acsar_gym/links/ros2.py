@@ -147,6 +147,7 @@ class Ros2Link:
             self._start_watchdog(node, name)
             self._wait_for_wheels(node)
             self.watchdog.wait_ready(WATCHDOG_START)
+            self._warn_of_others(node)
         except BaseException:
             self.close()
             raise
@@ -181,13 +182,16 @@ class Ros2Link:
         node.subscribe(topic, type(self._command), self._on_command, KEPT_COMMANDS)
         node.wait_until(lambda: node.problem or self._publisher.get_subscription_count() > 1, 1.0)
         self._check_qos(node)
+
+    def _warn_of_others(self, node: RosNode) -> None:
+        """Warn (SafetyWarning) of other nodes that may command the robot."""
         others = self._list_others(node)
         if others:
             warnings.warn(
-                f"{topic}: others publish it, too ({', '.join(others)}), and the robot obeys the "
+                f"{node.resolve(self._config.ros2.command_topic)}: others publish it, too ({', '.join(others)}), and the robot obeys the "
                 "newest command: end them, or let a twist_mux choose",
                 SafetyWarning,
-                4,
+                5,
             )
 
     def _list_others(self, node: RosNode) -> list[str]:
