@@ -44,6 +44,8 @@ DRIVER_NODE = "acsar_driver"
 SCENE_PARAMETER = "scene"
 WATCHDOG_SUFFIX = "_watchdog"
 """End of the name of a watchdog's node; it commands nothing but zeros."""
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""What ROS calls a node, such as our watchdog's, before it has heard its name."""
 WATCHDOG_START = 20.0
 """Longest wait for the watchdog, which imports ROS and finds the robot [s]."""
 RESET_TIMEOUT = 20.0
@@ -188,18 +190,20 @@ class Ros2Link:
         others = self._list_others(node)
         if others:
             warnings.warn(
-                f"{node.resolve(self._config.ros2.command_topic)}: others publish it, too ({', '.join(others)}), and the robot obeys the "
-                "newest command: end them, or let a twist_mux choose",
+                f"{node.resolve(self._config.ros2.command_topic)}: others publish it, too "
+                f"({', '.join(others)}), and the robot obeys the newest command: end them, or let a "
+                "twist_mux choose",
                 SafetyWarning,
                 5,
             )
 
     def _list_others(self, node: RosNode) -> list[str]:
-        """List the nodes beside this one that may publish commands."""
-        mine = f"/{node.node.get_name()}"
+        """List the nodes beside this one and its watchdog that may publish commands."""
+        mine = f"/{node.name}"
         topic = self._config.ros2.command_topic
         names = dict.fromkeys(name for name, _ in node.list_peers(topic, publishers=True))
-        return [name for name in names if not name.endswith((mine, f"{mine}{WATCHDOG_SUFFIX}"))]
+        ours = (mine, f"{mine}{WATCHDOG_SUFFIX}", UNKNOWN_NODE)
+        return [name for name in names if not name.endswith(ours)]
 
     def _suggest_topic(self, node: RosNode, types: tuple[str, ...], field: str) -> str:
         """Say which topics of these types there are."""
