@@ -146,7 +146,7 @@ class Ros2Link:
             self._find_feedback(node)
             self._start_clock(node)
             self._publish(ZERO)
-            self._start_watchdog(node, name)
+            self._start_watchdog(node)
             self._wait_for_wheels(node)
             self.watchdog.wait_ready(WATCHDOG_START)
             self._warn_of_others(node)
@@ -191,8 +191,8 @@ class Ros2Link:
         if others:
             warnings.warn(
                 f"{node.resolve(self._config.ros2.command_topic)}: others publish it, too "
-                f"({', '.join(others)}), and the robot obeys the newest command: end them, or let a "
-                "twist_mux choose",
+                f"({', '.join(others)}), and the robot obeys the newest command: end them, or let "
+                "a twist_mux choose",
                 SafetyWarning,
                 5,
             )
@@ -217,9 +217,9 @@ class Ros2Link:
             return f"set ros2.{field} in the robot's file; there is {', '.join(sorted(topics)[:4])}"
         return "start the robot's driver, and check ROS_DOMAIN_ID and the namespace of both"
 
-    def _start_watchdog(self, node: RosNode, name: str) -> None:
+    def _start_watchdog(self, node: RosNode) -> None:
         settings = {
-            "name": f"{name}{WATCHDOG_SUFFIX}",
+            "name": f"{node.name}{WATCHDOG_SUFFIX}",
             "topic": node.resolve(self._config.ros2.command_topic),
             "kind": self._kind,
             "joints": len({*self._config.ros_joints}),
@@ -458,7 +458,7 @@ class Ros2Link:
                 restart = self.watchdog.is_started and not self.watchdog.is_alive
                 if restart:
                     self.watchdog.close()
-                    self._start_watchdog(node, f"acsar_gym_{os.getpid()}_{next(_numbers)}")
+                    self._start_watchdog(node)
             if restart:
                 self.watchdog.wait_ready(WATCHDOG_START)
             self._reset_simulation(node, scene)
