@@ -34,6 +34,7 @@ from acsar_gym.errors import (
     shorten_text,
 )
 from acsar_gym.guard.estop import StopListener
+from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.lidar.laser_scan import LaserScan, make_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links import open_link
@@ -368,7 +369,8 @@ class RobotNode:
         self._clock = self._node.publish("/clock", self._ros.Clock)
 
     def start(self) -> None:
-        """Start the threads."""
+        """Start the threads, which end before the process does."""
+        call_at_end(self.close)
         for thread in self._threads:
             thread.start()
 
