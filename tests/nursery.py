@@ -43,6 +43,9 @@ while not code:
         os.close(report)
         os.dup2(out, 1)
         os.dup2(err, 2)
+        # Those of before know whether they were files.
+        sys.stdout = open(1, "w", closefd=False)
+        sys.stderr = open(2, "w", buffering=1, closefd=False, errors="backslashreplace")
         code, *sys.argv[1:] = json.loads(request)
     for descriptor in (out, err):
         os.close(descriptor)

@@ -22,8 +22,6 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from ros_tools import Client, Heard, Program, StartProgram
@@ -280,22 +278,13 @@ def test_odometry_is_reset_while_it_drives(start_driver: StartDriver, client: Cl
     assert abs(odometry.messages[-1].pose.pose.position.x) < 0.15
 
 
-def set_scene(client: Client, text: str) -> Any:
-    """Set the parameter `scene`, and call the service reset."""
-    parameter = Parameter("scene", Parameter.Type.STRING, text).to_parameter_msg()
-    request = SetParameters.Request(parameters=[parameter])
-    (result,) = client.call(SetParameters, "acsar_driver/set_parameters", request).results
-    assert result.successful
-    return client.call(Trigger, "acsar_driver/reset")
-
-
 def test_scenes_and_the_clock_over_resets(start_driver: StartDriver, client: Client) -> None:
     driver = start_driver("--link", "planar", "--lidar", "simulated", "--realtime", 2.0)
     clocks = client.hear(Clock, "/clock")
     scans = client.hear(LaserScan, "scan")
     odometry = client.hear(Odometry, "odom")
     wall = {"start": [1.0, 0.0, 0.0], "world": WALL}
-    answer = set_scene(client, json.dumps(wall))
+    answer = client.set_scene(json.dumps(wall))
     assert answer.success, answer.message
     scans.messages.clear()
     client.wait(lambda: len(scans.messages) > 3, "scans")
@@ -303,11 +292,11 @@ def test_scenes_and_the_clock_over_resets(start_driver: StartDriver, client: Cli
     ahead = round(-scan.angle_min / scan.angle_increment)
     assert scan.ranges[ahead] == pytest.approx(2.0 - 0.0, abs=0.2)
     for bad in ("nonsense", '{"start": [0]}', '{"world": "missing.yaml"}'):
-        answer = set_scene(client, bad)
+        answer = client.set_scene(bad)
         assert not answer.success
         assert answer.message
         assert "\n" not in answer.message
-    assert set_scene(client, "").success
+    assert client.set_scene("").success
     client.spin(1.0)
     times = [seconds(message.clock) for message in clocks.messages]
     assert np.diff(times).min() > 0.0
