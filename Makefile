@@ -20,7 +20,8 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
-  test-ros test-scale lint firmware firmware-tested bench soak stopping identify-check licences reference pictures clean
+  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-stopping ros-timing \
+  identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -90,6 +91,12 @@ identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)
 
+ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`, in an hour
+	.ci/ros $(ROS)/bin/python tests/ros_stopping.py --trials 40
+
+ros-timing: $(ROS)/ready  ## late ticks, CPU and reaction time of a robot in ROS and of its driver
+	.ci/ros $(ROS)/bin/python tests/ros_timing.py
+
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md
 
@@ -118,7 +125,7 @@ $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 $(ROS)/ready: pyproject.toml constraints.txt tests/ros/constraints.txt tests/ros/build_tf2_msgs.py
 	@.ci/venv $(ROS) "$(PYTHON)"
 	$(ROS)/bin/pip install --quiet --constraint constraints.txt --constraint tests/ros/constraints.txt \
-	  --editable '.[bullet,deploy]' hypothesis psutil pytest pytest-xdist \
+	  --editable '.[bullet,deploy,lidar]' hypothesis psutil pytest pytest-xdist \
 	  'ros-rclpy[fastrtps]' ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs \
 	  ros-std-msgs ros-std-srvs ros-trajectory-msgs ros-visualization-msgs \
 	  catkin_pkg cmake empy lark ninja ros-ament-cmake ros-ament-cmake-include-directories \

@@ -20,11 +20,13 @@ from typing import IO
 from serial_tools import TIMEOUT
 
 SERVER = """
-import json, os, signal, socket, sys
+import importlib, json, os, signal, socket, sys
 
 import acsar_gym.tools.commission.host, acsar_gym.recording, acsar_gym.links.serial
 
 asked = socket.socket(fileno=int(sys.argv[1]))
+for module in sys.argv[2:]:
+    importlib.import_module(module)
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)
 code = ""
 while not code:
@@ -41,6 +43,9 @@ while not code:
         os.close(report)
         os.dup2(out, 1)
         os.dup2(err, 2)
+        # Those of before know whether they were files.
+        sys.stdout = open(1, "w", closefd=False)
+        sys.stderr = open(2, "w", buffering=1, closefd=False, errors="backslashreplace")
         code, *sys.argv[1:] = json.loads(request)
     for descriptor in (out, err):
         os.close(descriptor)
@@ -53,10 +58,10 @@ _server: list[socket.socket] = []
 
 
 @contextlib.contextmanager
-def nursery() -> Iterator[None]:
-    """Inside the block there are programs."""
+def nursery(*modules: str) -> Iterator[None]:
+    """Inside the block there are programs, with these modules imported beside the usual ones."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    command = [sys.executable, "-c", SERVER, str(theirs.fileno())]
+    command = [sys.executable, "-c", SERVER, str(theirs.fileno()), *modules]
     with ours, theirs, subprocess.Popen(command, pass_fds=(theirs.fileno(),)) as process:
         _server.append(ours)
         try:
@@ -102,13 +107,18 @@ class Program:
     def communicate(self, timeout: float = TIMEOUT) -> tuple[str, str]:
         """What it said, and what it complained about, when it has ended."""
         self.wait(timeout)
-        self._errors.seek(0)
         os.set_blocking(self.stdout.fileno(), False)  # a child of its own may hold the other end
         said = b""
         with contextlib.suppress(BlockingIOError):
             while piece := os.read(self.stdout.fileno(), 4096):
                 said += piece
-        return said.decode(), self._errors.read()
+        return said.decode(), self.errors
+
+    @property
+    def errors(self) -> str:
+        """What it has written to standard error so far."""
+        size = os.fstat(self._errors.fileno()).st_size  # its position is shared with the program
+        return os.pread(self._errors.fileno(), size, 0).decode()
 
     def send_signal(self, number: int) -> None:
         """Unless it has ended."""

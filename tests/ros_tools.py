@@ -15,8 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
 
 from acsar_gym.testing import TIMEOUT
 
@@ -167,6 +170,14 @@ class Client:
         future = client.call_async(request or kind.Request())
         self.wait(future.done, f"an answer of {service}")
         return future.result()
+
+    def set_scene(self, text: str) -> Any:
+        """Set the scene of a driver with a simulated robot, and have it reset; the answer."""
+        parameter = Parameter("scene", Parameter.Type.STRING, text).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        (result,) = self.call(SetParameters, "acsar_driver/set_parameters", request).results
+        assert result.successful
+        return self.call(Trigger, "acsar_driver/reset")
 
     def spin(self, seconds: float) -> None:
         """Hear for a time."""

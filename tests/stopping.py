@@ -30,7 +30,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -47,6 +47,7 @@ from acsar_gym.links import open_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.robot import Robot
+from acsar_gym.testing import EmulatedBoard
 from acsar_gym.tools import teleop
 from acsar_gym.tools.gamepad import ABS_RZ, BTN_TL, EV_ABS, EV_KEY
 from acsar_gym.worlds import Scene
@@ -247,17 +248,33 @@ def _cause_fault(kind: str, program: Programs, board: Emulated, name: Path) -> f
 
 
 def _last_stop(board: Emulated, fault: float) -> float:
-    """When the robot was commanded to stop and not to drive again [s]; inf: it wasn't.
+    """When the board was commanded to stop and not to drive again [s]; inf: it wasn't."""
+    return find_stop(list_commands(board), fault)
 
-    That is the first zero command after the fault; or the last one, where all came before.
-    """
-    zero, decoder = math.inf, Decoder()
+
+def list_commands(board: EmulatedBoard) -> Iterator[tuple[float, bool]]:
+    """When each command came [s], and whether it turned wheels."""
+    decoder = Decoder()
     for event in board.events():
         for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
-            if reading.speeds != ZERO:
-                zero = math.inf
-            elif zero == math.inf or zero < fault:
-                zero = event["t"]
+            yield event["t"], reading.speeds != ZERO
+
+
+def find_stop(commands: Iterable[tuple[float, bool]], fault: float) -> float:
+    """When a robot was commanded to stop and not to drive again [s]; inf: it wasn't.
+
+    That is the first zero command after the fault; or the last one, where all came before.
+
+    Args:
+        commands: when each came [s], and whether it turned wheels.
+        fault: when that was [s].
+    """
+    zero = math.inf
+    for when, turns in commands:
+        if turns:
+            zero = math.inf
+        elif zero == math.inf or zero < fault:
+            zero = when
     return zero
 
 

@@ -264,7 +264,7 @@ class RosNode:
 
 
 class RosSetupError(AcsarError):
-    """A node that can't be made, as for a name that ROS doesn't allow."""
+    """A node that can't be made, as for a name that ROS doesn't allow, or has failed."""
 
     exit_code = 2
 

@@ -17,14 +17,24 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, LinkError, escape_unprintable, shorten_text
+from acsar_gym.errors import (
+    AcsarError,
+    ConfigError,
+    LinkError,
+    WorldError,
+    escape_unprintable,
+    shorten_text,
+)
 from acsar_gym.guard.estop import StopListener
+from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.lidar.laser_scan import LaserScan, make_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links import open_link
@@ -33,7 +43,7 @@ from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import Speeds
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
-from acsar_gym.ros.node import NANOSECONDS, RosNode, make_stamp, read_stamp
+from acsar_gym.ros.node import NANOSECONDS, RosNode, RosSetupError, make_stamp, read_stamp
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors.lidar import find_lidar
 from acsar_gym.sensors.suite import sensor_factories
@@ -52,6 +62,8 @@ SPIN_PERIOD = 0.1
 """How soon threads notice that they must end [s]."""
 OTHER_PUBLISHER_STEP = 1000
 """Sequence numbers of one publisher's messages don't jump farther."""
+REPORT_PERIOD = 10.0
+"""Time between two reports of the same kind of bad command [s]."""
 DRIVER_PARAMETERS = (
     "name",
     "serial_port",
@@ -78,8 +90,8 @@ DRIVER_PARAMETERS = (
 """Fields of a robot that are parameters of the node, by the same names."""
 
 
-class Twist(NamedTuple):
-    """A command."""
+class Command(NamedTuple):
+    """A twist, as the control loop takes it."""
 
     linear: float
     angular: float
@@ -87,16 +99,18 @@ class Twist(NamedTuple):
     """When it arrived, on the clock of `time.monotonic` [s]."""
 
 
-STANDING = Twist(0.0, 0.0, -math.inf)
+STANDING = Command(0.0, 0.0, -math.inf)
 
 
 class CommandInbox:
-    """Keeps the newest twist, and refuses what must not be driven.
+    """Keeps the newest twist, and refuses what must not be driven: the robot stands then.
 
     Args:
         timeout: after which a twist doesn't count any more [s].
         frame: of the base; stamped twists in others are refused.
-        report: is called with one line for what is refused.
+        report: is called with one line for what is refused; a kind of it at most every 10 s.
+
+    Attributes: `problem`, what is wrong with the newest twist; empty where nothing is.
     """
 
     def __init__(self, timeout: float, frame: str, report: Callable[[str], None]) -> None:
@@ -104,42 +118,56 @@ class CommandInbox:
         self._frame = frame
         self._report = report
         self._newest = STANDING
-        self._sources: dict[object, float] = {}
-        self._sequence = 0
+        self._driving: dict[object, float] = {}
+        self._reported: dict[str, float] = {}
+        self._lock = threading.Lock()  # two nodes take; the control loop never waits
         self.problem = ""
 
     def take(
-        self, linear: float, angular: float, source: object, age: float = 0.0, frame: str = ""
+        self, velocities: Sequence[float], source: object, age: float = 0.0, frame: str = ""
     ) -> None:
-        """Take a twist [m/s, rad/s] that was sent before so long [s]; or refuse it, and stop.
+        """Take a twist; or refuse it, and stand.
 
-        Two publishers that both send are refused, but for zeros.
+        Twists of two publishers that both drive are refused; zeros of any are taken.
+
+        Args:
+            velocities: linear x, y, z [m/s] and angular x, y, z [rad/s], of which x and z count.
+            source: tells publishers apart.
+            age: since it was sent [s].
+            frame: of its header.
         """
-        now = time.monotonic()
-        if not (math.isfinite(linear) and math.isfinite(angular)):
-            self._refuse(f"cmd_vel: refused a twist of {linear:g} m/s, {angular:g} rad/s")
-            return
-        if frame.lstrip("/") not in ("", self._frame):
-            self._refuse(f"cmd_vel: refused a twist in frame {frame!r}, not {self._frame!r}")
-            return
-        if not -self._timeout < age < self._timeout:
-            self._refuse(f"cmd_vel: refused a twist that is {age:.2f} s old; do the clocks agree?")
-            return
-        if linear or angular:
-            self._sources[source] = now
-            active = [one for one, when in self._sources.items() if now - when < self._timeout]
-            if len(active) > 1:
-                self._refuse("cmd_vel: refused twists of two publishers; end one of them")
-                return
-            self._sources = {source: now}
-        self.problem = ""
-        self._newest = Twist(linear, angular, now)
+        with self._lock:
+            self._take(velocities, source, age, frame)
 
-    def _refuse(self, problem: str) -> None:
+    def _take(self, velocities: Sequence[float], source: object, age: float, frame: str) -> None:
+        now, timeout = time.monotonic(), self._timeout
+        linear, angular = velocities[0], velocities[5]
+        if not all(map(math.isfinite, velocities)):
+            values = ", ".join(f"{value:g}" for value in velocities)
+            self._refuse(now, "a twist that isn't finite", values)
+        elif frame.lstrip("/") not in ("", self._frame):
+            self._refuse(now, "a twist in another frame", f"{frame!r}, not {self._frame!r}")
+        elif not -timeout < age < timeout:
+            self._refuse(now, "a twist by its stamp", f"{age:.2f} s old; do the clocks agree?")
+        elif not (linear or angular):
+            self._driving.pop(source, None)
+            self._newest, self.problem = Command(0.0, 0.0, now), ""
+        else:
+            self._driving[source] = now
+            self._driving = {
+                driver: when for driver, when in self._driving.items() if now - when < timeout
+            }
+            if len(self._driving) > 1:
+                self._refuse(now, "the twists of two publishers", "end one, or use a twist_mux")
+                return
+            self._newest, self.problem = Command(linear, angular, now), ""
+
+    def _refuse(self, now: float, what: str, why: str) -> None:
         self._newest = STANDING
-        if problem != self.problem:
-            self._report(problem)
-        self.problem = problem
+        self.problem = f"cmd_vel: refused {what} ({why})"
+        if now - self._reported.get(what, -math.inf) >= REPORT_PERIOD:
+            self._reported[what] = now
+            self._report(self.problem)
 
     def current(self) -> tuple[float, float]:
         """Return the twist to drive now [m/s, rad/s]; zero where none is new enough."""
@@ -147,6 +175,33 @@ class CommandInbox:
         if time.monotonic() - newest.when > self._timeout:
             return 0.0, 0.0
         return newest.linear, newest.angular
+
+
+class PublisherNumbers:
+    """Tells publishers apart by sequence numbers, which grow for each of them alone.
+
+    For middleware that names no publisher, as before Kilted.
+
+    Args:
+        timeout: after which a publisher is forgotten [s].
+    """
+
+    def __init__(self, timeout: float) -> None:
+        self._timeout = timeout
+        self._newest: dict[int, tuple[int, float]] = {}
+        self._count = itertools.count()
+
+    def find(self, sequence: int) -> int:
+        """Return a number of the publisher of a message that has just arrived."""
+        now = time.monotonic()
+        steps = {
+            publisher: sequence - last
+            for publisher, (last, when) in self._newest.items()
+            if now - when < self._timeout and 0 < sequence - last < OTHER_PUBLISHER_STEP
+        }
+        publisher = min(steps, key=steps.__getitem__) if steps else next(self._count)
+        self._newest[publisher] = sequence, now
+        return publisher
 
 
 class Measured(NamedTuple):
@@ -223,8 +278,9 @@ class RobotNode:
             self.link, self.lidar = node.read_parameter("link"), node.read_parameter("lidar")
             timeout = float(node.read_parameter("cmd_vel_timeout"))
             self.inbox = CommandInbox(timeout, config.base_frame, self.warn)
+            self._numbers = PublisherNumbers(timeout)
             self.requests: deque[Request] = deque()
-            self._measured: deque[Measured] = deque(maxlen=QUEUE_TICKS)
+            self._measured: SimpleQueue[Measured] = SimpleQueue()
             self._make_messages()
             # One participant can't have a topic of two types.
             self._unstamped = RosNode(f"{DRIVER_NODE}_twist", node.namespace, _remaps(arguments))
@@ -233,7 +289,7 @@ class RobotNode:
             raise
         topic = "cmd_vel"
         node.subscribe(topic, ros.TwistStamped, self._take_stamped, 10)
-        self._unstamped.subscribe(topic, ros.Twist, self._take_unstamped, 10)
+        self._unstamped.subscribe(topic, ros.Twist, self._take_twist, 10)
         self._joints = node.publish("joint_states", ros.JointState, depth=10)
         self._odometry = node.publish("odom", ros.Odometry, depth=10)
         self._scan = node.publish("scan", ros.LaserScan, depth=5)
@@ -246,10 +302,14 @@ class RobotNode:
         self._due = 0.0
         self._lateness = 0.0
         self._running = True
-        self._wake = node.node.create_guard_condition(self._publish_measured)
+        self._failure: Exception | None = None
         self._threads = [
-            threading.Thread(target=self._spin, args=(one,), name=one.name, daemon=True)
-            for one in (node, self._unstamped)
+            threading.Thread(target=self._repeat, args=(work,), daemon=True)
+            for work in (
+                self._publish_measured,
+                partial(node.spin, SPIN_PERIOD),
+                partial(self._unstamped.spin, SPIN_PERIOD),
+            )
         ]
 
     def _make_messages(self) -> None:
@@ -309,7 +369,8 @@ class RobotNode:
         self._clock = self._node.publish("/clock", self._ros.Clock)
 
     def start(self) -> None:
-        """Start the threads."""
+        """Start the threads, which end before the process does."""
+        call_at_end(self.close)
         for thread in self._threads:
             thread.start()
 
@@ -323,27 +384,39 @@ class RobotNode:
 
     def put(self, measured: Measured) -> None:
         """Hand over what was measured in a tick; doesn't wait."""
-        self._measured.append(measured)
-        self._wake.trigger()
+        self._measured.put(measured)
+        if self._measured.qsize() > QUEUE_TICKS:
+            with contextlib.suppress(Empty):
+                self._measured.get_nowait()
 
-    def _spin(self, node: RosNode) -> None:
-        while self._running:
-            node.spin(SPIN_PERIOD)
+    def check(self) -> None:
+        """Raise RosSetupError where a thread has failed."""
+        if self._failure is not None:
+            raise RosSetupError(DRIVER_NODE, self._node.namespace, self._failure) from self._failure
 
-    def _take_stamped(self, message: Any, info: Any = None) -> None:
-        stamp, twist = read_stamp(message.header.stamp), message.twist
+    def _repeat(self, work: Callable[[], None]) -> None:
+        try:
+            while self._running:
+                work()
+        except Exception as error:  # noqa: BLE001 - whatever it is ends the control loop
+            self._failure = error
+
+    def _take_stamped(self, message: Any, info: Any) -> None:
+        stamp = read_stamp(message.header.stamp)
         age = (self._ros_time() - stamp) / NANOSECONDS if stamp else 0.0
-        source = self._find_source("stamped", info)
-        frame = message.header.frame_id
-        self.inbox.take(twist.linear.x, twist.angular.z, source, age, frame)
+        self._take_twist(message.twist, info, age, message.header.frame_id)
 
-    def _take_unstamped(self, message: Any, info: Any = None) -> None:
-        self.inbox.take(message.linear.x, message.angular.z, self._find_source("twist", info))
+    def _take_twist(self, message: Any, info: Any, age: float = 0.0, frame: str = "") -> None:
+        linear, angular = message.linear, message.angular
+        velocities = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        self.inbox.take(velocities, self._find_publisher(info), age, frame)
 
-    def _find_source(self, kind: str, info: Any) -> object:
-        """Return what tells publishers apart, where the middleware tells that."""
-        gid = (info or {}).get("publisher_gid")
-        return (kind, gid["data"] if gid else "")
+    def _find_publisher(self, info: Any) -> object:
+        """Return what tells publishers apart."""
+        gid, sequence = info.get("publisher_gid"), info.get("publication_sequence_number")
+        if gid is not None:
+            return gid["data"]
+        return 0 if sequence is None else self._numbers.find(sequence)
 
     def _ros_time(self) -> int:
         """Return the time of what is published [ns]."""
@@ -354,24 +427,26 @@ class RobotNode:
     _newest = SIMULATION_START
 
     def _publish_measured(self) -> None:
-        """Publish what the control loop has handed over; the executor calls it."""
-        while self._measured:
-            measured = self._measured.popleft()
-            stamp = make_stamp(self._ros, measured.stamp)
-            state = self._state
-            state.header.stamp = stamp
-            state.position, state.velocity = measured.angles, measured.speeds
-            self._joints.publish(state)
-            self._publish_pose(measured, stamp)
-            if measured.scan is not None:
-                self._publish_scan(measured, measured.scan)
-            self._newest = measured.stamp
-            if self._clock is not None:
-                self._clock.publish(self._ros.Clock(clock=stamp))
-            self._lateness = max(self._lateness, measured.lateness or 0.0)
-            if time.monotonic() >= self._due:
-                self._due = time.monotonic() + DIAGNOSTICS_PERIOD
-                self._publish_diagnostics(measured, stamp)
+        """Publish what the control loop hands over, if it does so soon."""
+        try:
+            measured = self._measured.get(timeout=SPIN_PERIOD)
+        except Empty:
+            return
+        stamp = make_stamp(self._ros, measured.stamp)
+        state = self._state
+        state.header.stamp = stamp
+        state.position, state.velocity = measured.angles, measured.speeds
+        self._joints.publish(state)
+        self._publish_pose(measured, stamp)
+        if measured.scan is not None:
+            self._publish_scan(measured, measured.scan)
+        self._newest = measured.stamp
+        if self._clock is not None:
+            self._clock.publish(self._ros.Clock(clock=stamp))
+        self._lateness = max(self._lateness, measured.lateness or 0.0)
+        if time.monotonic() >= self._due:
+            self._due = time.monotonic() + DIAGNOSTICS_PERIOD
+            self._publish_diagnostics(measured, stamp)
 
     def _publish_pose(self, measured: Measured, stamp: Any) -> None:
         x, y, theta = measured.pose
@@ -459,24 +534,34 @@ def parse_scene(text: str) -> Scene:
     if not text.strip():
         return Scene()
     try:
-        data = json.loads(text)
-        x, y, theta = map(float, data.get("start") or (0.0, 0.0, 0.0))
-        goal = data.get("goal")
-        goal = None if goal is None else (float(goal[0]), float(goal[1]))
-        world = data.get("world")
-    except (ValueError, TypeError, AttributeError, IndexError) as error:
+        start, goal, world = _read_scene(**json.loads(text))
+    except (ValueError, TypeError) as error:
         short = shorten_text(" ".join(text.split()), 60)
         raise ConfigError(
             f'scene = {short}: must be like {{"start": [0, 0, 0], "goal": [2, 1], "world": null}}'
         ) from error
-    if world is None:
-        return Scene((x, y, theta), goal)
-    if isinstance(world, str):
-        return Scene((x, y, theta), goal, load_world(world))
+    if world is None or isinstance(world, str):
+        return Scene(start, goal, load_world(world) if world else None)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.json"
         path.write_text(json.dumps(world), encoding="utf-8")
-        return Scene((x, y, theta), goal, load_world(path))
+        try:
+            return Scene(start, goal, load_world(path))
+        except WorldError as error:
+            raise WorldError(str(error).replace(str(path), SCENE_PARAMETER)) from error
+
+
+def _read_scene(
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    goal: Sequence[float] | None = None,
+    world: object = None,
+) -> tuple[tuple[float, float, float], tuple[float, float] | None, object]:
+    """Return the values of a scene's names; TypeError or ValueError where they can't be."""
+    x, y, theta = map(float, start)
+    goal_x, goal_y = map(float, goal or (0.0, 0.0))
+    if not all(map(math.isfinite, (x, y, theta, goal_x, goal_y))):
+        raise ValueError("not finite")
+    return (x, y, theta), (goal_x, goal_y) if goal else None, world
 
 
 class DrivenRobot:
@@ -521,6 +606,7 @@ class DrivenRobot:
             node.start()
             node.say(f"drives {node.link or node.config.serial_port}")
             while True:
+                node.check()
                 while node.requests:
                     self._answer(node.requests.popleft())
                 robot.drive(*node.inbox.current())

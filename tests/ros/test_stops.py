@@ -1,0 +1,116 @@
+"""Robots stop however a process ends: some trials of `make ros-stopping`, and what is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+import ros_stopping
+from geometry_msgs.msg import TwistStamped
+from ros_stopping import KINDS, Kind, Times
+from ros_tools import Client, ForeignRobot, Program, StartProgram
+from sensor_msgs.msg import JointState
+from serial_tools import HEEDING_CTRL_C
+
+from acsar_gym import RobotConfig
+from acsar_gym.testing import emulated_board
+
+TRIALS = 3
+ROUNDS = 3
+"""A machine that stalls makes a robot look slow: it is measured again, at most so often."""
+GROUPS = sorted({(kind.victim, kind.robot) for kind in KINDS})
+
+
+@pytest.mark.parametrize(("victim", "robot"), GROUPS)
+def test_robots_stop_in_time(victim: str, robot: str) -> None:
+    late: list[Times] = []
+    kinds: list[Kind] = [kind for kind in KINDS if (kind.victim, kind.robot) == (victim, robot)]
+    for _ in range(ROUNDS):
+        late = [times for times in ros_stopping.measure(TRIALS, kinds) if not times.sound]
+        if not late:
+            return
+        kinds = [times.kind for times in late]
+    pytest.fail("\n".join(map(str, late)))
+
+
+def children(program: Program) -> list[psutil.Process]:
+    """All processes that it has started."""
+    return psutil.Process(program.process.pid).children(recursive=True)
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, -signal.SIGTERM), (signal.SIGINT, 130)]
+)
+def test_the_driver_ends_without_a_trace(
+    number: signal.Signals,
+    code: int,
+    client: Client,
+    namespace: str,
+    start_program: StartProgram,
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "robot.yaml"
+    config = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
+    config.save(file)
+    node = ("acsar_driver", namespace)
+    with emulated_board(config) as board:
+        options = ("--robot", file, "--namespace", namespace, "--link", board.device)
+        driver = start_program("-c", HEEDING_CTRL_C, "ros", "driver", *options, "--without-estop")
+        joints = client.hear(JointState, "joint_states")
+        client.wait(lambda: bool(joints.messages), "the driver")
+        publisher = client.publisher(TwistStamped, "cmd_vel")
+        command = TwistStamped()
+        command.twist.linear.x = 0.2
+        publisher.publish(command)
+        client.wait(board.is_driven, "a robot that drives")
+        watchdogs = children(driver)
+        assert driver.end(number) == code
+        assert board.is_stopped()
+        assert not psutil.wait_procs(watchdogs, 3.0)[1]
+        # Others see at once that it is gone, and a new driver isn't the second of its name.
+        client.wait(lambda: node not in client.node.get_node_names_and_namespaces(), "its end", 3.0)
+    first, *lines = filter(None, driver.printed.splitlines())
+    assert "drives" in first
+    said = ["acsar-gym: interrupted, the wheels were commanded to stop"]
+    assert lines == (said if number == signal.SIGINT else [])
+
+
+def test_programs_do_not_disturb_each_other(
+    client: Client, start_program: StartProgram, tmp_path: Path
+) -> None:
+    robots, drivers = [], []
+    for name in ("one", "other"):
+        folder = tmp_path / name
+        folder.mkdir()
+        robot = ForeignRobot(("--namespace", f"/{name}"), folder)
+        client.programs.append(robot)
+        robots.append(robot)
+        file = folder / "robot.yaml"
+        RobotConfig.preset("acsar").with_(
+            control_rate=50.0,
+            connect_timeout=20.0,
+            feedback_timeout=5.0,
+            watchdog_timeout=2.0,
+            ros2={"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
+        ).save(file)
+        code = ros_stopping.DRIVING.replace('"ros2"', f'"ros2:/{name}"')
+        drivers.append(start_program("-c", code, file, "", 50))
+    client.wait(lambda: all(driver.printed for driver in drivers), "programs that drive")
+    watchdogs = children(drivers[0])
+    assert watchdogs
+    os.kill(drivers[0].process.pid, signal.SIGKILL)
+    killed = time.monotonic()
+    client.spin(2.0)
+    assert not psutil.wait_procs(watchdogs, 3.0)[1]
+    assert drivers[1].process.poll() is None
+    assert not any(robots[0].commands[-1]["command"])
+    after = [command for command in robots[1].commands if command["monotonic"] > killed]
+    assert len(after) > 50
+    assert all(any(command["command"]) for command in after)
+    assert drivers[1].end() == -signal.SIGTERM
+    assert not any(robots[1].commands[-1]["command"])
+    assert len(drivers[1].printed.splitlines()) == 1
