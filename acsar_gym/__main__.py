@@ -1,4 +1,4 @@
-"""`acsar-gym` and `python -m acsar_gym`.
+"""`acsar-gym` and `python -m acsar_gym`; `ros2 run acsar_gym driver` and `... policy`.
 
 An emergency stop doesn't wait until the rest of the package is imported.
 """
@@ -21,6 +21,18 @@ def main() -> None:
     from acsar_gym.tools import cli  # noqa: PLC0415
 
     cli.main()
+
+
+def ros_driver() -> None:
+    """Entry point of the ROS package's `driver`, which is `acsar-gym ros driver`."""
+    sys.argv[1:1] = ["ros", "driver"]
+    main()
+
+
+def ros_policy() -> None:
+    """Entry point of the ROS package's `policy`, which is `acsar-gym ros policy`."""
+    sys.argv[1:1] = ["ros", "policy"]
+    main()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The ROS 2 parameters in assets/ros, and the board's config.h, say the same as the presets."""
+"""Parameters of ros2_control and of an EKF, and the board's config.h: the presets' numbers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ACSAR = RobotConfig.preset("acsar")
 
 def parameters(file: str, node: str) -> dict[str, Any]:
     """Parameters of a node."""
-    read = yaml.safe_load((ASSETS / "ros" / file).read_text(encoding="utf-8"))
+    read = yaml.safe_load((ASSETS / "ros" / "config" / file).read_text(encoding="utf-8"))
     found = read[node]["ros__parameters"]
     assert isinstance(found, dict)
     return found

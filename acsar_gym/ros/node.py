@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import time
 import warnings
@@ -67,7 +68,7 @@ def load_ros() -> SimpleNamespace:
         from nav_msgs.msg import Odometry, Path
         from rcl_interfaces.msg import ParameterDescriptor
         from rcl_interfaces.srv import SetParameters
-        from rclpy import init, parameter, qos
+        from rclpy import init, logging, parameter, qos
         from rclpy.context import Context
         from rclpy.duration import Duration
         from rclpy.event_handler import (
@@ -103,7 +104,8 @@ class RosNode:
         name: of the node.
         namespace: of the node, such as "/robot1".
         arguments: ROS's own, after "--ros-args".
-        parameters: to declare, by name, with their values.
+        parameters: to declare, by name, with their defaults.
+        overrides: values of parameters that count more than those of ROS's arguments.
         services: whether others may read and set its parameters.
     """
 
@@ -114,6 +116,7 @@ class RosNode:
         arguments: Sequence[str] = (),
         parameters: dict[str, Any] | None = None,
         *,
+        overrides: dict[str, Any] | None = None,
         services: bool = False,
     ) -> None:
         self.ros = ros = load_ros()
@@ -121,11 +124,14 @@ class RosNode:
         self._context = ros.Context()
         given = ["--ros-args", *arguments] if arguments else None
         try:
+            # What is wrong with the arguments is said by the exception, too.
+            ros.logging.set_logger_level("rcl", ros.logging.LoggingSeverity.FATAL)
             ros.init(
                 args=given,
                 context=self._context,
                 signal_handler_options=ros.SignalHandlerOptions.NO,
             )
+            ros.logging.set_logger_level("rcl", ros.logging.LoggingSeverity.UNSET)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # beside the error that says why
                 self.node = ros.Node(
@@ -134,13 +140,17 @@ class RosNode:
                     context=self._context,
                     start_parameter_services=services,
                     enable_rosout=services,
+                    automatically_declare_parameters_from_overrides=True,
+                    parameter_overrides=[
+                        ros.parameter.Parameter(key, value=value)
+                        for key, value in (overrides or {}).items()
+                    ],
                 )
         except Exception as error:  # rclpy has a dozen kinds
             with contextlib.suppress(Exception):
                 self._context.try_shutdown()
             raise RosSetupError(name, namespace, error) from error
-        for key, value in (parameters or {}).items():
-            self.node.declare_parameter(key, value, ros.ParameterDescriptor(dynamic_typing=True))
+        self.declare(parameters or {})
         self._executor = ros.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
@@ -153,6 +163,18 @@ class RosNode:
     def namespace(self) -> str:
         """Namespace of the node."""
         return str(self.node.get_namespace())
+
+    def declare(self, parameters: dict[str, Any], *, fixed: bool = True) -> None:
+        """Declare parameters with their defaults; nobody can change those that are fixed."""
+        descriptor = self.ros.ParameterDescriptor(dynamic_typing=True, read_only=fixed)
+        for name, value in parameters.items():
+            if not self.node.has_parameter(name):  # ROS's arguments don't give it
+                self.node.declare_parameter(name, value)
+            self.node.set_descriptor(name, descriptor)
+
+    def list_parameters(self) -> list[str]:
+        """List the names of all parameters, those that ROS's arguments give included."""
+        return list(self.node.list_parameters([], 0).names)
 
     def read_parameter(self, name: str) -> Any:
         """Return the value of a parameter."""
@@ -263,13 +285,19 @@ class RosNode:
             self._context.try_shutdown()
 
 
+_PLACE = re.compile(r",? at \S+:\d+")
+"""Where in ROS's sources an error was raised."""
+
+
 class RosSetupError(AcsarError):
     """A node that can't be made, as for a name that ROS doesn't allow, or has failed."""
 
     exit_code = 2
 
     def __init__(self, name: str, namespace: str, error: Exception) -> None:
-        why = " ".join(str(error).split())[:300]
+        why = _PLACE.sub("", " ".join(str(error).split()))[:300]
+        if type(error).__name__ == "UnknownROSArgsError":
+            why = f"unknown arguments of ROS: {why}"
         super().__init__(f"ROS node {namespace.rstrip('/')}/{name}: {why}")
 
 

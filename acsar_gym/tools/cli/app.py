@@ -9,6 +9,7 @@ import io
 import operator
 import os
 import pkgutil
+import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -85,9 +86,25 @@ def parse_command(words: list[str], **others: Any) -> Any:
         found,
         prog="acsar-gym",
         description=CLI_ABOUT,
-        args=words,
+        args=join_ros_arguments(words),
         config=(tyro.conf.OmitArgPrefixes, tyro.conf.OmitSubcommandPrefixes),
     )
+
+
+def join_ros_arguments(words: list[str]) -> list[str]:
+    """Return a command line in which what is ROS's, from "--ros-args" to "--", is one last word.
+
+    ROS's words begin with dashes, too, and its launch writes them in several places.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    is_ros = False
+    for word in words:
+        if word == "--ros-args" or (is_ros and word == "--"):
+            is_ros = word == "--ros-args"
+        else:
+            (ros if is_ros else own).append(word)
+    return [*own, f"--ros-args={shlex.join(ros)}"] if ros else own
 
 
 def make_group(functions: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:

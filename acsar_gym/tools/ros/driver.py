@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,8 @@ from acsar_gym.errors import (
     WorldError,
     escape_unprintable,
     shorten_text,
+    show_value,
+    suggest_name,
 )
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.guard.shutdown import call_at_end
@@ -49,6 +51,8 @@ from acsar_gym.sensors.lidar import find_lidar
 from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.files import load_world
+from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.search import footprint_radius, lidar_height
 
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages of /diagnostics [s]."""
@@ -88,6 +92,10 @@ DRIVER_PARAMETERS = (
     "lidar_z_offset",
 )
 """Fields of a robot that are parameters of the node, by the same names."""
+NODE_PARAMETERS = ("robot", "link", "lidar", "cmd_vel_timeout", "publish_tf", SCENE_PARAMETER)
+"""The node's other parameters."""
+ROS_PARAMETERS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+"""What rclpy's own parameters begin with."""
 
 
 class Command(NamedTuple):
@@ -247,36 +255,35 @@ class RobotNode:
     commands; `requests`, what services ask for; `link` and `lidar`, by the node's parameters.
 
     Args:
-        config: of the robot, as its file says.
+        given: "robot", "link", "lidar" and "scene", which count more than the node's parameters of
+            these names; None and "" leave them as they are.
         namespace: of the node.
         arguments: ROS's own, after "--ros-args".
-        link: URL of the robot's link, where no parameter says it.
-        lidar: URL of its LiDAR, likewise.
+
+    Raises:
+        MissingRosError: ROS 2 isn't installed.
+        RosSetupError: ROS refuses the arguments.
+        ConfigError: a parameter can't be used.
     """
 
     def __init__(
         self,
-        config: RobotConfig,
+        given: Mapping[str, str | None],
         namespace: str = "",
         arguments: Sequence[str] = (),
-        link: str = "",
-        lidar: str = "",
     ) -> None:
-        given = {name: getattr(config, name) for name in DRIVER_PARAMETERS}
-        parameters = {name: "" if value is None else value for name, value in given.items()}
-        parameters |= {"link": link, "lidar": lidar, SCENE_PARAMETER: "", "publish_tf": True}
-        parameters["cmd_vel_timeout"] = config.firmware.command_timeout or 0.5
-        self._node = node = RosNode(DRIVER_NODE, namespace, arguments, parameters, services=True)
+        overrides: dict[str, Any] = {name: value for name, value in given.items() if value}
+        overrides["use_sim_time"] = False  # the robot's own: it publishes /clock, or there is none
+        self._node = node = RosNode(
+            DRIVER_NODE, namespace, arguments, overrides=overrides, services=True
+        )
         self._ros = ros = node.ros
         try:
-            changed = {
-                name: node.read_parameter(name)
-                for name, value in parameters.items()
-                if name in given and node.read_parameter(name) != value
-            }
-            self.config = config = config.with_(**changed)
-            self.link, self.lidar = node.read_parameter("link"), node.read_parameter("lidar")
-            timeout = float(node.read_parameter("cmd_vel_timeout"))
+            given_names = node.list_parameters()
+            self.config = config = self._read_config()
+            self.link, self.lidar = self._read("link", str), self._read("lidar", str)
+            publishes_tf = self._read("publish_tf", bool)
+            timeout = self._read_timeout()
             self.inbox = CommandInbox(timeout, config.base_frame, self.warn)
             self._numbers = PublisherNumbers(timeout)
             self.requests: deque[Request] = deque()
@@ -287,6 +294,10 @@ class RobotNode:
         except BaseException:
             node.close()
             raise
+        known = {*DRIVER_PARAMETERS, *NODE_PARAMETERS}
+        for name in given_names:
+            if name not in known and not name.startswith(ROS_PARAMETERS):
+                self.warn(f"parameter {name}: there is none{suggest_name(name, known)}")
         topic = "cmd_vel"
         node.subscribe(topic, ros.TwistStamped, self._take_stamped, 10)
         self._unstamped.subscribe(topic, ros.Twist, self._take_twist, 10)
@@ -296,7 +307,7 @@ class RobotNode:
         self._diagnostics = node.publish("/diagnostics", ros.DiagnosticArray, depth=10)
         self._clock: Any = None
         self._tf: Any = None
-        if ros.TFMessage is not None and node.read_parameter("publish_tf"):
+        if ros.TFMessage is not None and publishes_tf:
             self._tf = node.publish("/tf", ros.TFMessage, depth=100)
         self._publish_static()
         self._due = 0.0
@@ -311,6 +322,35 @@ class RobotNode:
                 partial(self._unstamped.spin, SPIN_PERIOD),
             )
         ]
+
+    def _read_config(self) -> RobotConfig:
+        """Declare the parameters, and return the robot with their values."""
+        node = self._node
+        node.declare(dict.fromkeys(("robot", "link", "lidar"), ""))
+        config = RobotConfig.of(self._read("robot", str) or None)
+        fields = {name: getattr(config, name) for name in DRIVER_PARAMETERS}
+        fields = {name: "" if value is None else value for name, value in fields.items()}
+        timeout = config.firmware.command_timeout or 0.5
+        node.declare(fields | {"publish_tf": True, "cmd_vel_timeout": timeout})
+        node.declare({SCENE_PARAMETER: ""}, fixed=False)
+        values = {name: node.read_parameter(name) for name in fields}
+        return config.with_(
+            **{name: values[name] for name in fields if values[name] != fields[name]}
+        )
+
+    def _read(self, name: str, *kinds: type) -> Any:
+        """Return the value of a parameter; ConfigError where it is of no such type."""
+        value = self._node.read_parameter(name)
+        if type(value) not in kinds:
+            raise ConfigError(f"{name} = {show_value(value)}: must be of type {kinds[-1].__name__}")
+        return value
+
+    def _read_timeout(self) -> float:
+        """Return after how long a twist doesn't count any more [s]."""
+        timeout = float(self._read("cmd_vel_timeout", int, float))
+        if not 0.0 < timeout < math.inf:
+            raise ConfigError(f"cmd_vel_timeout = {timeout:g}: must be positive")
+        return timeout
 
     def _make_messages(self) -> None:
         """Make the messages that are filled and published again and again."""
@@ -380,7 +420,9 @@ class RobotNode:
 
     def read_scene(self) -> Scene:
         """Return the scene that the node's parameter names. ConfigError where it can't be used."""
-        return parse_scene(str(self._node.read_parameter(SCENE_PARAMETER)))
+        scene = str(self._node.read_parameter(SCENE_PARAMETER)).strip()
+        is_named = scene and not scene.startswith("{")
+        return find_scene(scene, self.config) if is_named else parse_scene(scene)
 
     def put(self, measured: Measured) -> None:
         """Hand over what was measured in a tick; doesn't wait."""
@@ -523,6 +565,18 @@ def _remaps(arguments: Sequence[str]) -> list[str]:
         if option in ("-r", "--remap") and not rule.startswith(("__node:", "__ns:", "__name:"))
     ]
     return [word for pair in kept for word in pair]
+
+
+def find_scene(worlds: str, config: RobotConfig) -> Scene:
+    """Return the first of some worlds, such as "clutter:7-7" or a file, with its start and goal.
+
+    Raises:
+        WorldError: there is none.
+    """
+    pool = Pool.of(worlds, None, footprint_radius(config), 1, lidar_height(config))
+    world = next(iter(pool))
+    start, goal = world.start, world.goal
+    return Scene((start.x, start.y, start.theta or 0.0), (goal.x, goal.y), world)
 
 
 def parse_scene(text: str) -> Scene:
@@ -690,37 +744,3 @@ class DrivenRobot:
     def _reset(self) -> str:
         self._begin(self._node.read_scene())
         return "the robot stands in the scene"
-
-
-def drive_node(
-    config: RobotConfig,
-    link: str = "",
-    lidar: str = "",
-    namespace: str = "",
-    arguments: Sequence[str] = (),
-    speed: float = 1.0,
-    recorder: Recorder | None = None,
-) -> None:
-    """Drive a robot as a node of ROS, until an interrupt or an error.
-
-    Args:
-        config: of the robot.
-        link: URL of its link; "" for the `serial_port` of the config or of a parameter.
-        lidar: URL of its LiDAR; "" for none, or a simulated one.
-        namespace: of the node.
-        arguments: ROS's own, after "--ros-args".
-        speed: how fast simulated time passes, in parts of real time.
-        recorder: records what the robot does.
-
-    Raises:
-        MissingRosError: ROS 2 isn't installed.
-        ConfigError: a parameter can't be used.
-        LinkError: the robot can't be reached, or is lost.
-    """
-    node = RobotNode(config, namespace, arguments, link, lidar)
-    try:
-        driven = DrivenRobot(node, speed, recorder)
-    except BaseException:
-        node.close()
-        raise
-    driven.run()

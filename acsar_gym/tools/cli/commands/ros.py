@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import shlex
 from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
@@ -17,7 +18,17 @@ from acsar_gym.tools.cli.options import (
     RobotArg,
 )
 
-RosArgs = Annotated[tuple[str, ...], tyro.conf.arg(metavar="ARGUMENT [ARGUMENT ...]")]
+RosArgs = Annotated[
+    tuple[str, ...],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="ARGUMENT [ARGUMENT ...]",
+        instance_from_str=lambda words: tuple(shlex.split(words[0])),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [shlex.join(value)],
+    ),
+]
+"""ROS's own arguments, which `app.join_ros_arguments` has made one word."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +38,7 @@ class NodeOptions:
     namespace: str = ""
     """Of the node, such as /robot1."""
     ros_args: RosArgs = ()
-    """ROS's own arguments, such as -r __node:=name; the last option, as in ROS."""
+    """ROS's own, up to the end or to --, such as -p wheel_radius:=0.06."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +61,13 @@ def drive_ros_robot(
     link: str = "",
     robot: RobotArg = None,
     lidar: LidarArg = None,
+    scene: str = "",
 ) -> int:
     """Drive a robot, real or simulated, as a node of ROS 2.
 
     It takes cmd_vel, and publishes odom, tf, joint_states, scan and diagnostics. A simulation
-    publishes /clock as well, and is put into a scene by its service reset.
+    publishes /clock as well, and is put into a scene by its service reset. Parameters of the node
+    that have the names of options count less.
 
     Args:
         node: namespace and arguments of the node.
@@ -63,19 +76,17 @@ def drive_ros_robot(
         link: serial device, planar, bullet or mujoco; default: the robot's serial_port.
         robot: preset or config file.
         lidar: such as rplidar:///dev/ttyUSB1; simulated, where the link is.
+        scene: of a simulated robot, such as clutter:7-7, a world's file, or JSON.
     """
     from acsar_gym.tools.ros import driver  # noqa: PLC0415
 
     if not loop.realtime > 0.0:
         raise ConfigError(f"--realtime {loop.realtime:g}: must be positive")
-    HostOptions(loop.priority, without_estop=loop.without_estop).prepare(link or None)
-    driver.drive_node(
-        RobotConfig.of(robot),
-        link,
-        lidar or "",
-        node.namespace,
-        node.ros_args,
-        loop.realtime,
-        recording.recorder("ros driver", link=link),
-    )
+    given = {"robot": robot, "link": link, "lidar": lidar, "scene": scene}
+    with contextlib.closing(driver.RobotNode(given, node.namespace, node.ros_args)) as driven:
+        HostOptions(loop.priority, without_estop=loop.without_estop).prepare(
+            driven.link or "serial"
+        )
+        recorder = recording.recorder("ros driver", link=driven.link)
+        driver.DrivenRobot(driven, loop.realtime, recorder).run()
     return 0
