@@ -64,6 +64,8 @@ DRAIN_TIMEOUT = 0.1
 """Longest wait until the robot has confirmed the last zeros [s]."""
 CLOCK_STEP = 1e-6
 """Deadlines are met so exactly; a simulated clock goes on by whole steps [s]."""
+CLOCK_PAUSE = 0.2
+"""After so long without a new time of /clock it is waited for [s]."""
 CLOCK_TIMEOUT = 5.0
 """How long /clock may stand still [s]."""
 _numbers = itertools.count()
@@ -518,6 +520,7 @@ class Ros2Link:
             LinkError: the robot is silent, somebody else commands it, or the clock jumped back.
         """
         node = self._require_node()
+        self._catch_up(node)
         self._deadline += period
         while True:
             now, handled = self._check_clock(), self._handled
@@ -545,6 +548,18 @@ class Ros2Link:
             raise self._silence_error(now - self._heard)
         return b"".join([line for _, line in self._arrivals])
 
+    def _catch_up(self, node: RosNode) -> None:
+        """Hear the simulated time again after a pause in which nothing spun.
+
+        For the node it stood still, too, so that what waits seems to be of the future.
+        """
+        if not self._sim_time or time.monotonic() - self._clock_moved < CLOCK_PAUSE:
+            return
+        before = self.now()
+        node.wait_until(lambda: self.now() != before, CLOCK_TIMEOUT, self._poll)
+        self._clock_moved, self._heard = time.monotonic(), self.now()
+        node.wait_until(lambda: self._pending, self._config.feedback_timeout, self._poll)
+
     def idle(self, duration: float) -> None:
         """Let time pass without commands [s], as between two goals; others may drive meanwhile.
 
@@ -553,7 +568,9 @@ class Ros2Link:
         Raises:
             LinkError: the robot is silent, or the clock jumped back.
         """
-        node, heard, end = self._require_node(), self._heard, self.now() + duration
+        node = self._require_node()
+        self._catch_up(node)
+        heard, end = self._heard, self.now() + duration
         while (remaining := end - self._check_clock()) > CLOCK_STEP:
             node.spin(min(remaining, self.watchdog.beat_interval))
             self._beat()

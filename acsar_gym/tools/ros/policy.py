@@ -53,6 +53,8 @@ IDLE_PERIOD = 0.05
 """How soon a goal is noticed while the robot stands [s]."""
 CATCH_UP_TIMEOUT = 0.05
 """Longest time for transforms that wait [s]."""
+FRAME_TIMEOUT = 2.0
+"""Longest wait until a goal's frame is known, while the robot stands [s]."""
 CLOSE_TIMEOUT = 1.0
 """Longest wait for the thread's end [s]."""
 STILL_PERIOD, STILL_DISTANCE, STILL_TURN = 0.2, 0.002, 0.005
@@ -78,6 +80,13 @@ class Goal(NamedTuple):
     """x, y, z [m]."""
     frame: str = ""
     """Of the place; "" for the one that begins where the robot stands."""
+
+    def check(self) -> None:
+        """Check a goal of others. GoalError for numbers that aren't finite, or no frame."""
+        if not all(map(math.isfinite, self.place)):
+            raise GoalError(f"{self}: must be finite numbers")
+        if not self.frame.strip("/"):
+            raise GoalError(f"{self}: its header names no frame")
 
     def __str__(self) -> str:
         x, y, _ = self.place
@@ -109,12 +118,8 @@ class Frames:
         """Transform a goal's place into the odometry's frame [m].
 
         Raises:
-            GoalError: its numbers aren't finite, or nothing connects the frames.
+            GoalError: nothing connects the frames.
         """
-        if not all(map(math.isfinite, goal.place)):
-            raise GoalError(f"{goal}: must be finite numbers")
-        if not goal.frame.strip("/"):
-            raise GoalError(f"{goal}: its header names no frame")
         placed = Transform(goal.frame, goal.place, (0.0, 0.0, 0.0, 1.0))
         found = self._find(GOAL_FRAME, placed)
         if found is None:
@@ -343,6 +348,10 @@ class PolicyNode:
         at, base = message.pose.position, self.find_base()
         goal = Goal((at.x, at.y, at.z), message.header.frame_id)
         try:
+            goal.check()
+            if not self.is_driving:  # transforms may still come
+                self.goal = goal
+                return
             place = self.frames.find_goal(goal)
             if base is not None and self.rules is not None:
                 self.rules.check(to_odometry(base, (*place, 0.0))[:2], goal)
@@ -535,7 +544,7 @@ class GoalDriver:
                 watched.start = start = self._wait_until_still(robot, link)
                 if node.goal is not None:  # meanwhile
                     goal, node.goal = node.goal, None
-                place = self._place(goal, start)
+                place = self._place(goal, start, robot, link)
                 node.find_base = watched.find_base
                 node.say(f"drives to {goal}")
                 (episode,) = run_episodes(
@@ -589,23 +598,34 @@ class GoalDriver:
             f"the robot moves in {show_value(frames.odom)}, though it is commanded to stand"
         )
 
-    def _place(self, goal: Goal, start: Pose | None) -> Point:
+    def _place(self, goal: Goal, start: Pose | None, robot: Any, link: Ros2Link) -> Point:
         """Return a goal in the frame that begins where the robot stands [m]."""
         frames, rules = self._node.frames, self._node.rules
-        if not goal.frame:
-            place = goal.place[:2]
-        elif start is None:
-            raise GoalError(
-                f"{goal}: neither /tf nor the odometry's topic says where "
-                f"{show_value(frames.base)} is in {show_value(frames.odom)}"
-            )
-        else:
-            place = to_odometry(start, (*frames.find_goal(goal), 0.0))[:2]
+        place = goal.place[:2]
+        if goal.frame:
+            place = self._wait_for_frame(goal, robot, link)
+            if start is None:
+                raise GoalError(
+                    f"{goal}: neither /tf nor the odometry's topic says where "
+                    f"{show_value(frames.base)} is in {show_value(frames.odom)}"
+                )
+            place = to_odometry(start, (*place, 0.0))[:2]
         if rules is not None:
             rules.check(place, goal)
         if self._node.is_cancelled:
             raise GoalError(f"{goal}: was cancelled")
         return place
+
+    def _wait_for_frame(self, goal: Goal, robot: Any, link: Ros2Link) -> Point:
+        """Wait until a goal's frame is known; return the goal in that of the odometry [m]."""
+        end = time.monotonic() + FRAME_TIMEOUT
+        while True:
+            try:
+                return self._node.frames.find_goal(goal)
+            except GoalError:
+                if time.monotonic() > end:
+                    raise
+            self._idle(robot, link, IDLE_PERIOD)
 
 
 def is_near(one: Pose, other: Pose) -> bool:
