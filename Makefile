@@ -121,7 +121,7 @@ $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 $(ROS)/ready: pyproject.toml constraints.txt tests/ros/constraints.txt tests/ros/build_tf2_msgs.py
 	@.ci/venv $(ROS) "$(PYTHON)"
 	$(ROS)/bin/pip install --quiet --constraint constraints.txt --constraint tests/ros/constraints.txt \
-	  --editable '.[bullet,deploy]' hypothesis psutil pytest pytest-xdist \
+	  --editable '.[bullet,deploy,lidar]' hypothesis psutil pytest pytest-xdist \
 	  'ros-rclpy[fastrtps]' ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs \
 	  ros-std-msgs ros-std-srvs ros-trajectory-msgs ros-visualization-msgs \
 	  catkin_pkg cmake empy lark ninja ros-ament-cmake ros-ament-cmake-include-directories \
