@@ -68,7 +68,9 @@ class Robot:
     """Drives the robot, real or simulated, behind `link`.
 
     Attributes: `link`, `config`, `odometry`; `wire`, the lines to and from the board; `safety`,
-    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first.
+    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first;
+    `shares`, the wheel speeds [rad/s] that odometry integrated in the newest tick, and for how long
+    each held [s].
 
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
@@ -92,6 +94,7 @@ class Robot:
         self.odometry = Odometry.of(self.config)
         self.sensors = Sensors(sensor_factories(sensors), link, self.config, self.odometry)
         self.wire = Wire(link, self.config)
+        self.shares: list[tuple[Speeds, float]] = []
         self.active = False
         self.safety = Safety(self.config)
         self._recorder = recorder
@@ -383,7 +386,8 @@ class Robot:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
         heard, dt = wire.exchange(speeds)
-        for wheel_speeds, share in wire.shares(heard, dt):
+        self.shares = wire.shares(heard, dt)
+        for wheel_speeds, share in self.shares:
             self.odometry.update(wheel_speeds, share)
         if self._stopwatch is not None:
             self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)

@@ -22,6 +22,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -125,6 +126,11 @@ def compare_odometry(log: Path, odometry: Heard) -> list[float]:
     return apart
 
 
+def has_ended(run: Program, count: int) -> bool:
+    """Whether a policy's node has ended so many episodes, or refused a goal."""
+    return run.printed.count("]: goal (") >= count or "refused" in run.printed
+
+
 @contextlib.contextmanager
 def started(client: Client, folder: Path, *arguments: object) -> Iterator[Program]:
     """A process, ended at the end."""
@@ -215,13 +221,8 @@ def drive_open(
                 message.pose.position.x, message.pose.position.y = assignment.goal
                 goals.publish(message)
                 if number < count - 1:
-                    client.wait(
-                        lambda n=number: (
-                            run.printed.count("]: goal (") > n or "refused" in run.printed
-                        ),
-                        f"scene {number}",
-                        LONGEST_DRIVE,
-                    )
+                    ends = partial(has_ended, run, number + 1)
+                    client.wait(ends, f"scene {number}", LONGEST_DRIVE)
             wait_for(client, run, "the last scene")
     return [bool(episode["success"]) for episode in results(json_file)], compare_odometry(
         log, odometry

@@ -163,8 +163,8 @@ def test_on_an_open_floor_the_plan_is_a_straight_line() -> None:
 def test_among_obstacles_the_plan_goes_around_and_rays_and_cells_are_on_them() -> None:
     """A wall across the straight way, seen by a robot that began elsewhere in the odometry."""
     wall = np.array([[1.5, -1.0, 1.5, 1.0]])
-    ends = {"start": Region(0.0, 0.0, 0.0, 0.0), "goal": Region(3.0, 0.0)}
-    world, start = World(segments=wall, **ends), (5.0, 1.0, math.pi / 2.0)
+    world = World(segments=wall, start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(3.0, 0.0))
+    start = (5.0, 1.0, math.pi / 2.0)
     with contextlib.closing(make_env("ObstacleGoal-v1", worlds=[world])) as env:
         env.reset(seed=0)
         for _ in range(5):
