@@ -20,7 +20,7 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
-  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-stopping ros-timing \
+  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-scenes ros-stopping ros-timing \
   identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -58,6 +58,9 @@ test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their li
 
 test-ros: $(ROS)/ready  ## nodes of real ROS 2 beside each other, in a network of their own
 	.ci/ros $(ROS)/bin/pytest tests/ros
+
+ros-scenes: $(ROS)/ready  ## the same scenes over ROS 2 and without it, in half an hour of real time
+	.ci/ros $(ROS)/bin/python tests/ros/compare_scenes.py
 
 firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
 	@if command -v avr-gcc cc >/dev/null && test -f /usr/include/simavr/sim_avr.h; then \

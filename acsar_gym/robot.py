@@ -68,7 +68,9 @@ class Robot:
     """Drives the robot, real or simulated, behind `link`.
 
     Attributes: `link`, `config`, `odometry`; `wire`, the lines to and from the board; `safety`,
-    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first.
+    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first;
+    `shares`, the wheel speeds [rad/s] that odometry integrated in the newest tick, and for how long
+    each held [s].
 
     As a context manager it is active inside the block, and stopped and closed on any way out of it.
 
@@ -92,6 +94,7 @@ class Robot:
         self.odometry = Odometry.of(self.config)
         self.sensors = Sensors(sensor_factories(sensors), link, self.config, self.odometry)
         self.wire = Wire(link, self.config)
+        self.shares: list[tuple[Speeds, float]] = []
         self.active = False
         self.safety = Safety(self.config)
         self._recorder = recorder
@@ -124,13 +127,7 @@ class Robot:
             LinkError: link or sensors don't work, the board is silent, or the wheels keep turning.
             EmergencyStopError: nobody has released an emergency stop, of any robot of this process.
         """
-        if self.link.truth is None and self._listener is None:
-            check_released()
-            file = "" if self._recorder is None else self._recorder.file
-            device = getattr(self.link, "device", "")
-            self._listener = StopListener(device, self.config.name, file)
-            self._listener.warn()
-            self._warned = False
+        self._listen_for_stops()
         token = WHILE_WAITING.set(self._check_released)
         try:
             self._begin(scene, np.random.default_rng(0) if rng is None else rng)
@@ -143,12 +140,35 @@ class Robot:
                 said = UNWATCHED.format(unwatched) if unwatched else NO_TIMEOUT
                 warnings.warn(said, SafetyWarning, 3)
 
-    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Open the link, and begin an episode; not after an emergency stop."""
+    @_deactivating
+    def connect(self) -> None:
+        """Open the link and hear emergency stops, before an episode. Errors as for `reset`."""
+        self._listen_for_stops()
+        token = WHILE_WAITING.set(self._check_released)
+        try:
+            self._open_link()
+        finally:
+            WHILE_WAITING.reset(token)
+
+    def _listen_for_stops(self) -> None:
+        """Hear emergency stops of a real robot from now on."""
+        if self.link.truth is None and self._listener is None:
+            check_released()
+            file = "" if self._recorder is None else self._recorder.file
+            device = getattr(self.link, "device", "")
+            self._listener = StopListener(device, self.config.name, file)
+            self._listener.warn()
+            self._warned = False
+
+    def _open_link(self) -> None:
         self._check_released()
         if not self.active:
             self.link.open()
             self.active = True
+
+    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Open the link, and begin an episode; not after an emergency stop."""
+        self._open_link()
         self.link.reset(scene)
         self.safety.reset()
         self.wire.reset()
@@ -196,7 +216,7 @@ class Robot:
             CommandError: unless `speeds` are four finite numbers.
             LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
-        self._check_estop()
+        self.check_estop()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.bounded(speeds, pose, age))
         if self._clocked:
@@ -216,7 +236,7 @@ class Robot:
             linear: velocity [m/s], forward positive.
             angular: velocity [rad/s], counter-clockwise positive.
         """
-        self._check_estop()
+        self.check_estop()
         pose, age = self.odometry.pose, self.wire.age
         self._exchange(self.safety.allowed(linear, angular, pose, age))
         if self._clocked:
@@ -230,7 +250,7 @@ class Robot:
 
         Errors as for `tick`.
         """
-        self._check_estop()
+        self.check_estop()
         self._exchange(None)
         self._record_tick(math.nan, math.nan)
 
@@ -249,8 +269,14 @@ class Robot:
         """Time since the newest valid line [s]."""
         return self.wire.age
 
-    def _check_estop(self) -> None:
-        """Stop where a stop was requested; LinkError where the robot isn't active."""
+    def check_estop(self) -> None:
+        """Stop where `acsar-gym estop` asks for it, as every tick does.
+
+        For programs that wait between two episodes: `safety.stopped` says whether it was asked for.
+
+        Raises:
+            LinkError: the robot isn't active.
+        """
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._listener is not None and self._listener.is_requested():
@@ -360,7 +386,8 @@ class Robot:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         wire = self.wire
         heard, dt = wire.exchange(speeds)
-        for wheel_speeds, share in wire.shares(heard, dt):
+        self.shares = wire.shares(heard, dt)
+        for wheel_speeds, share in self.shares:
             self.odometry.update(wheel_speeds, share)
         if self._stopwatch is not None:
             self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)

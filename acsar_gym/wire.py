@@ -33,7 +33,8 @@ class Wire:
     [rad/s], old ones for motors that a line doesn't name; `age`, the time since the newest valid
     line [s]; `stamp`, the link's time at the end of the newest period [s]; `began`, its time at
     the beginning of the first period after `settle` [s]; `written`, its time when the last byte of
-    the newest command has left the port, at the baud rate [s]; 0 in simulation. Where the link's
+    the newest command has left the port, at the baud rate [s]; 0 in simulation; `measured`, when
+    the newest line was measured, where the link's lines say so [s], else None. Where the link's
     board echoes, `decoder` is one that leaves the echoes out.
 
     Args:
@@ -59,7 +60,7 @@ class Wire:
         self._set_points: SetPointWatch | None = None
         self._line_time = config.line_time
         self._stamped = False
-        self._measured: float | None = None
+        self.measured: float | None = None
         self._shares: list[float] = []
 
     def reset(self) -> None:
@@ -73,7 +74,7 @@ class Wire:
         self.stamp = self.began = self._link.now()
         self._settled = False
         self._timed = self._link.lateness is not None  # a replay knows it from its reset on
-        self._stamped, self._measured = is_stamped(self._link), None
+        self._stamped, self.measured = is_stamped(self._link), None
 
     def send(self, speeds: Speeds) -> None:
         """Send a command line; it is encoded again only where `speeds` is another object."""
@@ -138,9 +139,9 @@ class Wire:
         """Note for how long the speeds of each line held, by the times at which it was measured."""
         self._shares = []
         for stamp, _ in arrivals_of(self._link):
-            before = stamp if self._measured is None else self._measured
+            before = stamp if self.measured is None else self.measured
             self._shares.append(max(stamp - before, 0.0))
-            self._measured = max(stamp, before)
+            self.measured = max(stamp, before)
 
     def shares(self, heard: list[Speeds], lasted: float) -> list[tuple[Speeds, float]]:
         """What odometry integrates: wheel speeds [rad/s], and for how long they held [s]."""

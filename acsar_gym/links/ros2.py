@@ -64,6 +64,8 @@ DRAIN_TIMEOUT = 0.1
 """Longest wait until the robot has confirmed the last zeros [s]."""
 CLOCK_STEP = 1e-6
 """Deadlines are met so exactly; a simulated clock goes on by whole steps [s]."""
+CLOCK_PAUSE = 0.2
+"""After so long without a new time of /clock it is waited for [s]."""
 CLOCK_TIMEOUT = 5.0
 """How long /clock may stand still [s]."""
 _numbers = itertools.count()
@@ -76,7 +78,8 @@ class Ros2Link:
     hangs longer than `watchdog_timeout` while wheels turn.
 
     Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed; `epoch`, the
-    node's time at which the link's clock is 0 [ns].
+    node's time at which the link's clock is 0 [ns]; `places_robot`, whether a reset puts a
+    simulated robot into the scene.
 
     Args:
         url: "ros2", or "ros2:/namespace".
@@ -93,6 +96,7 @@ class Ros2Link:
         self.watchdog = Watchdog(b"", config.watchdog_timeout)
         self.node: RosNode | None = None
         self.lateness = 0.0
+        self.places_robot = True
         self.epoch = 0
         self._separation = config.effective_separation
         self._forget()
@@ -112,6 +116,7 @@ class Ros2Link:
         self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
         self._driving_since: float | None = None
         self._intruded = False
+        self._quiet = 0.0
         self._problem = ""
         self._kind = self._feedback = ""
         self._publisher: Any = None
@@ -461,7 +466,8 @@ class Ros2Link:
                     self._start_watchdog(node)
             if restart:
                 self.watchdog.wait_ready(WATCHDOG_START)
-            self._reset_simulation(node, scene)
+            if self.places_robot:
+                self._reset_simulation(node, scene)
             with self._lock:
                 self.watchdog.rearm()
         except BaseException:  # don't drive without a watchdog
@@ -514,6 +520,7 @@ class Ros2Link:
             LinkError: the robot is silent, somebody else commands it, or the clock jumped back.
         """
         node = self._require_node()
+        self._catch_up(node)
         self._deadline += period
         while True:
             now, handled = self._check_clock(), self._handled
@@ -540,6 +547,38 @@ class Ros2Link:
         if now - self._heard > self._config.feedback_timeout:
             raise self._silence_error(now - self._heard)
         return b"".join([line for _, line in self._arrivals])
+
+    def _catch_up(self, node: RosNode) -> None:
+        """Hear the simulated time again after a pause in which nothing spun.
+
+        For the node it stood still, too, so that what waits seems to be of the future.
+        """
+        if not self._sim_time or time.monotonic() - self._clock_moved < CLOCK_PAUSE:
+            return
+        before = self.now()
+        node.wait_until(lambda: self.now() != before, CLOCK_TIMEOUT, self._poll)
+        self._clock_moved, self._heard = time.monotonic(), self.now()
+        node.wait_until(lambda: self._pending, self._config.feedback_timeout, self._poll)
+
+    def idle(self, duration: float) -> None:
+        """Let time pass without commands [s], as between two goals; others may drive meanwhile.
+
+        What arrives is forgotten.
+
+        Raises:
+            LinkError: the robot is silent, or the clock jumped back.
+        """
+        node = self._require_node()
+        self._catch_up(node)
+        heard, end = self._heard, self.now() + duration
+        while (remaining := end - self._check_clock()) > CLOCK_STEP:
+            node.spin(min(remaining, self.watchdog.beat_interval))
+            self._beat()
+        self._arrivals, self._pending, self._intruded = [], [], False
+        # Messages that waited while nobody spun are old, and say nothing about silence.
+        self._quiet = 0.0 if self._heard > heard else self._quiet + duration
+        if self._quiet > self._config.feedback_timeout:
+            raise self._silence_error(self._quiet)
 
     def _follow_phase(self, arrived: float, period: float) -> None:
         """Move the deadlines towards `SLACK` after the arrivals, which is before the deadline."""
@@ -575,6 +614,10 @@ class Ros2Link:
     def now(self) -> float:
         """Return the time of the node's clock since the opening [s]; 0 before."""
         return self.to_link_time(self.node.now()) if self.node is not None else 0.0
+
+    def ros_time(self) -> int:
+        """Return the time of ROS [ns]; 0 while closed."""
+        return self.node.now() if self.node is not None else 0
 
     def close(self) -> None:
         """Command zero, wait until the robot has it, and end the node. Idempotent."""

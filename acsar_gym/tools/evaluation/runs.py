@@ -7,7 +7,7 @@ import hashlib
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -413,20 +413,50 @@ def drive_to_goal(
     `goal_distance`, goals may be nearer or farther than those of the training; the time limit grows
     with the distance.
     """
+
+    def drive(env: Env) -> Iterator[Episode]:
+        ready()
+        return episodes.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
+
+    about, farthest = {"goal": goal, **how}, math.hypot(*goal)
+    return drive_to_goals(policy, link, robot, drive, farthest, about, range(1), **options)
+
+
+def drive_to_goals(
+    policy: FilePolicy,
+    link: str,
+    robot: RobotSource,
+    drive: Callable[[Env], Iterable[Episode]],
+    farthest: float,
+    about: Mapping[str, Any],
+    seeds: range | None = None,
+    **options: Any,
+) -> EvaluationRun:
+    """Run the episodes that `drive` yields with an env of a policy; closes the link.
+
+    Args:
+        policy: the policy; refused where it isn't for this robot.
+        link: name of the link.
+        robot: preset, file or config of the robot; None for the default.
+        drive: makes the episodes.
+        farthest: distance of the farthest goal [m]; where there is `goal_distance`, the time limit
+            grows with it.
+        about: what the header tells about the episodes.
+        seeds: of the episodes; None: they count up from 0.
+        **options: other arguments of the env.
+    """
     if options.get("goal_distance") is not None and policy.scale:
         options["distance_scale"] = policy.scale
         steps = gymnasium.spec(_check_id(policy)).max_episode_steps
         if steps is not None:
-            longer = max(1.0, math.hypot(*goal) / policy.scale)
+            longer = max(1.0, farthest / policy.scale)
             options["max_episode_steps"] = math.ceil(steps * longer)
     config = RobotConfig.of(robot)
     env = make_env(policy, open_link(link, config), config, options)
     with contextlib.closing(env):
         refuse_outside(policy)
         _warn_differences(policy)
-        ready()
-        running = episodes.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
-        return _collect_run(env, policy, link, range(1), {"goal": goal, **how}, running)
+        return _collect_run(env, policy, link, seeds, about, drive(env))
 
 
 def _warn_differences(policy: FilePolicy) -> None:
@@ -445,13 +475,14 @@ def _collect_run(
     env: Env,
     policy: FilePolicy,
     link: str,
-    seeds: range,
+    seeds: range | None,
     options: Mapping[str, Any],
     running: Iterable[Episode],
 ) -> EvaluationRun:
     """Collect episodes, with what ended them early, and the header; closes the env.
 
-    A link's error before the first result is raised, unless it is an emergency stop.
+    Without `seeds`, they count up from 0. A link's error before the first result is raised, unless
+    it is an emergency stop.
     """
     driven: list[Episode] = []
     ended: LinkError | KeyboardInterrupt | None = None
@@ -467,6 +498,7 @@ def _collect_run(
     finally:
         env.close()  # before the files are hashed
     inner: Any = env.unwrapped
+    seeds = range(max(len(driven), 1)) if seeds is None else seeds
     header = provenance.make_header(env, policy, link, seeds, options)
     worlds = "none" if inner.pool is None else str(inner.pool)
     return EvaluationRun(header, worlds, driven, ended)

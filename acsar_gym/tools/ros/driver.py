@@ -226,6 +226,8 @@ class Measured(NamedTuple):
     lateness: float | None
     age: float
     reason: Reason
+    earlier: list[tuple[int, Speeds, Speeds]]
+    """Stamps, speeds and angles before the newest, of a late tick in which several lines came."""
 
 
 @dataclass
@@ -476,6 +478,10 @@ class RobotNode:
             return
         stamp = make_stamp(self._ros, measured.stamp)
         state = self._state
+        for before, speeds, angles in measured.earlier:
+            state.header.stamp = make_stamp(self._ros, before)
+            state.position, state.velocity = angles, speeds
+            self._joints.publish(state)
         state.header.stamp = stamp
         state.position, state.velocity = measured.angles, measured.speeds
         self._joints.publish(state)
@@ -618,6 +624,29 @@ def _read_scene(
     return (x, y, theta), (goal_x, goal_y) if goal else None, world
 
 
+def list_earlier(
+    shares: Sequence[tuple[Speeds, float]], stamp: int, angles: Speeds
+) -> list[tuple[int, Speeds, Speeds]]:
+    """List what odometry integrated in a tick before its end, for who integrates it, too.
+
+    Args:
+        shares: wheel speeds [rad/s], and for how long each held [s].
+        stamp: of the tick's end [ns].
+        angles: of the wheels then [rad].
+
+    Returns:
+        Stamps [ns], speeds and angles, the newest left out.
+    """
+    earlier: list[tuple[int, Speeds, Speeds]] = []
+    a, b, c, d = angles
+    for (before, _), (speeds, share) in reversed([*itertools.pairwise(shares)]):
+        stamp -= round(share * NANOSECONDS)
+        e, f, g, h = speeds
+        a, b, c, d = a - e * share, b - f * share, c - g * share, d - h * share
+        earlier.insert(0, (stamp, before, (a, b, c, d)))
+    return earlier
+
+
 class DrivenRobot:
     """The control loop: a robot that drives what its node hears.
 
@@ -702,6 +731,7 @@ class DrivenRobot:
                 robot.link.lateness,
                 robot.feedback_age,
                 safety.reason,
+                list_earlier(robot.shares, stamp, odometry.wheel_positions),
             )
         )
 

@@ -132,7 +132,7 @@ def evaluate_policy(
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     if output.html is not None and done.results:
         report.write_evaluation_page(output.html, title, robot.link, done.summary, done.results)
-    return _report_run(title, robot.link, done, output.json)
+    return report_run(title, robot.link, done, output.json)
 
 
 @command("run", "policies", drives=True)
@@ -176,16 +176,16 @@ def run_policy(
     how = {"late_share": robot.late_share}
     done = runs.drive_to_goal(loaded, robot.link, robot.robot, goal, ready, how=how, **options)
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
-    return _report_run(title, robot.link, done, output.json, to_goal=True)
+    return report_run(title, robot.link, done, output.json, to_goal=True)
 
 
-def _report_run(
+def report_run(
     title: str, link: str, done: EvaluationRun, json: Path | None, *, to_goal: bool = False
 ) -> int:
     """Print and write what there is of an evaluation, then raise what ended it early.
 
     Returns:
-        The exit code: 1 where a drive `to_goal` didn't reach it.
+        The exit code: 1 where a drive `to_goal` didn't reach one.
 
     Raises:
         LinkError: a fault ended an episode.
@@ -201,7 +201,7 @@ def _report_run(
         raise done.ended
     if done.faults:
         raise LinkError(done.faults[0])
-    if to_goal and not done.results[0].success:
+    if to_goal and not all(episode.success for episode in done.results):
         return 1
     if done.late and not link.startswith("replay:"):  # nobody can mend what was recorded
         raise LateTicksError(done.late, len(done.results))

@@ -5,18 +5,25 @@ from __future__ import annotations
 import contextlib
 import shlex
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
+from acsar_gym.tools.cli.commands.evaluate import report_run
 from acsar_gym.tools.cli.options import (
+    EnvArg,
     HostOptions,
     LidarArg,
     RecordOptions,
+    ResultOptions,
     RobotArg,
+    countdown,
 )
+
+if TYPE_CHECKING:
+    from acsar_gym.tools.policies import FilePolicy
 
 RosArgs = Annotated[
     tuple[str, ...],
@@ -90,3 +97,103 @@ def drive_ros_robot(
         recorder = recording.recorder("ros driver", link=driven.link)
         driver.DrivenRobot(driven, loop.realtime, recorder).run()
     return 0
+
+
+@dataclass(frozen=True)
+class RosPolicyOptions:
+    """The policy."""
+
+    policy: str = ""
+    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act; default: that
+    of the node's parameter policy, or point_goal."""
+    trust: bool = False
+    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
+    env: EnvArg = ""
+    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+
+
+@dataclass(frozen=True)
+class RosRobotOptions(RecordOptions):
+    """The robot, recording, and which drives count."""
+
+    robot: RobotArg = None
+    """Preset or config file; default: that of the node's parameter robot, or acsar."""
+    lidar: LidarArg = None
+    """If the policy needs a LiDAR; default: ros2, the robot's topic scan."""
+    late_share: float = 0.01
+    """Largest share of late ticks in a valid episode."""
+
+
+@dataclass(frozen=True)
+class RosGoalOptions:
+    """The goals."""
+
+    goal: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
+    """A first goal, from where the robot stands [m]: x forward, y to the left."""
+    goal_distance: Annotated[
+        tuple[float, float] | None, tyro.conf.arg(metavar="NEAREST FARTHEST")
+    ] = None
+    """How near and how far goals may be [m]; default: as in training."""
+    episodes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """End after so many goals; default: never."""
+    once: bool = False
+    """End after one goal."""
+    yes: bool = False
+    """Drive to --goal without a countdown."""
+
+    @property
+    def count(self) -> int | None:
+        """How many goals there are; None for no end. ConfigError for less than one."""
+        if self.episodes is not None and self.episodes < 1:
+            raise ConfigError(f"--episodes {self.episodes}: must be at least 1")
+        if self.once and self.episodes not in (None, 1):
+            raise ConfigError(f"--once, --episodes {self.episodes}: leave out one of them")
+        return 1 if self.once else self.episodes
+
+
+@command("ros policy", "robots", drives=True)
+def drive_ros_policy(
+    policy: RosPolicyOptions,
+    robot: RosRobotOptions,
+    goals: RosGoalOptions,
+    node: NodeOptions,
+    host: HostOptions,
+    output: ResultOptions,
+) -> int:
+    """Drive a robot of ROS 2 with a policy to the goals of goal_pose, one after the other.
+
+    A new goal takes the place of the one before; the service ~/cancel ends it. It publishes plan
+    and ~/markers.
+
+    Args:
+        policy: the policy.
+        robot: robot, LiDAR, and recording.
+        goals: the goals.
+        node: namespace and arguments of the node; the robot is in the same namespace.
+        host: process priority and cores; whether the emergency stop may be missing.
+        output: results in a file.
+    """
+    from acsar_gym.tools.ros import policy as ros_policy  # noqa: PLC0415
+
+    count = goals.count
+    output.check()
+
+    def ready(loaded: FilePolicy, link: str) -> dict[str, Any]:
+        host.prepare(link)
+        if goals.goal is not None:
+            countdown(f"the robot on {link} will drive", yes=goals.yes)
+        recorder = robot.recorder("ros policy", link=link, policy=loaded.about)
+        return {"record": recorder, "goal_distance": goals.goal_distance}
+
+    options = {
+        "policy": policy.policy,
+        "env": policy.env,
+        "robot": robot.robot or "",
+        "lidar": robot.lidar or "",
+    }
+    how = {"late_share": robot.late_share}
+    link, done = ros_policy.drive_policy(
+        options, ready, node.namespace, node.ros_args, goals.goal, count, how, trust=policy.trust
+    )
+    title = f"{policy.policy or ros_policy.DEFAULT_POLICY} to goals, worlds: {done.worlds}"
+    return report_run(title, link, done, output.json, to_goal=True)

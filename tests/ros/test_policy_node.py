@@ -1,0 +1,275 @@
+"""`acsar-gym ros policy` beside robots of ours and of others: goals, refusals, ends, recordings."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from nav_msgs.msg import Odometry
+from nav_msgs.msg import Path as Plan
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_tools import Client, Program, StartProgram, StartRobot
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
+
+from acsar_gym import RobotConfig
+from acsar_gym.recording.reader import read
+from acsar_gym.testing import TIMEOUT
+
+Place = tuple[float, float]
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+PATIENT = {"connect_timeout": 60.0, "feedback_timeout": 5.0, "watchdog_timeout": 5.0}
+FOREIGN = {
+    "wheel_radius": 0.05,
+    "wheel_separation": 0.3,
+    "wheel_separation_multiplier": 1.0,
+    "control_rate": 50.0,
+    "max_linear": 0.8,
+    "ros2": {"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
+}
+
+pytestmark = pytest.mark.usefixtures("deadline")
+
+
+def wait_for_end(client: Client, program: Program) -> int:
+    """Hear until a program has ended by itself; return its exit status."""
+    client.programs.remove(program)  # a wait fails where one of them ends
+    try:
+        client.wait(lambda: program.process.poll() is not None, "its end", 3.0 * TIMEOUT)
+    finally:
+        client.programs.append(program)
+    return program.wait()
+
+
+class PolicyTest:
+    """A policy's node, and what a person in RViz sees and does."""
+
+    def __init__(self, client: Client, namespace: str, program: Program) -> None:
+        self.client, self.program, self.namespace = client, program, namespace
+        self.plans = client.hear(Plan, "plan")
+        self.markers = client.hear(MarkerArray, "acsar_policy/markers")
+        self.odometry = client.hear(Odometry, "odom")
+        self.goals = client.publisher(PoseStamped, "goal_pose")
+        self.wait_for("waits for goals")
+
+    def wait_for(self, text: str, count: int = 1) -> None:
+        self.client.wait(lambda: self.program.printed.count(text) >= count, text, 2.0 * TIMEOUT)
+
+    def give(self, x: float, y: float, frame: str = "odom") -> None:
+        goal = PoseStamped()
+        goal.header.frame_id = frame
+        goal.pose.position.x, goal.pose.position.y = x, y
+        self.goals.publish(goal)
+
+    @property
+    def place(self) -> Place:
+        at = self.odometry.messages[-1].pose.pose.position
+        return at.x, at.y
+
+    def stands(self) -> bool:
+        twist = self.odometry.messages[-1].twist.twist
+        return bool(abs(twist.linear.x) < 0.01 and abs(twist.angular.z) < 0.01)
+
+    def end(self) -> int:
+        """Wait until the program has ended by itself."""
+        return wait_for_end(self.client, self.program)
+
+
+StartPolicy = Callable[..., PolicyTest]
+
+
+@pytest.fixture
+def robot_file(tmp_path: Path) -> Path:
+    RobotConfig.of(None).with_(**PATIENT).save(tmp_path / "robot.yaml")
+    return tmp_path / "robot.yaml"
+
+
+@pytest.fixture
+def driver(start_program: StartProgram, client: Client, namespace: str) -> Program:
+    """A simulated robot."""
+    command = ("-m", "acsar_gym", "ros", "driver", "--link", "planar", "--namespace", namespace)
+    program = start_program(*command)
+    client.wait(lambda: "drives planar" in program.printed, "the driver", 2.0 * TIMEOUT)
+    return program
+
+
+@pytest.fixture
+def start_policy(
+    start_program: StartProgram, client: Client, namespace: str, robot_file: Path
+) -> StartPolicy:
+    def start(*options: object, robot: Path = robot_file) -> PolicyTest:
+        given = ("--robot", robot, "--namespace", namespace, "--late-share", 1, *options)
+        program = start_program("-m", "acsar_gym", "ros", "policy", *given)
+        return PolicyTest(client, namespace, program)
+
+    return start
+
+
+def distance(one: Place, other: Place) -> float:
+    return math.dist(one, other)
+
+
+def test_goals_are_driven_to_and_shown(driver: Program, start_policy: StartPolicy) -> None:
+    policy = start_policy("--episodes", 2)
+    policy.give(1.2, 0.4)
+    policy.wait_for("reached in")
+    assert distance(policy.place, (1.2, 0.4)) < 0.2
+    plan, markers = policy.plans.messages[-1], policy.markers.messages[-1].markers
+    assert plan.header.frame_id == "odom"
+    last = plan.poses[-1].pose.position
+    assert (last.x, last.y) == pytest.approx((1.2, 0.4))
+    named = {marker.ns: marker for marker in markers}
+    assert set(named) == {"goal", "rays", "map"}
+    at = named["goal"].pose.position
+    assert (at.x, at.y) == pytest.approx((1.2, 0.4))
+    assert named["goal"].action == Marker.ADD
+    policy.client.wait(policy.stands, "standing wheels")
+    policy.give(-1.0, 0.0, "base_link")  # behind it
+    assert policy.end() == 0
+    assert "2/2" in policy.program.printed
+
+
+def test_what_cannot_be_driven_to_is_one_line_and_moves_nothing(
+    driver: Program, start_policy: StartPolicy
+) -> None:
+    policy = start_policy("--once")
+    wrong = [
+        ((math.nan, 0.0, "odom"), "must be finite numbers"),
+        ((50.0, 0.0, "odom"), "is 50 m away: must be 0.5 to 3 m"),
+        ((1.0, 0.0, "nowhere"), "goal (1, 0) in 'nowhere': nothing on /tf and /tf_static"),
+        ((1.0, 0.0, ""), "names no frame"),
+    ]
+    for goal, line in wrong:
+        policy.give(*goal)
+        policy.wait_for(line)
+        assert policy.program.printed.count("refused: ") == 1 + wrong.index((goal, line))
+    assert distance(policy.place, (0.0, 0.0)) < 1e-6
+    policy.give(1.0, 0.0)  # and it goes on
+    assert policy.end() == 0
+
+
+def test_a_new_goal_takes_the_place_of_the_old_one_and_a_service_ends_it(
+    driver: Program, start_policy: StartPolicy
+) -> None:
+    policy = start_policy("--episodes", 2)
+    client = policy.client
+    assert not client.call(Trigger, "acsar_policy/cancel").success
+    policy.give(2.0, 0.0)
+    client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
+    policy.give(60.0, 0.0)  # isn't a goal, so the old one stays
+    policy.wait_for("m away: must be")
+    policy.give(0.5, 1.5)
+    policy.wait_for("replaced by another goal")
+    policy.wait_for("drives to goal (0.5, 1.5)")
+    client.spin(0.5)
+    assert client.call(Trigger, "acsar_policy/cancel").success
+    client.wait(policy.stands, "standing wheels")
+    assert policy.end() == 1
+    assert "goal (0.5, 1.5) in 'odom': cancelled" in policy.program.printed
+    assert distance(policy.place, (0.5, 1.5)) > 0.3
+
+
+def test_goals_in_the_map_of_a_localized_robot_of_others(
+    start_robot: StartRobot, start_policy: StartPolicy, client: Client, tmp_path: Path
+) -> None:
+    """The map is turned by a quarter, and moved, against the odometry."""
+    foreign = start_robot("--rate", 50)
+    RobotConfig.preset("acsar").with_(**FOREIGN | PATIENT).save(tmp_path / "foreign.yaml")
+    moved = TransformStamped(child_frame_id="odom")
+    moved.header.frame_id = "map"
+    moved.transform.translation.x = 4.0
+    moved.transform.rotation.z = moved.transform.rotation.w = math.sqrt(0.5)
+    client.node.create_publisher(TFMessage, "/tf_static", LATCHED).publish(
+        TFMessage(transforms=[moved])
+    )
+    policy = start_policy("--once", robot=tmp_path / "foreign.yaml")
+    policy.give(4.0, 1.2, "map")  # 1.2 m ahead of the robot
+    assert policy.end() == 0, policy.program.printed
+    client.wait(foreign.stands, "standing wheels")
+    x, y, _ = foreign.states[-1]["pose"]
+    assert distance((x, y), (1.2, 0.0)) < 0.25
+
+
+def test_a_robot_that_ends_while_nobody_drives_is_one_line(
+    driver: Program, start_policy: StartPolicy
+) -> None:
+    policy = start_policy()
+    policy.client.programs.remove(driver)
+    driver.end(signal.SIGKILL)
+    assert policy.end() == 3
+    lines = [line for line in policy.program.printed.splitlines() if "acsar-gym: " in line]
+    assert len(lines) == 1
+    assert "Traceback" not in policy.program.printed
+
+
+def test_ctrl_c_ends_it(driver: Program, start_policy: StartPolicy) -> None:
+    policy = start_policy()
+    policy.give(2.5, 0.0)
+    policy.client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
+    policy.program.send(signal.SIGINT)
+    assert policy.end() == 130
+    policy.client.wait(policy.stands, "standing wheels")
+    assert policy.place[0] < 2.0
+
+
+def observations(path: Path) -> list[Any]:
+    return [episode.observations for episode in read(path).episodes]
+
+
+def test_a_recording_over_ros_replays_the_same_observations(
+    driver: Program,
+    start_program: StartProgram,
+    client: Client,
+    namespace: str,
+    robot_file: Path,
+    tmp_path: Path,
+) -> None:
+    recorded, again = tmp_path / "recorded.mcap", tmp_path / "again.mcap"
+    command: tuple[object, ...] = ("-m", "acsar_gym", "run", "1.0", "0.3", "--yes")
+    command += ("--robot", robot_file, "--late-share", 1)
+    for link, file in ((f"ros2:{namespace}", recorded), (f"replay:{recorded}", again)):
+        run = start_program(*command, "--link", link, "--record", file)
+        assert wait_for_end(client, run) == 0, run.printed
+    for first, second in zip(observations(recorded), observations(again), strict=True):
+        assert len(first) > 5
+        assert np.array_equal(first, second)
+
+
+def test_evaluate_puts_a_simulated_robot_into_the_scenes(
+    driver: Program,
+    start_program: StartProgram,
+    client: Client,
+    namespace: str,
+    robot_file: Path,
+    tmp_path: Path,
+) -> None:
+    """The same goals as in simulation, from the origin of the driver's odometry each time."""
+    results: dict[str, Any] = {}
+    for link in (f"ros2:{namespace}", "planar"):
+        out = tmp_path / f"{len(results)}.json"
+        given: tuple[object, ...] = (
+            "--link",
+            link,
+            "--episodes",
+            2,
+            "--robot",
+            robot_file,
+            "--json",
+            out,
+        )
+        given += ("--late-share", 1)
+        run = start_program("-m", "acsar_gym", "evaluate", *given)
+        assert wait_for_end(client, run) == 0, run.printed
+        results[link] = json.loads(out.read_text())["per_episode"]
+    for over_ros, alone in zip(*results.values(), strict=True):
+        assert over_ros["success"]
+        assert alone["success"]
+        assert over_ros["path"] == pytest.approx(alone["path"], abs=0.1)
