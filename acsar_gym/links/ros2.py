@@ -94,7 +94,7 @@ class Ros2Link:
         self.node: RosNode | None = None
         self.lateness = 0.0
         self.epoch = 0
-        self._separation = config.effective_separation
+        self._geometry = config.twist_geometry
         self._forget()
         self._make_locks()
         install_handlers()
@@ -125,6 +125,11 @@ class Ros2Link:
         if self._config.watchdog_timeout is None:
             return "watchdog_timeout: null"
         return "" if self.watchdog.is_started else "not on this system"
+
+    @property
+    def commands_sides(self) -> bool:
+        """Whether the robot takes twists, or has two wheels; known while open."""
+        return self._kind != "wheel_speeds" or self._config.has_two_wheels
 
     def open(self) -> None:
         """Find the robot's topics, command zero, and wait for its wheels' speeds. Idempotent.
@@ -339,7 +344,7 @@ class Ros2Link:
             return
         twist = message.twist.twist.linear.x, message.twist.twist.angular.z
         sides = kinematics.compute_sides(
-            *twist, *self._config.wheel_radii, self._separation, float("inf")
+            *twist, *self._geometry, float("inf")
         )
         if not all(abs(speed) < 1e3 for speed in sides):
             self._problem = f"its twist is {twist}"
@@ -430,9 +435,8 @@ class Ros2Link:
         else:
             stamped = self._kind == "twist_stamped"
             twist = command.twist if stamped else command
-            radii = self._config.wheel_radii
             twist.linear.x, twist.angular.z = kinematics.compute_twist(
-                a, b, c, d, *radii, self._separation
+                a, b, c, d, *self._geometry
             )
             if stamped:
                 # A controller refuses old commands, and /clock is as old as the last spin: a zero

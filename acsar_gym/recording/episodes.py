@@ -399,7 +399,7 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
             buffer.stamps(parts.offset),
             tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
         ]
-    return {"wire": WireLog(*fields)}
+    return {"wire": WireLog(*fields, stamped=bool(parts.info.get("stamped")))}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:

@@ -77,6 +77,7 @@ WINDOW_NAME = "encoder.window"
 QUANTUM_NAME = "encoder.quantum"
 NO_WHEEL = "no wheel turned"
 CUT_NOTE = "speeds are cut to it; a twin rounds them, so it reads half a step more"
+IN_ROS_NOTE = "from publishing to the stamp that shows it, without the controller's lag"
 COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
 
 
@@ -336,7 +337,8 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit, window: float) -> Para
     low, high = max(0.0, value - half), max(half, value + half)
     if half > VAGUE_TIME and low <= (unknown.before or 0.0) <= high:
         return unknown.explain("too vague: record more steps")
-    note = "on top of wire and processing_time; the board's loops blur it"
+    in_ros = all(track.in_ros for track in fit.problem.tracks)
+    note = IN_ROS_NOTE if in_ros else "on top of wire and processing_time; the board's loops blur it"
     value = max(0.0, value + (fit.times.window - window) / 2.0)  # what both add up to is told best
     return unknown.tell(value, min(low, value), max(high, value), note)
 

@@ -1,0 +1,140 @@
+"""How a controller in ROS 2 turns twists into wheel speeds: by which separation of the wheels.
+
+A twist says nothing of wheels. Where the controller's separation, its multiplier included, isn't
+the one by which commands were made into twists, the sides of the robot differ by another share of
+what was commanded. That share is found together with motors and delays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import require_extra
+from acsar_gym.tools.sysid.board_log import (
+    PAUSE_GAP,
+    TURNING_SPEED,
+    BoardTrack,
+    Estimate,
+    Floats,
+    Identifiability,
+    takes_twists,
+)
+from acsar_gym.tools.sysid.fit import SEARCHED_LAGS, MotorFit, estimate_spread, fit_motors
+from acsar_gym.tools.sysid.parameter_findings import (
+    INTERVAL_FACTOR,
+    NORMAL_QUANTILE,
+    ParameterFinding,
+)
+from acsar_gym.tools.sysid.response import lag_blend
+
+with require_extra("identification", "scipy"):
+    from scipy import signal
+
+SEPARATION_NAME = "ros2.wheel_separation"
+SEARCH_STEP = 0.005
+"""Period of the filter of a first guess [s]."""
+SEARCHED_DELAYS = np.arange(0.0, 0.4, 0.02)
+"""Delays that are tried [s]."""
+LEAST_SHARE, MOST_SHARE = 0.2, 5.0
+"""Limits of the share; no robot is farther off."""
+SAME_SHARE = 0.01
+"""A controller whose separation differs by less is of the file's [share]."""
+SHARE_STEP = 1e-3
+"""Step of its derivative."""
+
+
+def fit_twists(
+    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability
+) -> tuple[MotorFit | None, list[ParameterFinding]]:
+    """Fit motors and board as `fit_motors` does, and the controller where commands were twists.
+
+    Returns:
+        The fit, and the finding of the controller's separation, if there is one.
+    """
+    if not (takes_twists(tracks) and known.can("firmware.command_delay")):
+        return fit_motors(tracks, config, known), []
+    share = guess_share(tracks)
+    fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
+    if fit is None:
+        return None, []
+    step = _estimate_change(fit, tracks, share)
+    own = config.twist_geometry[2]
+    value, low, high = (own * (share + one) for one in step)
+    finding = ParameterFinding(SEPARATION_NAME, before=own)
+    if abs(value / own - 1.0) < SAME_SHARE or low <= own <= high:
+        share, finding = 1.0, replace(finding, value=value, low=low, high=high, note="as configured")
+    else:
+        share += step.value
+        finding = finding.tell(value, low, high, "of the controller, its multiplier included")
+    fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
+    return fit, [finding]
+
+
+def mix_sides(track: BoardTrack, share: float) -> BoardTrack:
+    """Return a track whose sides differ by a share of what they were commanded to differ."""
+    commands = track.commands
+    middle = (commands + commands[:, [1, 0, 3, 2]]) / 2.0
+    return replace(track, commands=middle + share * (commands - middle))
+
+
+def guess_share(tracks: Sequence[BoardTrack]) -> float:
+    """Guess the share from speeds of a common lag and delay, which fit best."""
+    least, best = math.inf, 1.0
+    for lag in SEARCHED_LAGS:
+        filtered = [_filter_sides(track, lag) for track in tracks]
+        for delay in SEARCHED_DELAYS.tolist():
+            rows, speeds = [], []
+            for track, (edges, columns) in zip(tracks, filtered, strict=True):
+                fast = np.abs(track.speeds).min(axis=1) > TURNING_SPEED
+                fast &= ~_is_paused(track)
+                times = track.stamps[fast] - delay
+                rows.append(np.column_stack([np.interp(times, edges, one) for one in columns.T]))
+                speeds.append(track.speeds[fast])
+            regressors, measured = np.concatenate(rows), np.concatenate(speeds)
+            if len(measured) < len(track.speeds[0]):
+                return 1.0
+            gains, cost, *_ = np.linalg.lstsq(regressors, measured, rcond=None)
+            if len(cost) and cost.sum() < least:
+                straight, turning = gains[0], gains[1] * (1.0, -1.0, -1.0, 1.0)
+                least = float(cost.sum())
+                best = float((straight @ turning) / (straight @ straight))
+    return best if LEAST_SHARE < best < MOST_SHARE else 1.0
+
+
+def _filter_sides(track: BoardTrack, lag: float) -> tuple[Floats, Floats]:
+    """Times [s], and the mean and half the difference of both sides' commands after a lag, (n, 2)."""
+    edges = track.loop_edges(SEARCH_STEP)
+    newest = np.searchsorted(track.arrivals, edges, side="right") - 1
+    right, left = np.where(newest[:, None] < 0, 0.0, track.commands[newest])[:, :2].T
+    sides = np.column_stack((right + left, right - left)) / 2.0
+    blend = lag_blend(lag, SEARCH_STEP)
+    return edges, np.asarray(signal.lfilter([blend], [1.0, blend - 1.0], sides, axis=0))
+
+
+def _is_paused(track: BoardTrack) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which lines came in a pause of the commands, or up to a second later."""
+    paused = np.zeros(len(track.stamps), np.bool_)
+    for k in np.flatnonzero(np.diff(track.arrivals) > PAUSE_GAP):
+        begin, end = track.arrivals[k], track.arrivals[k + 1] + 1.0
+        paused |= (track.stamps > begin) & (track.stamps < end)
+    return paused
+
+
+def _estimate_change(fit: MotorFit, tracks: Sequence[BoardTrack], share: float) -> Estimate:
+    """By how much the share must change, with all fitted parameters: one step of Gauss and Newton."""
+    problem, solution = fit.problem, fit.solution
+    rest = problem.residuals(solution.x, solution.deadbands)
+    moved = [mix_sides(track, share + SHARE_STEP) for track in tracks]
+    other = replace(problem, tracks=moved, kept={}).residuals(solution.x, solution.deadbands)
+    jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
+    columns = np.column_stack((jacobian, (other - rest) / SHARE_STEP))
+    weights = (1.0 + (rest / solution.scale) ** 2) ** -0.25  # of soft_l1, on both sides
+    step = np.linalg.lstsq(columns * weights[:, None], -rest * weights, rcond=None)[0]
+    spread = estimate_spread(rest, columns, solution.scale, problem.blocks())
+    half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(float(spread[-1, -1]))
+    return Estimate.around(float(step[-1]), half)
