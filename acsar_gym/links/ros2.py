@@ -58,6 +58,8 @@ PHASE_GAIN, PHASE_SHARE = 0.2, 0.05
 """Part of a tick's phase error that the next deadline mends, and at most which part of a period."""
 KEPT_COMMANDS = 50
 """How many commands are told apart from those of other nodes."""
+KEPT_DELAYS = 1000
+"""How many delays of messages are kept."""
 OTHERS_GRACE = 0.1
 """Zeros of others count from so long after the first command that turns wheels [s]."""
 DRAIN_TIMEOUT = 0.1
@@ -76,7 +78,8 @@ class Ros2Link:
     hangs longer than `watchdog_timeout` while wheels turn.
 
     Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed; `epoch`, the
-    node's time at which the link's clock is 0 [ns].
+    node's time at which the link's clock is 0 [ns]; `delays`, by how much the newest messages of
+    the wheels arrived after their stamps [s].
 
     Args:
         url: "ros2", or "ros2:/namespace".
@@ -115,6 +118,7 @@ class Ros2Link:
         self._problem = ""
         self._kind = self._feedback = ""
         self._publisher: Any = None
+        self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
 
     def _make_locks(self) -> None:
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
@@ -125,6 +129,28 @@ class Ros2Link:
         if self._config.watchdog_timeout is None:
             return "watchdog_timeout: null"
         return "" if self.watchdog.is_started else "not on this system"
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Full names of the topics "commands" and "feedback"; "type" of commands; "clock"."""
+        node, settings = self._require_node(), self._config.ros2
+        odom = self._feedback == "odom"
+        return {
+            "commands": node.resolve(settings.command_topic),
+            "type": COMMAND_KINDS[self._kind],
+            "clock": "/clock" if self._sim_time else "the computer's",
+            "feedback": node.resolve(settings.odom_topic if odom else settings.joint_states_topic),
+        }
+
+    @property
+    def others(self) -> list[str]:
+        """Nodes beside this one that may command the robot."""
+        return self._list_others(self._require_node())
+
+    @property
+    def refused(self) -> str:
+        """Why messages of the wheels were refused, and how many; empty where none was."""
+        return ", ".join(f"{count} {kind}" for kind, count in self._reader.refused.items())
 
     @property
     def commands_sides(self) -> bool:
@@ -343,9 +369,7 @@ class Ros2Link:
             self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
             return
         twist = message.twist.twist.linear.x, message.twist.twist.angular.z
-        sides = kinematics.compute_sides(
-            *twist, *self._geometry, float("inf")
-        )
+        sides = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
         if not all(abs(speed) < 1e3 for speed in sides):
             self._problem = f"its twist is {twist}"
             return
@@ -374,6 +398,7 @@ class Ros2Link:
         )
         self._pending.append((when, f"{line}\r\n".encode()))
         self._newest, self._heard, self._problem = when, self.now(), ""
+        self.delays.append(self._heard - when)
 
     def _on_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
@@ -435,9 +460,7 @@ class Ros2Link:
         else:
             stamped = self._kind == "twist_stamped"
             twist = command.twist if stamped else command
-            twist.linear.x, twist.angular.z = kinematics.compute_twist(
-                a, b, c, d, *self._geometry
-            )
+            twist.linear.x, twist.angular.z = kinematics.compute_twist(a, b, c, d, *self._geometry)
             if stamped:
                 # A controller refuses old commands, and /clock is as old as the last spin: a zero
                 # says 0, which means now.

@@ -289,10 +289,10 @@ def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
     """
     if sum(track.duration for track in tracks) < SHORTEST_LOG:
         return
-    advice = (
-        "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot; "
-        "nothing was fitted"
-    )
+    advice = "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot"
+    if tracks[0].in_ros:
+        advice = "name the joints in the order a, b, c, d in ros2.joints of the robot's file"
+    advice += "; nothing was fitted"
     for wheel, name in enumerate(WHEELS):
         found = correlate_wheel(tracks, wheel)
         best = int(np.argmax(np.abs(found)))

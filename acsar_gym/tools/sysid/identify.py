@@ -63,7 +63,8 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     check_same_robot(recordings, "identify")
     logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
     hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
-    return identify_logs(logs, config or recordings[0][1].config, hashes)
+    recorded = recordings[0][1].config
+    return identify_logs(logs, config or recorded, hashes, recorded.twist_geometry[2])
 
 
 def identify_device(
@@ -79,7 +80,10 @@ def identify_device(
 
 
 def identify_logs(
-    logs: Sequence[WireLog], config: RobotConfig, hashes: Sequence[str] = ()
+    logs: Sequence[WireLog],
+    config: RobotConfig,
+    hashes: Sequence[str] = (),
+    separation: float | None = None,
 ) -> Identification:
     """Identify the board and motors of one robot from what its wire carried.
 
@@ -87,6 +91,8 @@ def identify_logs(
         logs: of the wire, one for each episode.
         config: of the robot; what the logs can't tell stays.
         hashes: of the logs' files, for the robot's file.
+        separation: by which twists were made of wheel speeds for a robot in ROS; None: as by
+            `config` [m].
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
@@ -97,7 +103,8 @@ def identify_logs(
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
     board_log.check_wheel_order(tracks)
     known = board_log.check_identifiability(tracks)
-    fit, controller = fit_twists(tracks, config, known)
+    separation = separation or config.twist_geometry[2]
+    fit, controller = fit_twists(tracks, config, known, separation)
     parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
     delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)
@@ -181,7 +188,7 @@ class Identification:
         if len(self.dead) == len(WHEELS):
             raise IdentificationError(
                 "nothing to write: no wheel turned; check the motors' power and every encoder, "
-                "with 'acsar-gym doctor DEVICE --spin'"
+                "with 'acsar-gym doctor DEVICE --spin' ('acsar-gym doctor ros2')"
             )
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
         told = {one.name: one for one in self.findings if one.told}

@@ -15,6 +15,8 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
+from acsar_gym.protocol import encode
+from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid.board_log import (
     PAUSE_GAP,
     TURNING_SPEED,
@@ -44,14 +46,22 @@ LEAST_SHARE, MOST_SHARE = 0.2, 5.0
 """Limits of the share; no robot is farther off."""
 SAME_SHARE = 0.01
 """A controller whose separation differs by less is of the file's [share]."""
+LEAST_HALF = 0.005
+"""Least half width of its interval, whatever a log's length."""
 SHARE_STEP = 1e-3
 """Step of its derivative."""
 
 
 def fit_twists(
-    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability
+    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability, separation: float
 ) -> tuple[MotorFit | None, list[ParameterFinding]]:
     """Fit motors and board as `fit_motors` does, and the controller where commands were twists.
+
+    Args:
+        tracks: of one robot.
+        config: of the robot.
+        known: what the tracks can tell.
+        separation: by which wheel speeds were made into twists [m].
 
     Returns:
         The fit, and the finding of the controller's separation, if there is one.
@@ -59,27 +69,51 @@ def fit_twists(
     if not (takes_twists(tracks) and known.can("firmware.command_delay")):
         return fit_motors(tracks, config, known), []
     share = guess_share(tracks)
+    if abs(share - 1.0) < SAME_SHARE:
+        share = 1.0
     fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
     if fit is None:
         return None, []
-    step = _estimate_change(fit, tracks, share)
+    change = _estimate_change(fit, tracks, share)
+    value, low, high = (separation * (share + one) for one in change)
+    better = value / separation
+    if abs(better - 1.0) < SAME_SHARE or low <= separation <= high:
+        better = 1.0
+    if better != share:
+        fit = fit_motors([mix_sides(track, better) for track in tracks], config, known)
     own = config.twist_geometry[2]
-    value, low, high = (own * (share + one) for one in step)
-    finding = ParameterFinding(SEPARATION_NAME, before=own)
-    if abs(value / own - 1.0) < SAME_SHARE or low <= own <= high:
-        share, finding = 1.0, replace(finding, value=value, low=low, high=high, note="as configured")
-    else:
-        share += step.value
-        finding = finding.tell(value, low, high, "of the controller, its multiplier included")
-    fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
-    return fit, [finding]
+    found = ParameterFinding(SEPARATION_NAME, "", value, low, high, own, "as configured")
+    if abs(value / own - 1.0) > SAME_SHARE and not low <= own <= high:
+        found = found.tell(value, low, high, "of its controller, the multiplier included")
+    return fit, [found]
 
 
 def mix_sides(track: BoardTrack, share: float) -> BoardTrack:
     """Return a track whose sides differ by a share of what they were commanded to differ."""
-    commands = track.commands
-    middle = (commands + commands[:, [1, 0, 3, 2]]) / 2.0
-    return replace(track, commands=middle + share * (commands - middle))
+    return replace(track, commands=_mix_rows(track.commands, share))
+
+
+def _mix_rows(speeds: Floats, share: float) -> Floats:
+    middle = (speeds + speeds[:, [1, 0, 3, 2]]) / 2.0
+    return np.asarray(middle + share * (speeds - middle))
+
+
+def resend_twists(log: WireLog, sender: RobotConfig, robot: RobotConfig) -> WireLog:
+    """Return a log of a robot in ROS with the commands that its controller made of the twists.
+
+    Args:
+        log: of the wire; of a board, it stays as it is.
+        sender: by whose geometry commands were made into twists.
+        robot: by whose geometry its controller takes them.
+    """
+    share = robot.twist_geometry[2] / sender.twist_geometry[2]
+    if not log.stamped or abs(share - 1.0) < SHARE_STEP:
+        return log
+    stamps, speeds = log.commands(sender)
+    letters = sender.wheels.motors
+    rows = _mix_rows(speeds, share).tolist()
+    lines = tuple(encode(letters.to_wire((*row,)) if letters else row) for row in rows)
+    return replace(log, sent_stamps=stamps, sent=lines)
 
 
 def guess_share(tracks: Sequence[BoardTrack]) -> float:
@@ -107,7 +141,7 @@ def guess_share(tracks: Sequence[BoardTrack]) -> float:
 
 
 def _filter_sides(track: BoardTrack, lag: float) -> tuple[Floats, Floats]:
-    """Times [s], and the mean and half the difference of both sides' commands after a lag, (n, 2)."""
+    """Times [s], and mean and half the difference of both sides' commands after a lag, (n, 2)."""
     edges = track.loop_edges(SEARCH_STEP)
     newest = np.searchsorted(track.arrivals, edges, side="right") - 1
     right, left = np.where(newest[:, None] < 0, 0.0, track.commands[newest])[:, :2].T
@@ -126,7 +160,7 @@ def _is_paused(track: BoardTrack) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 
 
 def _estimate_change(fit: MotorFit, tracks: Sequence[BoardTrack], share: float) -> Estimate:
-    """By how much the share must change, with all fitted parameters: one step of Gauss and Newton."""
+    """By how much the share must change, beside all fitted parameters: a step of Gauss-Newton."""
     problem, solution = fit.problem, fit.solution
     rest = problem.residuals(solution.x, solution.deadbands)
     moved = [mix_sides(track, share + SHARE_STEP) for track in tracks]
@@ -137,4 +171,4 @@ def _estimate_change(fit: MotorFit, tracks: Sequence[BoardTrack], share: float) 
     step = np.linalg.lstsq(columns * weights[:, None], -rest * weights, rcond=None)[0]
     spread = estimate_spread(rest, columns, solution.scale, problem.blocks())
     half = NORMAL_QUANTILE * INTERVAL_FACTOR * math.sqrt(float(spread[-1, -1]))
-    return Estimate.around(float(step[-1]), half)
+    return Estimate.around(float(step[-1]), max(half, LEAST_HALF))
