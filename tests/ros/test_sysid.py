@@ -54,12 +54,11 @@ def intervals(path: Path) -> dict[str, tuple[float, float]]:
 
 
 def check_holds(found: dict[str, tuple[float, float]], truth: dict[str, float]) -> None:
-    """Check that intervals hold the truth, and say by how much the first one doesn't."""
+    """Check that intervals hold the truth."""
     for name, value in truth.items():
-        letters = "abcd" if f"{name}a" in found else ("",)
-        for letter in letters:
-            low, high = found[f"{name}{letter}"]
-            assert low <= value <= high, (name, letter, value, low, high)
+        for key in [name] if name in found else [f"{name}{letter}" for letter in "abcd"]:
+            low, high = found[key]
+            assert low <= value <= high, (key, value, low, high)
 
 
 def rests(robot: ForeignRobot) -> list[Sequence[float]]:
@@ -86,7 +85,7 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
     )
     out, findings = tmp_path / "found.yaml", tmp_path / "found.json"
     log = tmp_path / "drive.mcap"
-    command = ("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 16)
+    command = ("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 15)
     run(
         start_program(
             *(*command, "--robot", save(tmp_path), "--out", out, "--json", findings),
@@ -108,7 +107,8 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
     # The twin answers as the robot did, a recording of it included.
     gap = tmp_path / "gap.json"
     run(start_program("-m", "acsar_gym", "gap", log, "--robot", out, "--json", gap))
-    figures = json.loads(gap.read_text())["figures"]
+    figures = json.loads(gap.read_text())
+    print(figures)
     assert figures["wheel_speed_rms"]["after"] < 0.1
     assert abs(figures["time_shift"]["after"]) < 0.01
 
@@ -132,26 +132,25 @@ def test_a_simulated_robot_behind_our_driver_is_identified(
     findings = tmp_path / "found.json"
     run(
         start_program(
-            *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 16),
+            *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 15),
             *("--robot", "acsar", "--json", findings),
         )
     )
     found = intervals(findings)
-    # From the twist: until the driver's next tick, and over the wire; the line over the wire, and
-    # until the end of the tick, whose stamp it has.
-    ways = 2.0 * (robot.period + robot.wire_time)
+    # A twist waits for the driver's next tick, and takes the board's wire; a line takes the wire,
+    # and waits for the end of a tick, whose stamp it gets.
+    ways = 2.0 * robot.period
     check_holds(
         found,
         {
-            "firmware.command_delay": 0.03 + ways / 2.0 + robot.wire_time,
+            "firmware.command_delay": 0.03 + robot.wire_time + ways,
             "motor.time_constant": 0.14,
             "motor.deadband": 0.4,
             "ros2.wheel_separation": 0.3,
         },
     )
     for letter, gain in zip("abcd", (0.94, 1.03, 0.97, 1.05), strict=True):
-        low, high = found.get(f"motor.gain{letter}") or found["motor.gain"]
-        assert low <= gain <= high
+        check_holds(found, {f"motor.gain{letter}": gain})
 
 
 def test_a_foreign_robot_is_calibrated(
@@ -167,18 +166,17 @@ def test_a_foreign_robot_is_calibrated(
         start_program(
             *("-m", "acsar_gym", "calibrate", f"ros2:{namespace}", "all", "--yes"),
             *("--robot", known, "--record", log, "--space", 3, 3, "--distance", 0.7),
-            *("--turns", 0.7, "--repeats", 2, "--speeds", 1.5),
+            *("--turns", 0.7, "--repeats", 1, "--speeds", 1.5),
         )
     )
     driven = list(pairwise(rests(robot)))
-    assert len(driven) == 4
-    ways = [math.dist(before[:2], after[:2]) for before, after in driven]
-    turns = [math.degrees(after[2] - before[2]) for before, after in driven]
+    assert len(driven) == 2
+    (begin, end), (before, after) = driven
+    way, turn = math.dist(begin[:2], end[:2]), math.degrees(after[2] - before[2])
     run(
         start_program(
             *("-m", "acsar_gym", "calibrate", log, "all", "--out", out),
-            *("--measured", *(f"{way:.3f}" for way in ways[:2])),
-            *("--measured-deg", *(f"{turn:.0f}" for turn in turns[2:])),
+            *("--measured", f"{way:.3f}", "--measured-deg", f"{turn:.0f}"),
         )
     )
     found = RobotConfig.load(out)

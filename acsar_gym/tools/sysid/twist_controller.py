@@ -48,6 +48,8 @@ SAME_SHARE = 0.01
 """A controller whose separation differs by less is of the file's [share]."""
 LEAST_HALF = 0.005
 """Least half width of its interval, whatever a log's length."""
+MOST_FITS, SETTLED_SHARE = 4, 0.002
+"""Most fits, of which each finds a better share, and a change of it that is none."""
 SHARE_STEP = 1e-3
 """Step of its derivative."""
 
@@ -71,16 +73,19 @@ def fit_twists(
     share = guess_share(tracks)
     if abs(share - 1.0) < SAME_SHARE:
         share = 1.0
-    fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
-    if fit is None:
-        return None, []
-    change = _estimate_change(fit, tracks, share)
+    fit, change = None, Estimate(math.inf, 0.0, 0.0)
+    for _ in range(MOST_FITS):
+        fit = fit_motors([mix_sides(track, share) for track in tracks], config, known)
+        if fit is None:
+            return None, []
+        change = _estimate_change(fit, share)
+        better = share + change.value
+        if abs(better - 1.0) < SAME_SHARE or share + change.low <= 1.0 <= share + change.high:
+            better = 1.0
+        if abs(better - share) < SETTLED_SHARE:
+            break
+        share = better
     value, low, high = (separation * (share + one) for one in change)
-    better = value / separation
-    if abs(better - 1.0) < SAME_SHARE or low <= separation <= high:
-        better = 1.0
-    if better != share:
-        fit = fit_motors([mix_sides(track, better) for track in tracks], config, known)
     own = config.twist_geometry[2]
     found = ParameterFinding(SEPARATION_NAME, "", value, low, high, own, "as configured")
     if abs(value / own - 1.0) > SAME_SHARE and not low <= own <= high:
@@ -159,11 +164,11 @@ def _is_paused(track: BoardTrack) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return paused
 
 
-def _estimate_change(fit: MotorFit, tracks: Sequence[BoardTrack], share: float) -> Estimate:
+def _estimate_change(fit: MotorFit, share: float) -> Estimate:
     """By how much the share must change, beside all fitted parameters: a step of Gauss-Newton."""
     problem, solution = fit.problem, fit.solution
     rest = problem.residuals(solution.x, solution.deadbands)
-    moved = [mix_sides(track, share + SHARE_STEP) for track in tracks]
+    moved = [mix_sides(track, 1.0 + SHARE_STEP / share) for track in problem.tracks]
     other = replace(problem, tracks=moved, kept={}).residuals(solution.x, solution.deadbands)
     jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
     columns = np.column_stack((jacobian, (other - rest) / SHARE_STEP))
