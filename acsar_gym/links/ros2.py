@@ -25,7 +25,7 @@ from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyW
 from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
 from acsar_gym.guard.watchdog import Watchdog
 from acsar_gym.links.base import WHILE_WAITING, Arrivals
-from acsar_gym.protocol import ZERO, Decoder, Speeds
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 from acsar_gym.ros.joints import JointReader
 from acsar_gym.ros.node import (
     COMMAND_KINDS,
@@ -392,6 +392,8 @@ class Ros2Link:
         return when
 
     def _take_speeds(self, when: float, speeds: Speeds) -> None:
+        if (encoders := self._config.wheels.encoders) is not None:
+            speeds = encoders.to_wire(speeds)
         line = ",".join(
             f"{letter}{'p' if speed >= 0.0 else 'n'}{abs(speed):09.6f}"
             for letter, speed in zip("abcd", speeds, strict=True)
@@ -425,6 +427,8 @@ class Ros2Link:
             if not readings:
                 return
             speeds = readings[-1].over(ZERO)
+            if (motors := self._config.wheels.motors) is not None:  # letters of a board's wire
+                speeds = Reading(motors.to_wheels(speeds)).over(ZERO)
             if not any(speeds):
                 self._stop()
                 return

@@ -135,10 +135,11 @@ def drive_excitation(
 
         def drive(speeds: list[float]) -> None:
             if sides:  # within the limits of acceleration, which are those of its controller
-                twist = kinematics.compute_twist(
-                    *speeds, *config.wheel_radii, config.effective_separation
+                right, left = speeds[:2]
+                radii, separation = config.wheel_radii, config.effective_separation
+                robot.drive(
+                    *kinematics.compute_twist(right, left, left, right, *radii, separation)
                 )
-                robot.drive(*twist)
             else:
                 robot.tick(speeds)
             robot.safety.check(taped.now() - begin)
