@@ -108,7 +108,7 @@ class Wire:
             self.send(speeds)
         link = self._link
         if self._timed:
-            self.written = link.now() + self._line_time
+            self.written = link.now() + (0.0 if self._stamped else self._line_time)
         heard = []
         for reading in self.decoder.feed(link.advance(self._period)):
             if self._set_points is not None:

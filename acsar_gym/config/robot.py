@@ -401,6 +401,12 @@ class RobotConfig(Section):
         """wheel_separation * wheel_separation_multiplier [m]."""
         return self.wheel_separation * self.wheel_separation_multiplier
 
+    @property
+    def twist_geometry(self) -> tuple[float, float, float]:
+        """Left and right radius and separation by which a controller in ROS 2 takes twists [m]."""
+        left, right = self.ros2.wheel_radii or self.wheel_radii
+        return left, right, self.ros2.wheel_separation or self.effective_separation
+
     def with_(self, **changes: Any) -> RobotConfig:
         """Return a validated copy with changed fields.
 

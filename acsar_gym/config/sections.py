@@ -325,6 +325,9 @@ def _name_joints(given: Any) -> Any:
     return a, b, c, d
 
 
+Radius = Annotated[float, Field(gt=0.0, le=100.0)]
+
+
 class Ros2Config(Section):
     """How a robot that is in ROS 2 is reached by the link "ros2"."""
 
@@ -346,6 +349,11 @@ class Ros2Config(Section):
     """Topic of the robot's odometry, nav_msgs/Odometry."""
     scan_topic: Topic = "scan"
     """Topic of the LiDAR `--lidar ros2`, sensor_msgs/LaserScan."""
+    wheel_separation: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+    """Separation by which the robot's controller turns twists into speeds of wheels, its multiplier
+    included [m]; None: that of the robot. `identify` finds it, and `calibrate` keeps it."""
+    wheel_radii: tuple[Radius, Radius] | None = None
+    """Likewise the radii of its left and its right wheels [m]."""
     feedback: Literal["joint_states", "odom"] | None = None
     """Where the wheels' speeds come from; None: `joint_states`, or `odom` where nobody publishes
     those."""

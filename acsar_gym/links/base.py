@@ -116,6 +116,11 @@ def echoes_of(link: Link) -> bool | None:
     return echoes
 
 
+def commands_sides(link: Link) -> bool:
+    """Return whether the robot behind an open link takes one speed for each of its sides alone."""
+    return bool(getattr(link, "commands_sides", False))
+
+
 def tape_of(link: Link) -> ScannedLink | None:
     """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
     tape: ScannedLink | None = _find_inner(link, "revolution")
@@ -200,6 +205,11 @@ class ForwardingLink:
     def stamped(self) -> bool:
         """Whether `arrivals` tells when each line was measured."""
         return is_stamped(self.link)
+
+    @property
+    def commands_sides(self) -> bool:
+        """Whether the link's robot takes speeds of its sides alone."""
+        return commands_sides(self.link)
 
     @property
     def echoes(self) -> bool | None:

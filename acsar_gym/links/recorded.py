@@ -120,6 +120,7 @@ class WireTape(Recorder):
         super().__init__(None)
         self._sent: list[tuple[float, bytes]] = []
         self._got: list[tuple[float, bytes]] = []
+        self._stamped = False
 
     def open(self, config: RobotConfig) -> None:
         """Nothing to open."""
@@ -128,6 +129,7 @@ class WireTape(Recorder):
         """Begin a new log."""
         self.number = 0
         self.has_begun = True
+        self._stamped = stamped
         self._sent.clear()
         self._got.clear()
 
@@ -146,6 +148,7 @@ class WireTape(Recorder):
             tuple(data for _, data in self._sent),
             np.array([stamp for stamp, _ in self._got], np.float64),
             tuple(data for _, data in self._got),
+            stamped=self._stamped,
         )
 
 

@@ -25,7 +25,7 @@ from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyW
 from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
 from acsar_gym.guard.watchdog import Watchdog
 from acsar_gym.links.base import WHILE_WAITING, Arrivals
-from acsar_gym.protocol import ZERO, Decoder, Speeds
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 from acsar_gym.ros.joints import JointReader
 from acsar_gym.ros.node import (
     COMMAND_KINDS,
@@ -58,6 +58,8 @@ PHASE_GAIN, PHASE_SHARE = 0.2, 0.05
 """Part of a tick's phase error that the next deadline mends, and at most which part of a period."""
 KEPT_COMMANDS = 50
 """How many commands are told apart from those of other nodes."""
+KEPT_DELAYS = 1000
+"""How many delays of messages are kept."""
 OTHERS_GRACE = 0.1
 """Zeros of others count from so long after the first command that turns wheels [s]."""
 DRAIN_TIMEOUT = 0.1
@@ -79,7 +81,8 @@ class Ros2Link:
 
     Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed; `epoch`, the
     node's time at which the link's clock is 0 [ns]; `places_robot`, whether a reset puts a
-    simulated robot into the scene.
+    simulated robot into the scene; `delays`, by how much the newest messages of the wheels arrived
+    after their stamps [s].
 
     Args:
         url: "ros2", or "ros2:/namespace".
@@ -98,7 +101,7 @@ class Ros2Link:
         self.lateness = 0.0
         self.places_robot = True
         self.epoch = 0
-        self._separation = config.effective_separation
+        self._geometry = config.twist_geometry
         self._forget()
         self._make_locks()
         install_handlers()
@@ -120,6 +123,7 @@ class Ros2Link:
         self._problem = ""
         self._kind = self._feedback = ""
         self._publisher: Any = None
+        self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
 
     def _make_locks(self) -> None:
         self._lock = threading.RLock()  # a signal handler may run while this thread holds it
@@ -130,6 +134,33 @@ class Ros2Link:
         if self._config.watchdog_timeout is None:
             return "watchdog_timeout: null"
         return "" if self.watchdog.is_started else "not on this system"
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Full names of the topics "commands" and "feedback"; "type" of commands; "clock"."""
+        node, settings = self._require_node(), self._config.ros2
+        odom = self._feedback == "odom"
+        return {
+            "commands": node.resolve(settings.command_topic),
+            "type": COMMAND_KINDS[self._kind],
+            "clock": "/clock" if self._sim_time else "the computer's",
+            "feedback": node.resolve(settings.odom_topic if odom else settings.joint_states_topic),
+        }
+
+    @property
+    def others(self) -> list[str]:
+        """Nodes beside this one that may command the robot."""
+        return self._list_others(self._require_node())
+
+    @property
+    def refused(self) -> str:
+        """Why messages of the wheels were refused, and how many; empty where none was."""
+        return ", ".join(f"{count} {kind}" for kind, count in self._reader.refused.items())
+
+    @property
+    def commands_sides(self) -> bool:
+        """Whether the robot takes twists, or has two wheels; known while open."""
+        return self._kind != "wheel_speeds" or self._config.has_two_wheels
 
     def open(self) -> None:
         """Find the robot's topics, command zero, and wait for its wheels' speeds. Idempotent.
@@ -343,9 +374,7 @@ class Ros2Link:
             self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
             return
         twist = message.twist.twist.linear.x, message.twist.twist.angular.z
-        sides = kinematics.compute_sides(
-            *twist, *self._config.wheel_radii, self._separation, float("inf")
-        )
+        sides = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
         if not all(abs(speed) < 1e3 for speed in sides):
             self._problem = f"its twist is {twist}"
             return
@@ -368,12 +397,15 @@ class Ros2Link:
         return when
 
     def _take_speeds(self, when: float, speeds: Speeds) -> None:
+        if (encoders := self._config.wheels.encoders) is not None:
+            speeds = encoders.to_wire(speeds)
         line = ",".join(
             f"{letter}{'p' if speed >= 0.0 else 'n'}{abs(speed):09.6f}"
             for letter, speed in zip("abcd", speeds, strict=True)
         )
         self._pending.append((when, f"{line}\r\n".encode()))
         self._newest, self._heard, self._problem = when, self.now(), ""
+        self.delays.append(self._heard - when)
 
     def _on_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
@@ -400,6 +432,8 @@ class Ros2Link:
             if not readings:
                 return
             speeds = readings[-1].over(ZERO)
+            if (motors := self._config.wheels.motors) is not None:  # letters of a board's wire
+                speeds = Reading(motors.to_wheels(speeds)).over(ZERO)
             if not any(speeds):
                 self._stop()
                 return
@@ -435,10 +469,7 @@ class Ros2Link:
         else:
             stamped = self._kind == "twist_stamped"
             twist = command.twist if stamped else command
-            radii = self._config.wheel_radii
-            twist.linear.x, twist.angular.z = kinematics.compute_twist(
-                a, b, c, d, *radii, self._separation
-            )
+            twist.linear.x, twist.angular.z = kinematics.compute_twist(a, b, c, d, *self._geometry)
             if stamped:
                 # A controller refuses old commands, and /clock is as old as the last spin: a zero
                 # says 0, which means now.

@@ -392,6 +392,7 @@ def make_exchanges(parts: EpisodeParts) -> dict[str, Any]:
 def make_wire(parts: EpisodeParts) -> dict[str, Any]:
     """The bytes of the wire."""
     fields: list[Any] = []
+    stamped = bool(parts.info.get("stamped"))
     for topic in (WIRE_SENT, WIRE_RECEIVED):
         buffer = parts.buffers[topic.name]
         pieces: Sequence[bytes] = buffer.pieces()
@@ -399,7 +400,7 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
             buffer.stamps(parts.offset),
             tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
         ]
-    return {"wire": WireLog(*fields)}
+    return {"wire": WireLog(*fields, None, stamped)}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:

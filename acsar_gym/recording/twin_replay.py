@@ -38,7 +38,8 @@ def replay_commands(
 
     The twin stands at the origin when the log begins. Its clock is set so that its feedback lines
     arrive at the same phase as the recorded ones: that phase is a matter of when a board was
-    switched on, and no property of it.
+    switched on, and no property of it. Where the log has no times of a wire, as of a robot in ROS,
+    commands are sent earlier and lines count earlier by the time that they take on the twin's.
 
     Raises:
         ConfigError: the log holds no commands, or for another body.
@@ -48,18 +49,19 @@ def replay_commands(
     robot = make_body(body, config)
     try:
         firmware = Firmware(config, robot)
-        begin = now = _find_beginning(config, firmware, log)
-        last = float(log.got_stamps[-1]) if len(log.got_stamps) else -math.inf
+        wire = config.wire_time if log.stamped else 0.0
+        begin = now = _find_beginning(config, firmware, log, wire)
+        last = float(log.got_stamps[-1]) + wire if len(log.got_stamps) else -math.inf
         pieces: list[tuple[float, bytes]] = []
         poses: list[tuple[float, float, float]] = []
         # At equal times the pose comes first: it ends a tick, and the command begins the next one.
-        sent = zip(log.sent_stamps.tolist(), itertools.repeat(1), log.sent, strict=False)
+        sent = zip((log.sent_stamps - wire).tolist(), itertools.repeat(1), log.sent, strict=False)
         events: list[tuple[float, int, bytes | None]]
         events = [*((stamp, 0, None) for stamp in stamps.tolist()), *sent, (last, 2, b"")]
         for when, _, data in sorted(events, key=lambda event: event[:2]):
             if when > now:
                 firmware.advance(when - now)
-                pieces += [(begin + stamp, line) for stamp, line in firmware.arrived]
+                pieces += [(begin + stamp - wire, line) for stamp, line in firmware.arrived]
                 now = when
             if data is None:
                 poses.append(robot.truth.pose)
@@ -70,20 +72,22 @@ def replay_commands(
     track = np.array(poses, np.float64).reshape(-1, 3)
     track[:, 2] = np.unwrap(track[:, 2])
     answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered, echoed=False), track)
+    return TwinReplay(
+        WireLog(log.sent_stamps, log.sent, *answered, echoed=False, stamped=log.stamped), track
+    )
 
 
-def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog) -> float:
-    """The time of the log at which the twin's clock is zero [s].
+def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog, wire: float) -> float:
+    """The time of the log at which the twin's clock is zero [s]; lines count earlier by `wire` [s].
 
     The latest one before the first command at which the phase of its lines is the recorded one.
     """
-    period, first = 1.0 / config.feedback_rate, float(log.sent_stamps[0])
+    period, first = 1.0 / config.feedback_rate, float(log.sent_stamps[0]) - wire
     recorded = log.feedback(config)[0]
     if len(recorded) < 2:
         return first
     firmware.advance(4.0 * period)
-    answered = np.array([stamp for stamp, _ in firmware.arrived])
+    answered = np.array([stamp for stamp, _ in firmware.arrived]) - wire
     firmware.reset()
     if not len(answered):
         return first

@@ -58,6 +58,9 @@ class WireLog:
     echoed: bool | None = None
     """Whether every command came back; None: as the zero commands tell, which are other ones to a
     board that echoes."""
+    stamped: bool = False
+    """Whether pieces are lines, at the times at which the robot measured them, and writes took no
+    time on a wire; see `links.base.is_stamped`."""
 
     @property
     def echoes(self) -> bool:

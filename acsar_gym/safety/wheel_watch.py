@@ -324,11 +324,14 @@ class WheelWatch:
             which += " turns backward"
         else:
             which += " turns too fast" if abs(speed) > wheel.fastest else " turns too slowly"
+        wiring = f"lift the robot and run 'acsar-gym doctor {self._device} --spin'"
+        if self._device.startswith("ros2"):
+            wiring = "check ros2.joints in the robot's file"
         return WheelError(
             f"{which} ({command:.2f} rad/s commanded, {speed:.2f} measured for "
             f"{wheel.wrong:.2f} s)",
-            f"lift the robot and run 'acsar-gym doctor {self._device} --spin'; check motors and "
-            f"encoders, or identify this robot ('acsar-gym identify {self._device}')",
+            f"{wiring}; check motors and encoders, or identify this robot "
+            f"('acsar-gym identify {self._device}')",
             WHEELS[number],
         )
 

@@ -62,6 +62,8 @@ class BoardTrack:
         numbers: of these lines among all that came, (m,); late ones are left out.
         stalls: when lines came again after none did for longer than `LONGEST_GAP` and two periods,
             (k,) [s]: the computer, or an emulated board, stood still.
+        in_ros: whether the board is a controller in ROS 2, which gets commands within its limits of
+            acceleration, over no wire.
     """
 
     arrivals: Floats
@@ -71,6 +73,12 @@ class BoardTrack:
     held_out: NDArray[np.bool_]
     numbers: NDArray[np.intp]
     stalls: Floats = field(default_factory=lambda: np.empty(0))
+    in_ros: bool = False
+
+    @property
+    def takes_sides(self) -> bool:
+        """Whether all commands were the same for both wheels of each side."""
+        return np.array_equal(self.commands[:, :2], self.commands[:, [3, 2]])
 
     @property
     def duration(self) -> float:
@@ -102,8 +110,7 @@ class BoardTrack:
 
 def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
     """Decode one episode of the wire; None where it holds no commands or no readings."""
-    line = config.line_time
-    took = line + config.firmware.processing_time
+    took = 0.0 if log.stamped else config.wire_time
     sent, commands = log.commands(config)
     got, speeds = log.feedback(config)
     if len(sent) < 2 or len(got) < 2:
@@ -122,7 +129,8 @@ def decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
         begin, end = arrivals[k] - PAUSE_MARGIN, arrivals[k + 1] + PAUSE_MARGIN
         held_out &= (stamps < begin) | (stamps > end)
     stalls = got[1:][np.diff(got) > LONGEST_GAP + 2.0 * float(np.median(np.diff(got)))]
-    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers[seen], stalls)
+    numbers, in_ros = numbers[seen], log.stamped
+    return BoardTrack(arrivals, commands, stamps, speeds, held_out, numbers, stalls, in_ros)
 
 
 SHORTEST_LOG = 4.0
@@ -198,6 +206,8 @@ def check_identifiability(tracks: Sequence[BoardTrack]) -> Identifiability:
         missing |= {(name, letter): short for name in WHEEL_PARAMETERS for letter in MOTORS}
         missing |= {(name, ""): short for name in SHARED_PARAMETERS}
     for name in ("motor.time_constant", "motor.acceleration"):  # slow answers hide delays
+        if name == "motor.acceleration" and takes_twists(tracks):
+            continue  # it got no faster ramps than its own
         if all((name, letter) in missing for letter in MOTORS):
             for shared in SHARED_PARAMETERS[:2]:
                 missing.setdefault((shared, ""), missing[name, "a"])
@@ -209,6 +219,11 @@ def check_identifiability(tracks: Sequence[BoardTrack]) -> Identifiability:
     if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < 1.0:
         missing["firmware.feedback_rate", ""] = "too few lines of feedback"
     return Identifiability(missing, slowest)
+
+
+def takes_twists(tracks: Sequence[BoardTrack]) -> bool:
+    """Return whether these are twists for a controller in ROS, within its own limits."""
+    return all(track.in_ros and track.takes_sides for track in tracks)
 
 
 def _explain_wheel(tracks: Sequence[BoardTrack], k: int, slow: float) -> dict[str, str]:
@@ -274,10 +289,10 @@ def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
     """
     if sum(track.duration for track in tracks) < SHORTEST_LOG:
         return
-    advice = (
-        "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot; "
-        "nothing was fitted"
-    )
+    advice = "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot"
+    if tracks[0].in_ros:
+        advice = "name the joints in the order a, b, c, d in ros2.joints of the robot's file"
+    advice += "; nothing was fitted"
     for wheel, name in enumerate(WHEELS):
         found = correlate_wheel(tracks, wheel)
         best = int(np.argmax(np.abs(found)))

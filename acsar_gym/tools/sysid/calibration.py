@@ -304,7 +304,7 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
 class CalibrationJob:
     """Collects runs and their readings.
 
-    Attributes: `config`, of the robot; `runs`, all so far.
+    Attributes: `config`, of the robot; `runs`, all so far; `in_ros`, whether the robot is in ROS 2.
 
     Args:
         config: of the robot.
@@ -320,6 +320,7 @@ class CalibrationJob:
     ) -> None:
         self.runs: list[CalibrationRun] = []
         self.config = config
+        self.in_ros = False
         self._given = given
         self._ask = ask
 

@@ -253,8 +253,13 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Estimate]:
     return fields
 
 
-def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig:
-    """The robot's config with what was found, and `measured` entries with method and logs."""
+def make_calibrated_config(
+    fit: GeometryFit, config: RobotConfig, *, in_ros: bool = False
+) -> RobotConfig:
+    """The robot's config with what was found, and `measured` entries with method and logs.
+
+    A robot in ROS has a controller with a geometry of its own, by which it goes on taking twists.
+    """
     fields = fitted_fields(fit, config)
     method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.used}))
     logs = (hash_runs(fit.used),)
@@ -269,6 +274,9 @@ def make_calibrated_config(fit: GeometryFit, config: RobotConfig) -> RobotConfig
     changes: dict[str, Any] = {name: fitted.value for name, fitted in fields.items()}
     if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
         changes["body"] = {"turn_factor": turning}
+    if in_ros:
+        *radii, separation = config.twist_geometry
+        changes["ros2"] = {"wheel_radii": tuple(radii), "wheel_separation": separation}
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import Link
-from acsar_gym.links.base import ForwardingLink
+from acsar_gym.links.base import ForwardingLink, commands_sides
 from acsar_gym.links.recorded import RecordedLink, WireTape
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
@@ -56,8 +57,10 @@ class ExcitationPlan(NamedTuple):
     """Ticks without commands, at most."""
 
 
-def plan_excitation(config: RobotConfig, duration: float, period: float) -> ExcitationPlan:
-    """Make the commands of a manoeuvre, different ones for each wheel."""
+def plan_excitation(
+    config: RobotConfig, duration: float, period: float, *, sides: bool = False
+) -> ExcitationPlan:
+    """Make the commands of a manoeuvre, different ones for each wheel, or for each side alone."""
     rng = np.random.default_rng(0)
     top = min(FASTEST_STEP, config.max_wheel_speed, config.max_linear / config.wheel_radius)
     moving = duration - LONGEST_PAUSE - BEFORE_PAUSE_TIME
@@ -68,9 +71,10 @@ def plan_excitation(config: RobotConfig, duration: float, period: float) -> Exci
     rise = np.sign(triangle) * np.abs(triangle) ** STAIRCASE_EXPONENT
     constant = np.array([1.0, -1.0, 1.0, -1.0]) * min(PAUSE_SPEED, top)
     held = np.tile(constant, (round(BEFORE_PAUSE_TIME / period), 1))
+    wheels = [0, 1, 1, 0] if sides else [0, 1, 2, 3]
     return ExcitationPlan(
-        np.concatenate((steps, -min(STAIRCASE_TOP, top) * rise, held)),
-        _make_steps(round(moving / period) - first - slow, top, period, rng),
+        np.concatenate((steps, -min(STAIRCASE_TOP, top) * rise, held))[:, wheels],
+        _make_steps(round(moving / period) - first - slow, top, period, rng)[:, wheels],
         round(LONGEST_PAUSE / period),
     )
 
@@ -123,13 +127,25 @@ def drive_excitation(
         raise ConfigError(f"duration = {duration}: must be {limits}")
     tape = WireTape()
     taped = RecordedLink(StretchedLink(link), tape, config)
-    plan = plan_excitation(config, duration, config.period * TICK_STRETCH)
     # The wheels don't answer as configured: that is what is to be found.
     with Robot(taped, config.with_(wheel_check=False), recorder=recorder) as robot:
+        sides = commands_sides(link)
+        plan = plan_excitation(config, duration, config.period * TICK_STRETCH, sides=sides)
         begin = taped.now()
-        for speeds in plan.before.tolist():
-            robot.tick(speeds)
+
+        def drive(speeds: list[float]) -> None:
+            if sides:  # within the limits of acceleration, which are those of its controller
+                right, left = speeds[:2]
+                radii, separation = config.wheel_radii, config.effective_separation
+                robot.drive(
+                    *kinematics.compute_twist(right, left, left, right, *radii, separation)
+                )
+            else:
+                robot.tick(speeds)
             robot.safety.check(taped.now() - begin)
+
+        for speeds in plan.before.tolist():
+            drive(speeds)
         still = 0
         for _ in range(plan.pause):
             robot.listen()
@@ -138,7 +154,6 @@ def drive_excitation(
             if still * config.period > STANDING_TIME:
                 break
         for speeds in plan.after.tolist():
-            robot.tick(speeds)
-            robot.safety.check(taped.now() - begin)
+            drive(speeds)
         robot.stop()
     return tape.log

@@ -435,17 +435,25 @@ def estimate_covariance(problem: FitProblem, solution: FitSolution) -> Floats:
     """
     rest = problem.residuals(solution.x, solution.deadbands)
     jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
-    weights = 1.0 / np.sqrt(1.0 + (rest / solution.scale) ** 2)  # of soft_l1
-    blocks = problem.blocks()
+    spread = np.zeros((len(solution.x), len(solution.x)))
+    spread[np.ix_(solution.free, solution.free)] = estimate_spread(
+        rest, jacobian, solution.scale, problem.blocks()
+    )
+    return spread
+
+
+def estimate_spread(
+    rest: Floats, jacobian: Floats, scale: float, blocks: NDArray[np.intp]
+) -> Floats:
+    """Estimate the covariance of parameters from residuals, their derivatives and their blocks."""
+    weights = 1.0 / np.sqrt(1.0 + (rest / scale) ** 2)  # of soft_l1
     scores = np.zeros((int(blocks.max()) + 1, jacobian.shape[1]))
     np.add.at(scores, blocks, jacobian * (weights * rest)[:, None])
     curvature = jacobian.T @ (jacobian * weights[:, None] ** 3)
     bread = np.linalg.pinv(curvature, hermitian=True)
     seen = len(np.unique(blocks))
     small = seen / max(1.0, seen - jacobian.shape[1])
-    spread = np.zeros((len(solution.x), len(solution.x)))
-    spread[np.ix_(solution.free, solution.free)] = bread @ (scores.T @ scores) @ bread * small
-    return spread
+    return np.asarray(bread @ (scores.T @ scores) @ bread * small)
 
 
 def estimate_slack(problem: FitProblem, solution: FitSolution) -> Floats:

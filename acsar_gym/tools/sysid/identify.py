@@ -23,9 +23,10 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import board_log, parameter_findings
 from acsar_gym.tools.sysid.board_log import decode_track
 from acsar_gym.tools.sysid.excitation import drive_excitation
-from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel, fit_motors
+from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel
 from acsar_gym.tools.sysid.model_check import ModelCheck, check_model, measure_parts
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
+from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, fit_twists
 
 IDENTIFY_METHOD = "identify"
 COUNTS_FIELD = "counts_per_revolution"
@@ -43,6 +44,7 @@ SHOWN_UNITS = {
     "firmware.feedback_rate": (1.0, "Hz"),
     "encoder.window": (1e3, "ms"),
     "encoder.quantum": (1.0, "rad/s"),
+    SEPARATION_NAME: (1.0, "m"),
 }
 """Factor and unit in which each parameter is shown."""
 
@@ -61,7 +63,8 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     check_same_robot(recordings, "identify")
     logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
     hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
-    return identify_logs(logs, config or recordings[0][1].config, hashes)
+    recorded = recordings[0][1].config
+    return identify_logs(logs, config or recorded, hashes, recorded.twist_geometry[2])
 
 
 def identify_device(
@@ -77,7 +80,10 @@ def identify_device(
 
 
 def identify_logs(
-    logs: Sequence[WireLog], config: RobotConfig, hashes: Sequence[str] = ()
+    logs: Sequence[WireLog],
+    config: RobotConfig,
+    hashes: Sequence[str] = (),
+    separation: float | None = None,
 ) -> Identification:
     """Identify the board and motors of one robot from what its wire carried.
 
@@ -85,6 +91,8 @@ def identify_logs(
         logs: of the wire, one for each episode.
         config: of the robot; what the logs can't tell stays.
         hashes: of the logs' files, for the robot's file.
+        separation: by which twists were made of wheel speeds for a robot in ROS; None: as by
+            `config` [m].
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
@@ -95,13 +103,14 @@ def identify_logs(
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
     board_log.check_wheel_order(tracks)
     known = board_log.check_identifiability(tracks)
-    fit = fit_motors(tracks, config, known)
+    separation = separation or config.twist_geometry[2]
+    fit, controller = fit_twists(tracks, config, known, separation)
     parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
     delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)
     return Identification(
         config,
-        (*parameter_findings.find_wheels(fit, config, known, parts), *board),
+        (*parameter_findings.find_wheels(fit, config, known, parts), *board, *controller),
         None if fit is None else _validate(fit, config),
         parameter_findings.sample_delays(fit) if fit and delayed else (),
         sum(one.duration for one in tracks),
@@ -179,7 +188,7 @@ class Identification:
         if len(self.dead) == len(WHEELS):
             raise IdentificationError(
                 "nothing to write: no wheel turned; check the motors' power and every encoder, "
-                "with 'acsar-gym doctor DEVICE --spin'"
+                "with 'acsar-gym doctor DEVICE --spin' ('acsar-gym doctor ros2')"
             )
         dead = f" ({', '.join(self.dead)} never turned)" if self.dead else ""
         told = {one.name: one for one in self.findings if one.told}
@@ -205,7 +214,7 @@ class Identification:
         Raises:
             ConfigError: what was found contradicts another field, and the message says which.
         """
-        changes: dict[str, Any] = {"motor": {}, "firmware": {}, "encoder": {}}
+        changes: dict[str, Any] = {"motor": {}, "firmware": {}, "encoder": {}, "ros2": {}}
         measured: dict[str, Measured | None] = {}
         misfit = self.model is not None and bool(self.model.pattern)
         for one in self.findings:

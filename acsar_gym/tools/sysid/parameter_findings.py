@@ -47,6 +47,9 @@ NO_RAMP = 1e6
 """Acceleration of a board without a ramp [rad/s^2]; the largest of the field."""
 LEAST_SLOWNESS = 0.01
 """Where a ramp may be none, it is told as none if it surely takes less than this [s^2/rad]."""
+RAMP_SHARE, RAMP_TICKS, RAMP_QUANTILE = 0.85, 5, 0.99
+"""A wheel that followed a commanded ramp has none of its own that is slower than this share of it;
+over how many commands a ramp is measured, and which of them all is called the steepest."""
 BOUND_EDGE = 0.02
 """A value so near its bound, as a share of it, has ended there."""
 VAGUE_WHEEL = {
@@ -77,6 +80,7 @@ WINDOW_NAME = "encoder.window"
 QUANTUM_NAME = "encoder.quantum"
 NO_WHEEL = "no wheel turned"
 CUT_NOTE = "speeds are cut to it; a twin rounds them, so it reads half a step more"
+IN_ROS_NOTE = "from publishing to the stamp that shows it, without the controller's lag"
 COUNTED_NOTE = "whole encoder counts, as counts_per_revolution says"
 
 
@@ -139,6 +143,8 @@ def find_wheels(
         for wheel, letter in enumerate(MOTORS):
             if fit is None or not known.can(name, letter):
                 four[wheel] = four[wheel].explain(known.missing[name, letter])
+                if name == "motor.acceleration" and fit is not None:
+                    four[wheel] = _find_no_ramp(four[wheel], fit, wheel)
             else:
                 estimates[wheel] = _estimate(name, fit, wheel, parts)
         for wheels in _group_wheels(name, fit, estimates):
@@ -263,6 +269,24 @@ def _find_smooth(unknown: ParameterFinding, estimate: Estimate) -> ParameterFind
     return unknown.tell(value, max(0.0, low), high)
 
 
+def _find_no_ramp(unknown: ParameterFinding, fit: MotorFit, wheel: int) -> ParameterFinding:
+    """Whether a wheel in ROS followed ramps that are steeper than the configured one of its own."""
+    if wheel not in fit.problem.wheels or not board_log.takes_twists(fit.problem.tracks):
+        return unknown
+    steepest = RAMP_SHARE * max(_find_steepest(track) for track in fit.problem.tracks)
+    slowness = fit.wheels[fit.problem.wheels.index(wheel)].slowness
+    if (unknown.before or 0.0) > steepest or slowness * steepest > RAMP_SHARE:
+        return unknown
+    return unknown.tell(NO_RAMP, steepest, NO_RAMP, f"no ramp, or one faster than {steepest:.0f}")
+
+
+def _find_steepest(track: BoardTrack) -> float:
+    """The steepest ramp that all wheels were commanded [rad/s^2]."""
+    rises = track.commands[RAMP_TICKS:] - track.commands[:-RAMP_TICKS]
+    times = track.arrivals[RAMP_TICKS:] - track.arrivals[:-RAMP_TICKS]
+    return float(np.quantile(np.abs(rises / times[:, None]), RAMP_QUANTILE, axis=0).min())
+
+
 def _find_deadband(
     unknown: ParameterFinding, estimate: Estimate, slowest: float, finest: float
 ) -> ParameterFinding:
@@ -336,7 +360,10 @@ def _find_delay(unknown: ParameterFinding, fit: MotorFit, window: float) -> Para
     low, high = max(0.0, value - half), max(half, value + half)
     if half > VAGUE_TIME and low <= (unknown.before or 0.0) <= high:
         return unknown.explain("too vague: record more steps")
-    note = "on top of wire and processing_time; the board's loops blur it"
+    in_ros = all(track.in_ros for track in fit.problem.tracks)
+    note = (
+        IN_ROS_NOTE if in_ros else "on top of wire and processing_time; the board's loops blur it"
+    )
     value = max(0.0, value + (fit.times.window - window) / 2.0)  # what both add up to is told best
     return unknown.tell(value, min(low, value), max(high, value), note)
 

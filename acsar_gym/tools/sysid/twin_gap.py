@@ -30,6 +30,7 @@ from acsar_gym.tools.sysid.tracks import (
     make_recorded_track,
     make_twin_track,
 )
+from acsar_gym.tools.sysid.twist_controller import resend_twists
 
 TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 """Time shifts that are tried [s]."""
@@ -259,6 +260,8 @@ def measure_gap(
             if why := _find_unusable(episode, config):
                 notes.append(f"{log} #{number}: left out, {why}")
                 continue
+            wire = resend_twists(episode.wire, recording.config, config)
+            episode = replace(episode, wire=wire)  # noqa: PLW2901 - as its controller took it
             pause = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
             if pause > NOTED_PAUSE:
                 notes.append(f"{log} #{number}: no command was sent for {pause:.2f} s")

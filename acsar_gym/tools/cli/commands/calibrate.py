@@ -134,6 +134,7 @@ def calibrate_robot(
         output: results.
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
+    from acsar_gym.links.base import is_stamped  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.robot import Robot  # noqa: PLC0415
@@ -144,18 +145,21 @@ def calibrate_robot(
     if recorded:
         driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
         check_not_given(driving)
-    if recorded and setup.robot is None:
-        config = read(Path(device)).config
+    recording = read(Path(device)) if recorded else None
+    if recording is not None and setup.robot is None:
+        config = recording.config
     else:
         config = RobotConfig.of(setup.robot)
     ask = _ask_reading if sys.stdin.isatty() else None
     given = calibration.check_given_readings(runs.measured, runs.aside, runs.measured_deg)
     job = calibration.CalibrationJob(config, given, ask)
-    if recorded:
+    if recording is not None:
+        job.in_ros = any(episode.wire.stamped for episode in recording.episodes)
         job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
         job.check_given(Counter(run.manoeuvre for run in job.runs))
         return _finish_calibration(job, output)
     link = open_link(device, setup.driven(config, device))
+    job.in_ros = is_stamped(link)
     host.prepare(device)
     recorder = setup.recorder("calibrate", link=device)
     robot = Robot(link, config, recorder=recorder)
@@ -202,7 +206,8 @@ def _finish_calibration(
         data=calibration_fit.format_calibration(fit, job.runs, config),
     )
     if output.out is not None:
-        calibration_fit.make_calibrated_config(fit, config).save(output.out, force=output.force)
+        found = calibration_fit.make_calibrated_config(fit, config, in_ros=job.in_ros)
+        found.save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
     return 0
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -21,6 +22,9 @@ from acsar_gym.tools.cli.options import (
     countdown,
     print_results,
 )
+
+if TYPE_CHECKING:
+    from acsar_gym.tools.commission.checks import Check
 
 Device = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE")]
 
@@ -65,12 +69,14 @@ def examine_robot(
 ) -> int:
     """List the serial ports, examine one, and say what to fix.
 
+    With ros2 or ros2:/NAMESPACE as device it examines a robot in ROS 2: its topics and clock.
+
     Args:
         timing: timing of the control loop.
         spinning: turning of the wheels, and recording.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results in a file.
-        device: serial device to examine; without it, ports are only listed.
+        device: serial device to examine, or ros2; without it, ports are only listed.
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
     """
@@ -81,6 +87,18 @@ def examine_robot(
         config = examine.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
     output.check()
+    if device is not None and (device == "ros2" or device.startswith("ros2:")):
+        serial = (
+            ("--timing", timing.timing),
+            ("--spin", spinning.spin),
+            ("--saw", spinning.saw),
+            ("--out", spinning.out),
+            ("--baud-rate", baud_rate),
+        )
+        if given := [option for option, value in serial if value]:
+            raise ConfigError(f"{', '.join(given)}: not of a robot in ROS, only of serial devices")
+        host.prepare()
+        return _examine_ros(device, config, output, spinning)
     host.prepare(device if spinning.spin else None)
     if timing.timing:
         from acsar_gym.tools.commission import timing as timings  # noqa: PLC0415
@@ -89,6 +107,17 @@ def examine_robot(
         print_results(*timed.tables(), json=output.json, data=timed.as_dict())
         return 0
     return _run_checks(device, config, output, spinning)
+
+
+def _examine_ros(
+    device: str, config: RobotConfig, output: ResultOptions, spinning: SpinOptions
+) -> int:
+    """Run the checks of a robot in ROS; returns the exit code."""
+    from acsar_gym.tools.commission import checks, ros_robot  # noqa: PLC0415
+
+    found = [checks.check_estop()]
+    found.extend(ros_robot.examine_ros(device, config, spinning.recorder("doctor", link=device)))
+    return _print_checks(found, output)
 
 
 def _run_checks(
@@ -123,11 +152,19 @@ def _run_checks(
             said = f"{spinning.out} isn't written: not all was found"
             fix = "mend what failed, and start again"
             found.append(checks.Check("robot file", "skip", said, fix))
+    code = _print_checks(found, output)
+    if stop is not None:
+        raise stop
+    return code
+
+
+def _print_checks(found: Sequence[Check], output: ResultOptions) -> int:
+    """Print what was found; returns the exit code."""
+    from acsar_gym.tools.commission import checks  # noqa: PLC0415
+
     print_results(
         checks.draw_checks(found),
         json=output.json,
         data={"checks": [asdict(check) for check in found]},
     )
-    if stop is not None:
-        raise stop
     return 1 if any(check.status == "fail" for check in found) else 0
