@@ -400,7 +400,7 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
             buffer.stamps(parts.offset),
             tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
         ]
-    return {"wire": WireLog(*fields, None, stamped)}
+    return {"wire": WireLog(*fields, stamped=stamped)}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def seconds(stamp: Any) -> float:
 
 def fastest(messages: list[Any]) -> float:
     """The fastest wheel of joint states [rad/s]."""
-    return max(abs(speed) for message in messages for speed in message.velocity)
+    return float(max(abs(speed) for message in messages for speed in message.velocity))
 
 
 def diagnosed(heard: Heard) -> dict[str, str]:

@@ -137,9 +137,7 @@ def drive_excitation(
             if sides:  # within the limits of acceleration, which are those of its controller
                 right, left = speeds[:2]
                 radii, separation = config.wheel_radii, config.effective_separation
-                robot.drive(
-                    *kinematics.compute_twist(right, left, left, right, *radii, separation)
-                )
+                robot.drive(*kinematics.compute_twist(right, left, left, right, *radii, separation))
             else:
                 robot.tick(speeds)
             robot.safety.check(taped.now() - begin)
