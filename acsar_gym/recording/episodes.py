@@ -400,7 +400,8 @@ def make_wire(parts: EpisodeParts) -> dict[str, Any]:
             buffer.stamps(parts.offset),
             tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces,
         ]
-    return {"wire": WireLog(*fields, stamped=stamped)}
+    sent_stamps, sent, got_stamps, got = fields
+    return {"wire": WireLog(sent_stamps, sent, got_stamps, got, stamped=stamped)}
 
 
 def make_steps(parts: EpisodeParts) -> dict[str, Any]:
