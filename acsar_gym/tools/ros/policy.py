@@ -38,7 +38,7 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy
+from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy, make_env
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_odometry, to_world
@@ -634,6 +634,13 @@ def is_near(one: Pose, other: Pose) -> bool:
     return math.dist(one[:2], other[:2]) < STILL_DISTANCE and turned < STILL_TURN
 
 
+def compile_ahead(policy: FilePolicy, config: RobotConfig) -> None:
+    """Step a simulated robot once: compiling takes longer than a robot in ROS may wait."""
+    with contextlib.closing(make_env(policy, "planar", config, {})) as env:
+        env.reset(seed=0)
+        env.step(np.zeros(env.action_space.shape or (), np.float32))
+
+
 def drive_policy(
     options: Mapping[str, str],
     ready: Callable[[FilePolicy, str], Mapping[str, Any]],
@@ -644,7 +651,7 @@ def drive_policy(
     how: Mapping[str, Any] = {},
     *,
     trust: bool = False,
-) -> tuple[str, EvaluationRun]:
+) -> tuple[str, str, EvaluationRun]:
     """Drive the robot of a namespace to goals that others give, or to one, as a node of ROS.
 
     Args:
@@ -660,7 +667,7 @@ def drive_policy(
         trust: whether the policy may be a file that can run code.
 
     Returns:
-        The link's URL, and the results.
+        The policy's name as it was given, the link's URL, and the results.
 
     Raises:
         MissingRosError: ROS 2 isn't installed.
@@ -676,9 +683,11 @@ def drive_policy(
     with contextlib.ExitStack() as ours:
         ours.callback(node.close)
         given = {name: value or str(node.read_parameter(name)) for name, value in options.items()}
-        policy = load_policy(given["policy"] or DEFAULT_POLICY, trust=trust, env=given["env"])
+        name = given["policy"] or DEFAULT_POLICY
+        policy = load_policy(name, trust=trust, env=given["env"])
         config = RobotConfig.of(given["robot"] or None)
         link = "ros2" if node.namespace == "/" else f"ros2:{node.namespace}"
+        compile_ahead(policy, config)
         more = ready(policy, link)
         own = PolicyNode(node, config)
         ours.callback(own.close)
@@ -688,4 +697,4 @@ def drive_policy(
         done = drive_to_goals(
             policy, link, config, driver.drive, farthest, how, lidar=given["lidar"] or None, **more
         )
-        return link, done
+        return name, link, done

@@ -192,8 +192,8 @@ def drive_ros_policy(
         "lidar": robot.lidar or "",
     }
     how = {"late_share": robot.late_share}
-    link, done = ros_policy.drive_policy(
+    name, link, done = ros_policy.drive_policy(
         options, ready, node.namespace, node.ros_args, goals.goal, count, how, trust=policy.trust
     )
-    title = f"{policy.policy or ros_policy.DEFAULT_POLICY} to goals, worlds: {done.worlds}"
+    title = f"{name} to goals, worlds: {done.worlds}"
     return report_run(title, link, done, output.json, to_goal=True)
