@@ -559,6 +559,9 @@ class RobotNode:
     def close(self) -> None:
         """End threads and nodes."""
         self._running = False
+        for request in list(self.requests):
+            request.answer = "the driver has ended"
+            request.done.set()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * SPIN_PERIOD)
