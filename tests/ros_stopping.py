@@ -39,6 +39,7 @@ from serial_tools import HEEDING_CTRL_C, Emulated, start
 from stopping import FAULT_JITTER, LIMIT, MAX_STARTS, find_stop, list_commands
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import AcsarError
 from acsar_gym.testing import wait_until
 
 PRELOADED = ("acsar_gym.tools.cli", "acsar_gym.tools.ros.driver", "acsar_gym.testing", "rclpy")
@@ -283,14 +284,17 @@ class Trials:
 
     def _run_trial(self, times: Times) -> None:
         """Run one trial; again where the robot was stopped before, as on a busy computer."""
-        for attempt in range(1, MAX_STARTS + 1):
+        why = ""
+        for _ in range(MAX_STARTS):
             try:
                 self._cause_and_measure(times)
-            except _NotDrivenError:
-                if attempt == MAX_STARTS:
-                    raise
+            except (_NotDrivenError, AcsarError) as error:
+                self.close()
+                why = str(error)
             else:
                 return
+        times.zeros.append(math.inf)
+        times.problems.append(f"not driven: {why}")
 
     def _cause_and_measure(self, times: Times) -> None:
         kind = times.kind

@@ -15,8 +15,9 @@ from serial_tools import RobotFile, StartEmulator, cli
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.links.replay import ReplayLink
-from acsar_gym.protocol import FEWEST_ECHOES, EchoDecoder, encode
+from acsar_gym.protocol import FEWEST_ECHOES, Decoder, EchoDecoder, encode
 from acsar_gym.recording import Recorder, read
+from acsar_gym.safety.set_points import SetPointWatch
 
 ACSAR = RobotConfig.preset("acsar")
 KNOWN = ACSAR.with_(echo=True)
@@ -113,6 +114,16 @@ def test_set_points_are_refused(quirks: tuple[str, ...], echoes: bool, said: str
     ):
         for _ in range(2):
             drive(robot)
+
+
+def test_wheels_that_start_again_and_again_are_measured() -> None:
+    """They pass a few speeds of the same ramp each time."""
+    watch = SetPointWatch(echoes=False)
+    for _ in range(20):
+        for speed in (*[0.0] * 100, 0.4, 0.8, 1.2, 1.6, 2.0):
+            (reading,) = Decoder().feed(encode((0.5 * speed,) * 4))
+            watch.note((speed,) * 4)
+            watch.check(reading)
 
 
 def test_a_recorded_echo_is_left_out_and_replays_bit_for_bit(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ RESET_TIMEOUT = 20.0
 """Longest wait until a simulated robot stands in a new scene [s]."""
 FEEDBACK_DEPTH = 100
 """How many joint states wait while a program doesn't step."""
-SLACK = 0.001
+SLACK = 0.0005
 """Ticks end so long after a joint state, where these come at the control rate [s]."""
 PHASE_GAIN, PHASE_SHARE = 0.2, 0.05
 """Part of a tick's phase error that the next deadline mends, and at most which part of a period."""
@@ -111,7 +111,7 @@ class Ros2Link:
         self._deadline = self._heard = self._newest = 0.0
         self._clock_moved = time.monotonic()
         self._sim_time = self._tripped = False
-        self._handled = 0
+        self._handled = self._echoed = 0
         self._arrivals: Arrivals = []
         self._pending: Arrivals = []
         self._commands = Decoder()
@@ -409,6 +409,7 @@ class Ros2Link:
 
     def _on_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
+        self._echoed += 1
         content = read_command(message)
         if content in self._sent:
             return
@@ -554,14 +555,14 @@ class Ros2Link:
         self._catch_up(node)
         self._deadline += period
         while True:
-            now, handled = self._check_clock(), self._handled
-            remaining = self._deadline - now
-            node.spin(min(remaining, self.watchdog.beat_interval, period))
+            now, handled = self._check_clock(), self._handled + self._echoed
+            node.spin(min(self._deadline - now, self.watchdog.beat_interval, period))
             self._beat()
-            jumped = self._sim_time and self.now() != now
-            if remaining <= CLOCK_STEP and handled == self._handled and not jumped:
+            before, now = now, self.now()
+            jumped = self._sim_time and now != before
+            idle = handled == self._handled + self._echoed and not jumped
+            if idle and self._deadline - now <= CLOCK_STEP:
                 break
-        now = self.now()
         self.lateness = now - self._deadline
         if self.lateness > period:
             self._deadline = now

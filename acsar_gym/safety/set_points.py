@@ -15,6 +15,9 @@ LEAST_CHANGE, MOST_SKIPPED = 0.2, 5
 """These commands differ by so much [rad/s], with so few others between: wheels that follow slow
 changes do pass each commanded speed. A board may send fewer lines than it gets."""
 MAX_COMMANDS = 100  # commands that are compared, the newest ones
+LONGEST_REST = 50
+"""After so many lines of wheels that stand, what was equal before doesn't count: simulated wheels
+that start again and again pass a few commanded speeds each time."""
 
 
 class SetPointWatch:
@@ -25,7 +28,7 @@ class SetPointWatch:
         self._sent: deque[tuple[float | None, ...]] = deque(maxlen=MAX_COMMANDS)
         self._newest: tuple[float, ...] = ()
         self._counted: tuple[float | None, ...] = ()
-        self._equal = self._alone = self._passed = 0
+        self._equal = self._alone = self._passed = self._rested = 0
 
     def note(self, speeds: Speeds) -> None:
         """Take a new command."""
@@ -41,6 +44,9 @@ class SetPointWatch:
             LinkError: it was the last of so many that were commands that no more are needed.
         """
         speeds = reading.speeds
+        self._rested = 0 if any(speeds) else self._rested + 1
+        if self._rested > LONGEST_REST:
+            self._equal = 0
         if speeds not in self._sent:
             self._alone = 0
             return

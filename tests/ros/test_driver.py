@@ -35,6 +35,8 @@ from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.testing import EmulatedBoard, emulated_board
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+STANDING = 0.2
+"""Wheels that are slower stand: an encoder tells 0.1 [rad/s] while they run out."""
 TIMEOUT = 0.5
 """After which a twist doesn't count any more [s]."""
 JOINTS = ["right_front", "left_front", "left_rear", "right_rear"]
@@ -190,7 +192,7 @@ def test_twists_are_driven_until_the_time_out(start_driver: StartDriver, client:
             for message, when in zip(joints.messages, joints.times, strict=True)
             if when > last + TIMEOUT + 0.5  # wheels take a while
         ]
-        assert fastest(after) < 0.05
+        assert fastest(after) < STANDING
         client.node.destroy_publisher(publisher)
     assert not warned(driver)
 
@@ -232,15 +234,15 @@ def test_bad_commands_are_refused_with_one_line_each(
             begin = len(joints.messages)
             diagnostics.messages.clear()
             publish(client, 1.2, *sources)
-            assert fastest(joints.messages[begin:]) < 0.05, words
+            assert fastest(joints.messages[begin:]) < STANDING, words
             assert words in diagnosed(diagnostics)["commands"]
             client.spin(TIMEOUT + 0.1)
         publish(client, 0.8, good)
         assert fastest(joints.messages[-5:]) > 1.0
         assert not [c for c in board.commands() if min(s or 0.0 for s in c) < -0.01]
     lines = [line for line in warned(driver) if "cmd_vel: refused" in line]
-    assert len(lines) in (4, 5, 6, 7)  # a kind is reported again after 10 s
-    assert lines == [line for line in warned(driver) if "Traceback" not in line][: len(lines)]
+    assert 4 <= len(lines) <= 8  # four kinds, each reported again after 10 s
+    assert lines == [line for line in warned(driver) if "lost while in use" not in line]
 
 
 def test_estop_and_release(start_driver: StartDriver, client: Client, config: RobotConfig) -> None:
@@ -257,7 +259,7 @@ def test_estop_and_release(start_driver: StartDriver, client: Client, config: Ro
         publish(client, 1.0, drive)
         begin = len(joints.messages)
         publish(client, 1.2, drive)
-        assert fastest(joints.messages[begin:]) < 0.05
+        assert fastest(joints.messages[begin:]) < STANDING
         assert diagnosed(diagnostics)["emergency stop"] == "true"
         assert diagnostics.messages[-1].status[0].level == b"\x02"
         assert client.call(Trigger, "acsar_driver/release").success
@@ -345,7 +347,7 @@ def test_parameters_come_from_a_file(
     client.spin(0.2 + 0.25)
     begin = len(joints.messages)
     client.spin(0.2)
-    assert fastest(joints.messages[begin:]) < 0.05
+    assert fastest(joints.messages[begin:]) < STANDING
     (mount,) = mounts.messages[0].transforms
     assert (mount.header.frame_id, mount.child_frame_id) == ("base_footprint", "laser")
     assert mount.transform.translation.x == 0.25

@@ -314,6 +314,7 @@ class RobotNode:
         self._publish_static()
         self._due = 0.0
         self._lateness = 0.0
+        self._ticks = self._late_ticks = 0
         self._running = True
         self._failure: Exception | None = None
         self._threads = [
@@ -492,6 +493,8 @@ class RobotNode:
         if self._clock is not None:
             self._clock.publish(self._ros.Clock(clock=stamp))
         self._lateness = max(self._lateness, measured.lateness or 0.0)
+        self._ticks += 1
+        self._late_ticks += (measured.lateness or 0.0) > self.config.late_tick
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + DIAGNOSTICS_PERIOD
             self._publish_diagnostics(measured, stamp)
@@ -541,6 +544,7 @@ class RobotNode:
             "latest tick [s]": "simulated"
             if measured.lateness is None
             else f"{self._lateness:.6f}",
+            "late ticks": f"{self._late_ticks} of {self._ticks}",
             "commands": self.inbox.problem or "taken",
         }
         self._lateness = 0.0
@@ -555,6 +559,9 @@ class RobotNode:
     def close(self) -> None:
         """End threads and nodes."""
         self._running = False
+        for request in list(self.requests):
+            request.answer = "the driver has ended"
+            request.done.set()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * SPIN_PERIOD)
