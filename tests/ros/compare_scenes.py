@@ -21,7 +21,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,8 @@ class Row:
     over_ros: list[bool]
     apart: float = float("nan")
     compared: int = 0
+    faults: dict[int, str] = field(default_factory=dict)
+    """Of the scenes that one ended."""
 
     @property
     def holds(self) -> bool:
@@ -86,11 +88,11 @@ class Row:
         return fewer <= MOST_FEWER and not self.apart > MOST_APART
 
     def __str__(self) -> str:
-        count, other = sum(self.over_ros), [n for n, (one, two) in enumerate(
-            zip(self.successes, self.over_ros, strict=True)) if one != two]  # fmt: skip
+        pairs = enumerate(zip(self.successes, self.over_ros, strict=True))
+        otherwise = {scene: self.faults.get(scene, "") for scene, (a, b) in pairs if a != b}
         text = (
-            f"{self.name}: {count}/{len(self.over_ros)} over ros2, "
-            f"{sum(self.successes)}/{len(self.successes)} without; otherwise: {other or 'none'}"
+            f"{self.name}: {sum(self.over_ros)}/{len(self.over_ros)} over ros2, "
+            f"{sum(self.successes)}/{len(self.successes)} without; otherwise: {otherwise or 'none'}"
         )
         if self.compared:
             text += f"; odometry apart by {self.apart:.1e} at most, in {self.compared} steps"
@@ -265,15 +267,17 @@ def compare_bullet(policy: str, count: int, client: Client, folder: Path) -> Row
         client.wait(lambda: "drives bullet" in driving.printed, "the driver", 4 * TIMEOUT)
         given = ("--episodes", count, "--json", json_file)
         with started(client, folder, *evaluate, *given) as run:
-            wait = client.wait
-            client.programs.remove(run)
-            wait(lambda: run.process.poll() is not None, policy, count * LONGEST_DRIVE)
+            client.programs.remove(run)  # a wait fails where one of them ends
+            client.wait(lambda: run.process.poll() is not None, policy, count * LONGEST_DRIVE)
             client.programs.append(run)
             if not json_file.exists():
                 raise SystemExit(f"{policy}, PyBullet: {run.printed}")
-    over_ros = [bool(episode["success"]) for episode in results(json_file)]
+    driven = results(json_file)
+    over_ros = [bool(episode["success"]) for episode in driven]
     over_ros += [False] * (count - len(over_ros))
-    return Row(f"{policy} with PyBullet", drive_without(policy, "bullet", count), over_ros)
+    row = Row(f"{policy} with PyBullet", drive_without(policy, "bullet", count), over_ros)
+    row.faults = {number: one["fault"] for number, one in enumerate(driven) if one["fault"]}
+    return row
 
 
 def main() -> None:
