@@ -17,11 +17,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episode import footprint_clearance, read_true_poses
 from acsar_gym.tools.ros import policy as ros_policy
-from acsar_gym.worlds import Region
+from acsar_gym.worlds import Pose, Region
 from acsar_gym.worlds.files import save_world
 from acsar_gym.worlds.world import to_odometry
 
@@ -60,14 +61,22 @@ LOG_VARIABLE = "COMPARE_SCENES_LOG"
 class LoggedEnv(ros_policy.WatchedEnv):
     """Writes the odometry after each step, and the time of ROS at which its line was measured."""
 
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        result = super().reset(**options)
+        self.note(begins=True)
+        return result
+
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         result = super().step(action)
+        self.note(begins=False)
+        return result
+
+    def note(self, *, begins: bool) -> None:
         inner: Any = self.env.unwrapped
         stamp = self._link.epoch + round(inner.robot.wire.measured * 1e9)
-        line = {"stamp": stamp, "pose": inner.robot.odometry.pose, "start": self.start}
+        line = {"stamp": stamp, "pose": inner.robot.odometry.pose, "begins": begins}
         with Path(os.environ[LOG_VARIABLE]).open("a") as log:
             log.write(json.dumps(line) + "\n")
-        return result
 
 
 @dataclass
@@ -79,6 +88,8 @@ class Row:
     over_ros: list[bool]
     apart: float = float("nan")
     compared: int = 0
+    faults: dict[int, str] = field(default_factory=dict)
+    """Of the scenes that one ended."""
 
     @property
     def holds(self) -> bool:
@@ -86,14 +97,14 @@ class Row:
         return fewer <= MOST_FEWER and not self.apart > MOST_APART
 
     def __str__(self) -> str:
-        count, other = sum(self.over_ros), [n for n, (one, two) in enumerate(
-            zip(self.successes, self.over_ros, strict=True)) if one != two]  # fmt: skip
+        pairs = enumerate(zip(self.successes, self.over_ros, strict=True))
+        otherwise = {scene: self.faults.get(scene, "") for scene, (a, b) in pairs if a != b}
         text = (
-            f"{self.name}: {count}/{len(self.over_ros)} over ros2, "
-            f"{sum(self.successes)}/{len(self.successes)} without; otherwise: {other or 'none'}"
+            f"{self.name}: {sum(self.over_ros)}/{len(self.over_ros)} over ros2, "
+            f"{sum(self.successes)}/{len(self.successes)} without; otherwise: {otherwise or 'none'}"
         )
         if self.compared:
-            text += f"; odometry apart by {self.apart:.1e} at most, in {self.compared} steps"
+            text += f"; odometry apart by {self.apart:.1e} at most, at {self.compared} stamps"
         return text if self.holds else f"{text}: TOO MUCH"
 
 
@@ -109,20 +120,24 @@ def wait_for(client: Client, program: Program, what: str) -> int:
 
 
 def compare_odometry(log: Path, odometry: Heard) -> list[float]:
-    """How far the policy's odometry is from the driver's, in the frame in which that began."""
+    """How far the policy's odometry is from the driver's pose relative to that at the reset."""
     poses = {
         Time.from_msg(one.header.stamp).nanoseconds: one.pose.pose for one in odometry.messages
     }
-    apart = []
+    apart: list[float] = []
+    start: Pose | None = None
     for line in map(json.loads, log.read_text().splitlines()):
         pose = poses.get(line["stamp"])
-        if pose is None or line["start"] is None:
+        there = None
+        if pose is not None:
+            theta = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
+            there = pose.position.x, pose.position.y, theta
+        if line["begins"]:
+            start = there
+        if there is None or start is None:
             continue
-        theta = 2.0 * np.arctan2(pose.orientation.z, pose.orientation.w)
-        driver = to_odometry(tuple(line["start"]), (pose.position.x, pose.position.y, theta))
-        difference = np.subtract(driver, line["pose"])
-        difference[2] = np.remainder(difference[2] + np.pi, 2.0 * np.pi) - np.pi
-        apart.append(float(np.abs(difference).max()))
+        x, y, theta = np.subtract(to_odometry(start, there), line["pose"]).tolist()
+        apart.append(max(abs(x), abs(y), abs(math.remainder(theta, math.tau))))
     return apart
 
 
@@ -265,15 +280,17 @@ def compare_bullet(policy: str, count: int, client: Client, folder: Path) -> Row
         client.wait(lambda: "drives bullet" in driving.printed, "the driver", 4 * TIMEOUT)
         given = ("--episodes", count, "--json", json_file)
         with started(client, folder, *evaluate, *given) as run:
-            wait = client.wait
-            client.programs.remove(run)
-            wait(lambda: run.process.poll() is not None, policy, count * LONGEST_DRIVE)
+            client.programs.remove(run)  # a wait fails where one of them ends
+            client.wait(lambda: run.process.poll() is not None, policy, count * LONGEST_DRIVE)
             client.programs.append(run)
             if not json_file.exists():
                 raise SystemExit(f"{policy}, PyBullet: {run.printed}")
-    over_ros = [bool(episode["success"]) for episode in results(json_file)]
+    driven = results(json_file)
+    over_ros = [bool(episode["success"]) for episode in driven]
     over_ros += [False] * (count - len(over_ros))
-    return Row(f"{policy} with PyBullet", drive_without(policy, "bullet", count), over_ros)
+    row = Row(f"{policy} with PyBullet", drive_without(policy, "bullet", count), over_ros)
+    row.faults = {number: one["fault"] for number, one in enumerate(driven) if one["fault"]}
+    return row
 
 
 def main() -> None:

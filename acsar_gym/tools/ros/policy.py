@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import (
-    AcsarError,
     ConfigError,
     EmergencyStopError,
     LidarError,
@@ -69,7 +68,7 @@ MOST_CELLS = 4000
 GOAL_FRAME = "the goal"
 
 
-class GoalError(AcsarError):
+class GoalError(ConfigError):
     """A goal that isn't driven to."""
 
 
@@ -96,23 +95,27 @@ class Goal(NamedTuple):
 class Frames:
     """Where frames are in that of the odometry, by what is heard. Pure.
 
+    Attributes: `odom`, `base`; `heard`, how often something was heard of where the robot is.
+
     Args:
         odom: frame of the odometry.
         base: frame of the robot.
     """
 
     def __init__(self, odom: str, base: str) -> None:
-        self.odom, self.base = odom, base
+        self.odom, self.base, self.heard = odom, base, 0
         self._transforms: dict[str, Transform] = {}
         self._pose: tuple[str, Transform] | None = None
 
     def add(self, child: str, transform: Transform) -> None:
         """Take over a transform of /tf or /tf_static."""
         self._transforms[child.lstrip("/")] = transform
+        self.heard += transform.parent.lstrip("/") == self.odom
 
     def add_odometry(self, child: str, transform: Transform) -> None:
         """Take over a pose of the odometry's topic, which counts where no transform says it."""
         self._pose = child.lstrip("/") or self.base, transform
+        self.heard += 1
 
     def find_goal(self, goal: Goal) -> Point:
         """Transform a goal's place into the odometry's frame [m].
@@ -524,6 +527,7 @@ class GoalDriver:
         """Drive, and yield each episode, until enough have ended, or one by a fault.
 
         Raises:
+            GoalError: the first goal can't be driven to; those that were heard are refused.
             LinkError: the robot can't be reached, or is silent while it waits.
             EmergencyStopError: its emergency stop was used.
         """
@@ -552,6 +556,8 @@ class GoalDriver:
                 )
                 end = node.describe_end(episode)
             except GoalError as error:
+                if not goal.frame:  # of the command line
+                    raise
                 node.warn(f"refused: {error}")
                 continue
             finally:
@@ -585,14 +591,14 @@ class GoalDriver:
         Raises:
             GoalError: it keeps moving, though nothing is commanded.
         """
-        frames, before = self._node.frames, None
+        frames, before, heard = self._node.frames, None, 0
         for _ in range(round(STILL_TIMEOUT / STILL_PERIOD)):
-            pose = frames.find_base()
+            pose = frames.find_base() if frames.heard > heard else None
             if pose is not None and before is not None and is_near(pose, before):
                 return pose
-            before = pose
+            before, heard = pose, frames.heard
             self._idle(robot, link, STILL_PERIOD)
-        if before is None:
+        if before is None:  # or nothing new
             return None
         raise GoalError(
             f"the robot moves in {show_value(frames.odom)}, though it is commanded to stand"

@@ -75,6 +75,16 @@ def test_odometry_without_a_child_frame_is_the_base() -> None:
     assert frames.find_base() == pytest.approx((3.0, 0.0, 0.0))
 
 
+def test_news_of_where_the_robot_is_are_counted() -> None:
+    frames = make_frames()
+    before = frames.heard
+    frames.add("odom", Transform("map", (1.0, 0.0, 0.0), QUARTER))
+    assert frames.heard == before
+    frames.add("base_footprint", Transform("odom", (2.0, 1.0, 0.0), QUARTER))
+    frames.add_odometry("base_link", Transform("odom", (3.0, 0.0, 0.0), NONE))
+    assert frames.heard == before + 2
+
+
 def test_odometry_of_another_frame_says_nothing() -> None:
     frames = Frames("odom", "base_link")
     frames.add_odometry("base_link", Transform("robot1/odom", (3.0, 0.0, 0.0), NONE))
