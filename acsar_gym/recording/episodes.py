@@ -392,6 +392,7 @@ def make_exchanges(parts: EpisodeParts) -> dict[str, Any]:
 def make_wire(parts: EpisodeParts) -> dict[str, Any]:
     """The bytes of the wire."""
     fields: list[Any] = []
+    stamped = bool(parts.info.get("stamped"))
     for topic in (WIRE_SENT, WIRE_RECEIVED):
         buffer = parts.buffers[topic.name]
         pieces: Sequence[bytes] = buffer.pieces()
