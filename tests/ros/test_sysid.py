@@ -88,7 +88,7 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
     log = tmp_path / "drive.mcap"
     run(
         start_program(
-            *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 15),
+            *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 13),
             *("--robot", save(tmp_path), "--out", out, "--json", findings, "--record", log),
             "--anyway",  # on a busy computer the robot takes commands late, now and then
         )
@@ -191,7 +191,7 @@ def test_a_foreign_robot_is_calibrated(
 def drive_to_and_fro(url: str, config: RobotConfig) -> None:
     """Drive hard."""
     with Robot(open_link(url, config), config) as robot:
-        for tick in range(400):
+        for tick in range(300):
             linear = (0.5, -0.5, 0.0, 0.3)[tick // 60 % 4]
             robot.drive(linear, (0.0, 1.0, -1.5)[tick // 80 % 3])
 
