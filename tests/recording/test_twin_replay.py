@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rollout_tools import HIDDEN, driven, random_steps
@@ -47,6 +49,21 @@ def test_the_right_twin_repeats_the_log() -> None:
     done = replay_commands(hidden, episode.wire, episode.stamps)
     assert b"".join(done.wire.got)[: len(b"".join(episode.wire.got))] == b"".join(episode.wire.got)
     assert done.poses[:, :2] + [1.0, 2.0] == pytest.approx(episode.truth[:, :2], abs=1e-9)
+
+
+def test_where_nothing_takes_time_on_a_wire_it_takes_none_in_the_twin() -> None:
+    hidden = ACSAR.with_(**HIDDEN)
+    episode = driven(hidden, random_steps(0, 3.0, hidden))
+    log, wire = episode.wire, hidden.wire_time
+    ros = replace(
+        log, sent_stamps=log.sent_stamps + wire, got_stamps=log.got_stamps - wire, stamped=True
+    )
+    done = replay_commands(hidden, ros, episode.stamps)
+    assert done.wire.stamped
+    assert done.poses == pytest.approx(episode.truth, abs=1e-9)
+    stamps, speeds = (one[: len(log.got)] for one in done.wire.feedback(hidden))
+    assert stamps == pytest.approx(ros.feedback(hidden)[0], abs=0.001)
+    assert speeds.tolist() == log.feedback(hidden)[1].tolist()
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.0025, 0.0075])

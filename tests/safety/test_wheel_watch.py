@@ -19,7 +19,7 @@ from board_like import LikeABoard, Overshooting
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
 from acsar_gym.links.faults import FaultyLink
-from acsar_gym.protocol import MOTORS, WHEELS
+from acsar_gym.protocol import MOTORS, WHEELS, ZERO
 from acsar_gym.safety.wheel_watch import WheelWatch
 
 ACSAR = RobotConfig.preset("acsar")
@@ -68,6 +68,13 @@ def test_a_faulty_wheel_is_named(fault: dict[str, Any], twist: Twist, said: str)
     assert error.wheel in WHEELS
     assert "'acsar-gym doctor robot0 --spin'" in str(error)
     assert "or identify this robot" in str(error)
+
+
+def test_joints_in_ros_are_to_be_checked() -> None:
+    watch = WheelWatch(ACSAR, "ros2:/fox")
+    with pytest.raises(WheelError, match=r"check ros2\.joints in the robot's file"):
+        for _ in range(1000):
+            watch.tick((5.0, 5.0, 5.0, 5.0), ZERO, 0.01, fresh=True)
 
 
 UNKNOWN: list[tuple[float, dict[str, Any]]] = [

@@ -283,6 +283,11 @@ class RobotNode:
         try:
             given_names = node.list_parameters()
             self.config = config = self._read_config()
+            if config.twist_geometry != (*config.wheel_radii, config.effective_separation):
+                self.warn(
+                    "wheel_separation or wheel_radii of ros2 in the robot's file are another "
+                    "controller's: this one takes twists by those of the robot"
+                )
             self.link, self.lidar = self._read("link", str), self._read("lidar", str)
             publishes_tf = self._read("publish_tf", bool)
             timeout = self._read_timeout()

@@ -201,9 +201,12 @@ class Identification:
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
             )
         if self.model is not None and self.model.pattern and not anyway:
+            hint = ""
+            if any(one.name == SEPARATION_NAME for one in self.findings):
+                hint = "; are linear_limits and angular_limits of the file those of its controller?"
             raise IdentificationError(
-                f"nothing to write: the model {self.model.verdict}; a twin would answer otherwise "
-                "than this board; --anyway writes the file"
+                f"nothing to write: the model {self.model.verdict}{hint}; a twin would answer "
+                "otherwise than this board; --anyway writes the file"
             )
 
     def robot(self) -> RobotConfig:

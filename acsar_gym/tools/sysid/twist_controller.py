@@ -46,6 +46,8 @@ LEAST_SHARE, MOST_SHARE = 0.2, 5.0
 """Limits of the share; no robot is farther off."""
 SAME_SHARE = 0.01
 """A controller whose separation differs by less is of the file's [share]."""
+VAGUE_SHARE = 0.1
+"""Half width of its interval above which it isn't told [share]."""
 LEAST_HALF = 0.005
 """Least half width of its interval, whatever a log's length."""
 MOST_FITS, SETTLED_SHARE = 4, 0.002
@@ -88,7 +90,9 @@ def fit_twists(
     value, low, high = (separation * (share + one) for one in change)
     own = config.twist_geometry[2]
     found = ParameterFinding(SEPARATION_NAME, "", value, low, high, own, "as configured")
-    if abs(value / own - 1.0) > SAME_SHARE and not low <= own <= high:
+    if high - low > 2.0 * VAGUE_SHARE * own:
+        found = ParameterFinding(SEPARATION_NAME, before=own, note="too vague: record more steps")
+    elif abs(value / own - 1.0) > SAME_SHARE and not low <= own <= high:
         found = found.tell(value, low, high, "of its controller, the multiplier included")
     return fit, [found]
 

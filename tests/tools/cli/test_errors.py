@@ -79,6 +79,7 @@ ERRORS = [
     (f"doctor {MISSING} --spin", 2, "add --yes"),
     (f"doctor {MISSING} --timing", 3, f"{MISSING}: "),
     ("doctor --timing", 2, "--timing "),
+    ("doctor ros2 --spin --baud-rate 9600", 2, "--spin, --baud-rate: not of a robot in ROS"),
     (f"doctor {MISSING} --timing --duration 0", 2, "duration = 0.0"),
     ("drive --link planar --linear nan", 2, "--linear"),
     (f"drive --link {MISSING} --linear 0.1", 3, f"{MISSING}: "),

@@ -158,6 +158,16 @@ def test_the_calibrated_twin_turns_as_the_robot() -> None:
     assert again.geometry == pytest.approx(configured_geometry(found), rel=0.003, abs=0.003)
 
 
+def test_a_controller_in_ros_goes_on_taking_twists_as_it_did() -> None:
+    fit = fitted(wheel_separation_multiplier=Estimate(1.5, 1.4, 1.6))
+    found = make_calibrated_config(fit, ACSAR, in_ros=True)
+    assert found.wheel_separation_multiplier == 1.5
+    assert found.twist_geometry == ACSAR.twist_geometry
+    again = make_calibrated_config(fit, found, in_ros=True)
+    assert again.twist_geometry == ACSAR.twist_geometry
+    assert make_calibrated_config(fit, ACSAR).ros2 == ACSAR.ros2
+
+
 def fitted(**told: Estimate) -> GeometryFit:
     return GeometryFit(Geometry(0.0495, 0.02, 1.5), told, (), (), 1.0)
 

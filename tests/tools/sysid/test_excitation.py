@@ -35,6 +35,13 @@ def test_commands_keep_the_limits_of_the_robot(limits: dict[str, float]) -> None
     assert (speeds.max(0) > 0.5 * top).all()
 
 
+def test_wheels_of_a_side_can_be_commanded_alike() -> None:
+    whole = plan_excitation(ACSAR, 20.0, 0.01)
+    sides = plan_excitation(ACSAR, 20.0, 0.01, sides=True)
+    for every, two in ((whole.before, sides.before), (whole.after, sides.after)):
+        assert two.tolist() == every[:, [0, 1, 1, 0]].tolist()
+
+
 @pytest.mark.usefixtures("deadline")
 def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: RobotConfig) -> None:
     tape = WireTape()

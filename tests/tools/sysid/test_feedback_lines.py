@@ -55,6 +55,18 @@ def test_lines_that_a_fit_leaves_out_as_late_still_count() -> None:
     assert measure_line_rate([track]).rate == pytest.approx(100.0, abs=0.1)
 
 
+def test_nothing_takes_time_on_a_wire_that_isnt_there() -> None:
+    stamps, said = np.arange(200) / 100.0, (encode((1.0, 1.0, 1.0, 1.0)),) * 200
+    board = decode_track(WireLog(stamps, said, stamps, said), ACSAR)
+    ros = decode_track(WireLog(stamps, said, stamps, said, stamped=True), ACSAR)
+    assert board is not None
+    assert ros is not None
+    assert board.arrivals == pytest.approx(stamps + ACSAR.wire_time)
+    assert ros.arrivals.tolist() == stamps.tolist()
+    assert set(ros.stamps) <= set(stamps)
+    assert (board.in_ros, ros.in_ros) == (False, True)
+
+
 @pytest.mark.parametrize("step", [0.027, 0.0871, 0.3])
 def test_a_step_is_found_under_the_rounding_to_two_decimals(step: float) -> None:
     exact = step * np.round(SPEEDS / step)

@@ -209,6 +209,11 @@ def _finish_calibration(
         found = calibration_fit.make_calibrated_config(fit, config, in_ros=job.in_ros)
         found.save(output.out, force=output.force)
         say(f"written: {output.out}; use it with --robot {output.out}")
+        if job.in_ros:
+            say(
+                "its controller goes on taking twists by its own radii and separation, as ros2 in "
+                "the file says; set the found ones in its parameters, too, and take these lines out"
+            )
     return 0
 
 
