@@ -22,7 +22,9 @@ DRIVES = {
 
 
 def test_every_command_that_drives_is_here() -> None:
-    assert set(DRIVES) == {name for name, command in COMMANDS.items() if command.drives}
+    """Those of ROS, which needs to be there, are in tests/ros."""
+    driving = {name for name, command in COMMANDS.items() if command.drives}
+    assert set(DRIVES) == driving - {"ros driver", "ros policy"}
 
 
 @pytest.mark.filterwarnings("ignore:'acsar-gym estop' can't stop:acsar_gym.errors.SafetyWarning")
