@@ -40,6 +40,7 @@ from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.lidar.laser_scan import LaserScan, make_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links import open_link
+from acsar_gym.links.base import ros_link_of
 from acsar_gym.links.ros2 import DRIVER_NODE, SCENE_PARAMETER
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import Speeds
@@ -674,6 +675,8 @@ class DrivenRobot:
         self._node = node
         config = node.config
         link = open_link(node.link or "serial", config, realtime=speed)
+        if ros_link_of(link) is not None:
+            raise ConfigError(f"link = {show_value(node.link)}: that robot is in ROS already")
         self._simulated = link.lateness is None
         sensors = (
             sensor_factories(["lidar"], node.lidar or None) if node.lidar or self._simulated else ()
@@ -706,7 +709,7 @@ class DrivenRobot:
                     self._answer(node.requests.popleft())
                 robot.drive(*node.inbox.current())
                 self._hand_over()
-                if robot.safety.stopped and not self._is_held():
+                if robot.safety.reason is Reason.EMERGENCY_STOP and not self._is_held():
                     robot.safety.reset()  # released from another terminal
         finally:
             robot.close()
