@@ -210,6 +210,24 @@ def test_a_robot_that_ends_while_nobody_drives_is_one_line(
     assert "Traceback" not in policy.program.printed
 
 
+def test_an_emergency_stop_is_heard_while_nobody_drives(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    client: Client,
+    start_program: StartProgram,
+    driver: Program,
+    start_policy: StartPolicy,
+) -> None:
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(tmp_path))  # stops no others
+    policy = start_policy()
+    client.programs.remove(policy.program)  # ends, too
+    stop = start_program("-m", "acsar_gym", "estop")
+    assert stop.wait() == 0, stop.printed
+    assert policy.program.wait() == 3
+    client.programs.append(policy.program)
+    assert "acsar-gym: emergency stop: look after the robot" in policy.program.printed
+
+
 def test_ctrl_c_ends_it(driver: Program, start_policy: StartPolicy) -> None:
     policy = start_policy()
     policy.give(2.5, 0.0)

@@ -6,7 +6,7 @@ import functools
 from typing import Any
 
 import pytest
-from cli_tools import Call
+from cli_tools import Call, assert_one_line
 
 from acsar_gym import __main__ as entry
 from acsar_gym.tools.cli import COMMANDS
@@ -73,3 +73,18 @@ def test_a_package_of_ros_has_the_command_as_its_driver(
         entry.ros_driver()
     assert ended.value.code == 0
     assert given["node"].ros_args == ROS
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--episodes", "0"), "--episodes 0: must be at least 1"),
+        (("--once", "--episodes", "3"), "leave out one of them"),
+    ],
+)
+def test_options_of_the_policy_that_cannot_be_are_one_line(
+    call: Call, words: tuple[str, ...], said: str
+) -> None:
+    code, _, error = call("ros", "policy", *words)
+    assert code == 2
+    assert_one_line(error, said)
