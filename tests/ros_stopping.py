@@ -124,13 +124,16 @@ except AcsarError as error:
     sys.exit(error.exit_code)
 """
 """Drives until a fault, which it may cause itself; prints the time once it drives."""
+POLICY = ("ros", "policy", "--goal", "6.0", "1.0", "--goal-distance", "0.5", "9.0", "--yes",
+    "--without-estop")  # fmt: skip
 
 
 class Kind(NamedTuple):
     """A kind of trial."""
 
     victim: str
-    """Which process has the fault: "driver", "commander", "program" or "robot"."""
+    """Which process has the fault: "driver", "commander", "program", "policy" or
+    "robot"."""
     fault: str
     robot: str = "board"
 
@@ -141,6 +144,7 @@ class Kind(NamedTuple):
             "driver": "the driver",
             "commander": "who commands the driver",
             "program": f"a program that drives {ROBOTS[self.robot]}",
+            "policy": f"a policy's node that drives {ROBOTS[self.robot]}",
             "robot": f"the node of {ROBOTS[self.robot]}",
         }[self.victim]
         return f"{what}: {FAULTS[self.fault]}"
@@ -157,6 +161,7 @@ KINDS = (
     *(Kind("driver", fault) for fault in SIGNALS),
     *(Kind("commander", fault) for fault in ("kill", "term", "stop")),
     *(Kind("program", fault, robot) for robot in ROBOTS for fault in FAULTS),
+    *(Kind("policy", fault, robot) for robot in ROBOTS for fault in SIGNALS),
     *(Kind("robot", fault, "foreign") for fault in ("kill", "term", "stop")),
 )
 
@@ -265,11 +270,12 @@ class Trials:
         self._robot: EmulatedRobot | ForeignRobot | None = None
         self._driver: Program | None = None
         self._commander: Program | None = None
+        self._policy: Program | None = None
         self._program: Program | None = None
 
     def close(self) -> None:
         """End everything."""
-        for victim in ("program", "commander", "driver", "robot"):
+        for victim in ("program", "policy", "commander", "driver", "robot"):
             self._end(victim)
 
     def run(self, kind: Kind, trials: int) -> Times:
@@ -304,6 +310,9 @@ class Trials:
             self._driver = self._driver or self._start_driver()
         if kind.victim in ("driver", "commander"):
             self._commander = self._commander or Program(COMMANDER)
+        elif kind.victim == "policy":
+            file = self._file if kind.robot == "board" else self._foreign_file
+            self._policy = Program(HEEDING_CTRL_C, *POLICY, "--robot", str(file))
         else:
             self._program = self._start_program(kind)
         try:
@@ -356,7 +365,7 @@ class Trials:
         """Wait until the robot has been driven for half a second."""
 
         def is_driven() -> bool:
-            for program in (self._driver, self._commander):
+            for program in (self._driver, self._commander, self._policy):
                 if program is not None and program.poll() is not None:
                     raise _NotDrivenError(program.communicate()[1])
             return [turns for _, turns in robot.commands()][-50:] == [True] * 50
