@@ -148,7 +148,9 @@ class Wire:
         if self._stamped and len(heard) == len(self._shares):
             return list(zip(heard, self._shares, strict=True))
         if lasted > 2.0 * self._period and len(heard) > 1:
-            return [(speeds, lasted / len(heard)) for speeds in heard]
+            share = round(lasted / len(heard) * 1e9) / 1e9  # as stamps of ROS tell it
+            *earlier, last = heard
+            return [(one, share) for one in earlier] + [(last, lasted - share * len(earlier))]
         return [(self.speeds, lasted)]
 
     def settle(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.factory import is_device
-from acsar_gym.links.ros2 import Ros2Link, format_scene, read_command
+from acsar_gym.links.ros2 import SLACK, Ros2Link, format_scene, read_command
 from acsar_gym.protocol import ZERO
 from acsar_gym.ros.node import MissingRosError
 from acsar_gym.wire import Wire
@@ -56,7 +56,7 @@ def test_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
         link._follow_phase(arrived - link._deadline, PERIOD)
         link._deadline += PERIOD
     after = (link._deadline - ticks * PERIOD) % PERIOD
-    assert after == pytest.approx(0.001, abs=1e-4)
+    assert after == pytest.approx(SLACK, abs=1e-4)
 
 
 def test_commands_are_told_apart_by_stamp_and_numbers() -> None:
