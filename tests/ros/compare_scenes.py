@@ -274,11 +274,12 @@ def compare_bullet(policy: str, count: int, client: Client, folder: Path) -> Row
     """`evaluate --link ros2` with PyBullet behind the driver, and PyBullet alone."""
     folder.mkdir()
     json_file = folder / "r.json"
+    RobotConfig.of(None).with_(**PATIENCE).save(folder / "robot.yaml")
     driver = ("-m", "acsar_gym", "ros", "driver", "--link", "bullet")
     evaluate = ("-m", "acsar_gym", "evaluate", "--policy", policy, "--link", "ros2")
     with started(client, folder, *driver) as driving:
         client.wait(lambda: "drives bullet" in driving.printed, "the driver", 4 * TIMEOUT)
-        given = ("--episodes", count, "--json", json_file)
+        given = ("--episodes", count, "--json", json_file, "--robot", folder / "robot.yaml")
         with started(client, folder, *evaluate, *given) as run:
             client.programs.remove(run)  # a wait fails where one of them ends
             client.wait(lambda: run.process.poll() is not None, policy, count * LONGEST_DRIVE)
