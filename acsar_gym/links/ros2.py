@@ -474,7 +474,8 @@ class Ros2Link:
             if stamped:
                 # A controller refuses old commands, and /clock is as old as the last spin: a zero
                 # says 0, which means now.
-                is_timeless = self._sim_time and not any(speeds)
+                is_stale = time.monotonic() - self._clock_moved > CLOCK_PAUSE
+                is_timeless = self._sim_time and (is_stale or not any(speeds))
                 command.header.stamp = make_stamp(node.ros, 0 if is_timeless else node.now())
         self._sent.append(read_command(command))
         self._publisher.publish(command)
