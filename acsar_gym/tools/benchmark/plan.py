@@ -187,10 +187,12 @@ class Condition:
             "faults": dict(self.faults) or None,
         }
 
-    def impossible(self, *, simulated: bool) -> str:
+    def impossible(self, link: str) -> str:
         """Say why no agent can be measured under this condition; empty if one can."""
-        if self.randomization and not simulated:
+        if self.randomization and link == PORT:
             return f"{self.words}: the emulated board's physics don't vary"
+        if (self.randomization or self.changes) and link == ROS2:
+            return f"{self.words}: a robot in ROS is as it is"
         return ""
 
 
@@ -220,8 +222,9 @@ CONDITIONS: dict[str, Condition] = {
 """Conditions by name."""
 
 
-PLANAR, BULLET, PORT = "planar", "bullet", "port"
-LINK_KINDS = (*BODIES, PORT)
+PLANAR, BULLET, PORT, ROS2 = "planar", "bullet", "port", "ros2"
+REAL_TIME_LINKS = (PORT, ROS2)
+LINK_KINDS = (*BODIES, *REAL_TIME_LINKS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,15 +249,20 @@ class BenchmarkPlan:
     links: tuple[str, ...] = (PLANAR, BULLET)
     conditions: tuple[str, ...] = (NOMINAL,)
     count: int = 200  # scenes of every cell; fewer where a folder holds fewer
-    port_count: int = 40  # scenes of every cell behind the emulated port, which takes real time
+    port_count: int = 40  # scenes of every cell in real time: behind the emulated port, or in ROS
 
     def __post_init__(self) -> None:
         check_names("--links", self.links, LINK_KINDS)
         check_names("--conditions", self.conditions, CONDITIONS)
-        if PORT in self.links and self.port_count < 1:
+        if self.is_real_time and self.port_count < 1:
             raise ConfigError(f"--port-scenes {self.port_count}: must be at least 1")
         if not self.agents:
             raise ConfigError("--agents: none of them drives on any of these --env")
+
+    @property
+    def is_real_time(self) -> bool:
+        """Whether any of the links takes real time."""
+        return not {*self.links}.isdisjoint(REAL_TIME_LINKS)
 
     def count_scenes(self, some: SceneSet) -> int:
         """Return how many scenes of a set are used in a simulation."""
@@ -281,7 +289,7 @@ class BenchmarkPlan:
             "links": list(self.links),
             "conditions": {name: condition_fields(CONDITIONS[name]) for name in self.conditions},
             "scenes": scenes,
-            "port_scenes": self.port_count if PORT in self.links else 0,
+            "port_scenes": self.port_count if self.is_real_time else 0,
         }
 
     def jobs(self) -> Iterator[BenchmarkJob]:
@@ -292,7 +300,7 @@ class BenchmarkPlan:
         ]
         for scenes, condition, link in product(self.sets, self.conditions, self.links):
             count = self.count_scenes(scenes)
-            count = min(count, self.port_count) if link == PORT else count
+            count = min(count, self.port_count) if link in REAL_TIME_LINKS else count
             for agent, policy in zip(self.agents, policies, strict=True):
                 if agent.id == scenes.id:
                     cell = Cell(

@@ -15,7 +15,10 @@ from acsar_gym.tools.benchmark.plan import NOMINAL
 from acsar_gym.tools.evaluation.report import escape_text, fill_columns
 
 Row = Mapping[str, Any]
-LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {"port": "emulated port"}
+LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {
+    "port": "emulated port",
+    "ros2": "ROS 2",
+}
 INTRODUCTION = (
     "Every agent drives the same scenes with the same seeds. Intervals have 95 %: Wilson's for "
     "success, the stratified bootstrap over training seeds and scenes for scores, as Agarwal et "

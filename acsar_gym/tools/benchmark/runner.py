@@ -4,7 +4,8 @@ A job drives the scenes of a cell in a simulation of its process; or over a seri
 emulated board, and its LiDAR, on pseudo-terminals. The emulator runs PyBullet in another process
 and in real time. There the driver knows odometry alone; what only a simulator knows is taken from
 the emulator's log: length driven, distance to obstacles, and whether the robot touched one, which
-ends no episode but makes it a failure.
+ends no episode but makes it a failure. A robot in ROS 2 is put into each scene by its driver, and
+what only a simulator knows stays unknown.
 """
 
 from __future__ import annotations
@@ -28,7 +29,14 @@ from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.benchmark.cells import CellResult, Store
 from acsar_gym.tools.benchmark.figures import Scoring, score_episode
-from acsar_gym.tools.benchmark.plan import CONDITIONS, PLANAR, PORT, BenchmarkJob, BenchmarkPlan
+from acsar_gym.tools.benchmark.plan import (
+    CONDITIONS,
+    PLANAR,
+    PORT,
+    ROS2,
+    BenchmarkJob,
+    BenchmarkPlan,
+)
 from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import episodes, report, runs
 from acsar_gym.tools.evaluation.episode import (
@@ -59,7 +67,10 @@ def run_plan(
     """
     plan.check()
     jobs = list(plan.jobs())
-    stored = {job.cell: store.find(job.key) for job in jobs}
+    if ROS2 in plan.links:
+        workers = 1  # there is one robot
+    # Nobody knows whether the robot in ROS is the same as before.
+    stored = {job.cell: store.find(job.key) for job in jobs if job.cell.link != ROS2}
     done = {cell: result for cell, result in stored.items() if result is not None}
     waiting = [job for job in jobs if job.cell not in done]
     running = completed(run_job, waiting, workers=workers, address=address)
@@ -81,19 +92,19 @@ def run_job(job: BenchmarkJob) -> CellResult:
     Raises AcsarError where it can't be driven this time: a file, a package or a port is missing.
     """
     begin, cell, scenes = time.process_time(), job.cell, job.scenes
-    simulated, condition = cell.link != PORT, CONDITIONS[job.cell.condition]
-    if why := condition.impossible(simulated=simulated):
+    over_port, condition = cell.link == PORT, CONDITIONS[job.cell.condition]
+    if why := condition.impossible(cell.link):
         return CellResult(cell, refused=why)
     policy, config = job.policy.load(), scenes.config.with_(**condition.changes)
     try:  # for the port in a simulation that checks whether the policy fits
         env: Any = runs.make_env(
-            policy, cell.link if simulated else PLANAR, config, condition.options(scenes, config)
+            policy, PLANAR if over_port else cell.link, config, condition.options(scenes, config)
         )
     except PolicyError as error:
         return _refuse_cell(job, policy, error)
     with contextlib.closing(env):
         try:
-            if not simulated:
+            if over_port:
                 runs.refuse_outside(policy)
         except PolicyError as error:
             return _refuse_cell(job, policy, error)
@@ -101,10 +112,10 @@ def run_job(job: BenchmarkJob) -> CellResult:
         scoring = Scoring(scenes.score, config.max_linear, task.goal_tolerance)
         scoring.check(task)
         resets = [scenes.reset(place) for place in range(job.count)]
-        if simulated:
-            driven = list(episodes.run_resets(env, policy, resets))
-        else:
+        if over_port:
             driven = [_drive_over_port(job, policy, config, *reset) for reset in resets]
+        else:
+            driven = list(episodes.run_resets(env, policy, resets))
     scored = [replace(episode, score=score_episode(episode, scoring)) for episode in driven]
     return CellResult(cell, scored, round(time.process_time() - begin, 3))
 

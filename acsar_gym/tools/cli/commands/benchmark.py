@@ -37,11 +37,12 @@ class BenchmarkChoice:
     seeds: int = 5
     """Most training seeds of each trained agent."""
     links: Names = ("planar", "bullet")
-    """planar, bullet, mujoco, port: the emulated board in real time."""
+    """planar, bullet, mujoco; port: the emulated board in real time; ros2: a simulation of
+    'acsar-gym ros driver', likewise."""
     scenes: int = 200
     """Scenes of every cell, at most 1,000."""
     port_scenes: int = 40
-    """Scenes of every cell behind the emulated port."""
+    """Scenes of every cell in real time."""
     conditions: Names = ("nominal",)
     """Conditions: nominal, randomization-1 to -3, dropped-2, ...; a wrong name lists all."""
     profile: bool = False
