@@ -62,6 +62,8 @@ KEPT_DELAYS = 1000
 """How many delays of messages are kept."""
 OTHERS_GRACE = 0.1
 """Zeros of others count from so long after the first command that turns wheels [s]."""
+KINDS_TIMEOUT = 0.5
+"""Longest wait for a robot that takes stamped twists besides others [s]."""
 DRAIN_TIMEOUT = 0.1
 """Longest wait until the robot has confirmed the last zeros [s]."""
 CLOCK_STEP = 1e-6
@@ -207,6 +209,9 @@ class Ros2Link:
             timeout,
             WHILE_WAITING.get(),
         )
+        preferred = next(iter(COMMAND_KINDS))
+        if wanted is None and list_kinds():  # a robot may take several, and one is heard of first
+            node.wait_until(lambda: preferred in list_kinds(), KINDS_TIMEOUT, WHILE_WAITING.get())
         kinds = list_kinds()
         if not kinds or (wanted and wanted not in kinds):
             takes = f"{COMMAND_KINDS[wanted]} on {topic}" if wanted else topic

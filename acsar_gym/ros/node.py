@@ -66,7 +66,7 @@ def load_ros() -> SimpleNamespace:
             TwistStamped,
         )
         from nav_msgs.msg import Odometry, Path
-        from rcl_interfaces.msg import ParameterDescriptor
+        from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
         from rcl_interfaces.srv import SetParameters
         from rclpy import init, logging, parameter, qos
         from rclpy.context import Context

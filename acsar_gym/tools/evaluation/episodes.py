@@ -90,6 +90,12 @@ def run_episodes(
     return run_resets(env, policy, resets, late_share)
 
 
+def check_late_share(late_share: float) -> None:
+    """Raise ConfigError unless it is a share of ticks."""
+    if not 0.0 <= late_share <= 1.0:
+        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
+
+
 def run_resets(
     env: gymnasium.Env[Any, Any],
     policy: Policy,
@@ -97,8 +103,7 @@ def run_resets(
     late_share: float = MAX_LATE_SHARE,
 ) -> Generator[Episode, None, None]:
     """As `run_episodes`, with these seeds and options."""
-    if not 0.0 <= late_share <= 1.0:
-        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
+    check_late_share(late_share)
     inner = env.unwrapped
     if not isinstance(inner, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")

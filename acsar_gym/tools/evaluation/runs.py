@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import (
+    AcsarError,
     ConfigError,
     EmergencyStopError,
     LinkError,
@@ -29,6 +31,7 @@ from acsar_gym.errors import (
     show_value,
 )
 from acsar_gym.links import Link, open_link
+from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import baselines
 from acsar_gym.tools.evaluation import episodes, metrics, provenance, report
@@ -337,6 +340,7 @@ def evaluate_policy(
         import scipy  # noqa: F401, PLC0415
     how = how or {}
     if address is None and workers in (None, 1):
+        compile_ahead(policy, link, RobotConfig.of(robot))
         env = make_env(policy, link, robot, options)
         running = episodes.run_episodes(env, policy, len(seeds), seeds.start, **how)
     else:
@@ -422,6 +426,18 @@ def drive_to_goal(
     return drive_to_goals(policy, link, robot, drive, farthest, about, range(1), **options)
 
 
+def compile_ahead(policy: FilePolicy, link: str, config: RobotConfig) -> None:
+    """Step a simulated robot before a real one waits: compiling may take a quarter of a minute."""
+    if not is_device(link):
+        return
+    for robot in (config, None):  # one that can't be simulated compiles like any other
+        with contextlib.suppress(AcsarError):
+            with contextlib.closing(make_env(policy, "planar", robot, {})) as env:
+                env.reset(seed=0)
+                env.step(np.zeros(env.action_space.shape or (), np.float32))
+            return
+
+
 def drive_to_goals(
     policy: FilePolicy,
     link: str,
@@ -452,6 +468,7 @@ def drive_to_goals(
             longer = max(1.0, farthest / policy.scale)
             options["max_episode_steps"] = math.ceil(steps * longer)
     config = RobotConfig.of(robot)
+    compile_ahead(policy, link, config)
     env = make_env(policy, open_link(link, config), config, options)
     with contextlib.closing(env):
         refuse_outside(policy)

@@ -11,6 +11,7 @@ import contextlib
 import itertools
 import json
 import math
+import re
 import tempfile
 import threading
 import time
@@ -69,6 +70,7 @@ OTHER_PUBLISHER_STEP = 1000
 """Sequence numbers of one publisher's messages don't jump farther."""
 REPORT_PERIOD = 10.0
 """Time between two reports of the same kind of bad command [s]."""
+FRAME_NAME = re.compile(r"[\w./-]+")
 DRIVER_PARAMETERS = (
     "name",
     "serial_port",
@@ -157,7 +159,8 @@ class CommandInbox:
         elif frame.lstrip("/") not in ("", self._frame):
             self._refuse(now, "a twist in another frame", f"{frame!r}, not {self._frame!r}")
         elif not -timeout < age < timeout:
-            self._refuse(now, "a twist by its stamp", f"{age:.2f} s old; do the clocks agree?")
+            when = f"{abs(age):.2f} s {'old' if age > 0.0 else 'ahead'}"
+            self._refuse(now, "a twist by its stamp", f"{when}; do the clocks agree?")
         elif not (linear or angular):
             self._driving.pop(source, None)
             self._newest, self.problem = Command(0.0, 0.0, now), ""
@@ -342,10 +345,18 @@ class RobotNode:
         timeout = config.firmware.command_timeout or 0.5
         node.declare(fields | {"publish_tf": True, "cmd_vel_timeout": timeout})
         node.declare({SCENE_PARAMETER: ""}, fixed=False)
+        node.node.add_on_set_parameters_callback(self._check_scene)
         values = {name: node.read_parameter(name) for name in fields}
-        return config.with_(
+        config = config.with_(
             **{name: values[name] for name in fields if values[name] != fields[name]}
         )
+        frames = [config.odom_frame, config.base_frame, config.lidar_frame]
+        if len({*frames}) < len(frames) or not all(map(FRAME_NAME.fullmatch, frames)):
+            raise ConfigError(
+                f"odom_frame, base_frame, lidar_frame = {', '.join(map(repr, frames))}: must be "
+                "three different names"
+            )
+        return config
 
     def _read(self, name: str, *kinds: type) -> Any:
         """Return the value of a parameter; ConfigError where it is of no such type."""
@@ -382,7 +393,6 @@ class RobotNode:
             return
         mount = ros.TransformStamped(child_frame_id=config.lidar_frame)
         mount.header.frame_id = config.base_frame
-        mount.header.stamp = make_stamp(ros, self._node.now())
         place = mount.transform.translation
         place.x, place.y = config.lidar_x_offset, config.lidar_y_offset
         place.z = config.lidar_z_offset
@@ -429,7 +439,21 @@ class RobotNode:
 
     def read_scene(self) -> Scene:
         """Return the scene that the node's parameter names. ConfigError where it can't be used."""
-        scene = str(self._node.read_parameter(SCENE_PARAMETER)).strip()
+        return self._make_scene(str(self._node.read_parameter(SCENE_PARAMETER)))
+
+    def _check_scene(self, parameters: Sequence[Any]) -> Any:
+        """Refuse a scene that can't be used, when somebody sets it."""
+        result = self._ros.SetParametersResult(successful=True)
+        for parameter in parameters:
+            if parameter.name == SCENE_PARAMETER:
+                try:
+                    self._make_scene(str(parameter.value))
+                except AcsarError as error:
+                    result.successful, result.reason = False, escape_unprintable(str(error))
+        return result
+
+    def _make_scene(self, scene: str) -> Scene:
+        scene = scene.strip()
         is_named = scene and not scene.startswith("{")
         return find_scene(scene, self.config) if is_named else parse_scene(scene)
 

@@ -37,7 +37,7 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy, make_env
+from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_odometry, to_world
@@ -369,6 +369,11 @@ class PolicyNode:
         self.is_cancelled, self.goal = self.is_driving, None
         return response
 
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the running episode shall end, or another goal has come."""
+        return self.is_cancelled or self.goal is not None
+
     def describe_end(self, episode: Episode) -> str:
         """Say how the episode ended that has just ended."""
         if episode.fault or episode.success:
@@ -491,7 +496,7 @@ class WatchedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         observation, reward, terminated, truncated, info = self.env.step(action)
         node, inner = self._node, self.env.unwrapped
         assert isinstance(inner, RobotEnv)  # noqa: S101 - `run_episodes` has no other
-        if node.is_cancelled or node.goal is not None:
+        if node.is_interrupted:
             inner.robot.stop()
             truncated = True
         elif self.start is not None and time.monotonic() >= self._due and node.has_viewers:
@@ -554,6 +559,8 @@ class GoalDriver:
                 (episode,) = run_episodes(
                     watched, self._policy, 1, seed=driven, goal=place, **self._how
                 )
+                is_replaced = node.goal is not None and not node.is_cancelled
+                is_over = episode.success or bool(episode.fault) or not node.is_interrupted
                 end = node.describe_end(episode)
             except GoalError as error:
                 if not goal.frame:  # of the command line
@@ -563,9 +570,10 @@ class GoalDriver:
             finally:
                 node.is_driving = node.is_cancelled = False
                 node.find_base = node.frames.find_base
-            driven += 1
             node.say(f"{goal}: {end}")
-            yield episode
+            driven += is_over or not is_replaced
+            if is_over:
+                yield episode
             if episode.fault:
                 return
 
@@ -640,13 +648,6 @@ def is_near(one: Pose, other: Pose) -> bool:
     return math.dist(one[:2], other[:2]) < STILL_DISTANCE and turned < STILL_TURN
 
 
-def compile_ahead(policy: FilePolicy, config: RobotConfig) -> None:
-    """Step a simulated robot once: compiling takes longer than a robot in ROS may wait."""
-    with contextlib.closing(make_env(policy, "planar", config, {})) as env:
-        env.reset(seed=0)
-        env.step(np.zeros(env.action_space.shape or (), np.float32))
-
-
 def drive_policy(
     options: Mapping[str, str],
     ready: Callable[[FilePolicy, str], Mapping[str, Any]],
@@ -693,7 +694,6 @@ def drive_policy(
         policy = load_policy(name, trust=trust, env=given["env"])
         config = RobotConfig.of(given["robot"] or None)
         link = "ros2" if node.namespace == "/" else f"ros2:{node.namespace}"
-        compile_ahead(policy, config)
         more = ready(policy, link)
         own = PolicyNode(node, config)
         ours.callback(own.close)

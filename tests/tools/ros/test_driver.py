@@ -53,8 +53,8 @@ def test_the_newest_twist_counts_until_the_time_out(inbox: CommandInbox, lines: 
         ],
         (FORWARD, 0.0, "map", "'map', not 'base_link'"),
         (FORWARD, 0.3, "", "0.30 s old; do the clocks agree?"),
-        (FORWARD, -0.3, "", "-0.30 s old"),
-        (FORWARD, math.nan, "", "nan s old"),
+        (FORWARD, -0.3, "", "0.30 s ahead"),
+        (FORWARD, math.nan, "", "nan s ahead"),
     ],
 )
 def test_bad_twists_stop_the_robot_with_one_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -173,9 +174,13 @@ def drive_ros_policy(
         host: process priority and cores; whether the emergency stop may be missing.
         output: results in a file.
     """
+    from acsar_gym.tools.evaluation.episodes import check_late_share  # noqa: PLC0415
     from acsar_gym.tools.ros import policy as ros_policy  # noqa: PLC0415
 
     count = goals.count
+    check_late_share(robot.late_share)
+    if goals.goal is not None and not all(map(math.isfinite, goals.goal)):
+        raise ConfigError(f"--goal {goals.goal[0]:g} {goals.goal[1]:g}: must be finite numbers")
     output.check()
 
     def ready(loaded: FilePolicy, link: str) -> dict[str, Any]:
