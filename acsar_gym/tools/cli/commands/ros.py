@@ -121,8 +121,8 @@ class RosRobotOptions(RecordOptions):
     """Preset or config file; default: that of the node's parameter robot, or acsar."""
     lidar: LidarArg = None
     """If the policy needs a LiDAR; default: ros2, the robot's topic scan."""
-    late_share: float = 0.01
-    """Largest share of late ticks in a valid episode."""
+    late_share: float = 1.0
+    """Largest share of late ticks in a valid episode; default: any."""
 
 
 @dataclass(frozen=True)
