@@ -48,6 +48,8 @@ UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """What ROS calls a node, such as our watchdog's, before it has heard its name."""
 WATCHDOG_START = 20.0
 """Longest wait for the watchdog, which imports ROS and finds the robot [s]."""
+WATCHDOG_TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
+"""A program that is killed may leave shared memory locked, of Fast DDS's other transport."""
 RESET_TIMEOUT = 20.0
 """Longest wait until a simulated robot stands in a new scene [s]."""
 FEEDBACK_DEPTH = 100
@@ -269,7 +271,8 @@ class Ros2Link:
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
         with self._lock:
-            self.watchdog.launch(command, (json.dumps(settings),), environment=child_environment())
+            environment = WATCHDOG_TRANSPORT | child_environment()
+            self.watchdog.launch(command, (json.dumps(settings),), environment=environment)
 
     def _find_feedback(self, node: RosNode) -> None:
         """Find who says how fast the wheels turn."""

@@ -68,6 +68,8 @@ SPIN_PERIOD = 0.1
 """How soon threads notice that they must end [s]."""
 OTHER_PUBLISHER_STEP = 1000
 """Sequence numbers of one publisher's messages don't jump farther."""
+LEAST_DELAY_PERIOD = 5.0
+"""The least delay of messages is that of the last one to two such times [s]."""
 REPORT_PERIOD = 10.0
 """Time between two reports of the same kind of bad command [s]."""
 FRAME_NAME = re.compile(r"[\w./-]+")
@@ -216,6 +218,26 @@ class PublisherNumbers:
         return publisher
 
 
+class LatenessMeter:
+    """Tells how late messages are, by when they were sent: those of a middleware that hung are old.
+
+    The clocks of two computers may differ, so that the least delay of the last seconds is none.
+    """
+
+    def __init__(self) -> None:
+        self._delays: dict[object, tuple[int, int, int]] = {}
+
+    def find(self, publisher: object, sent: int, now: int) -> float:
+        """Return how much later a message came than others of its publisher [s]; times in [ns]."""
+        delay = now - sent
+        begin, before, least = self._delays.get(publisher, (now, delay, delay))
+        if now - begin > LEAST_DELAY_PERIOD * NANOSECONDS:
+            begin, before, least = now, least, delay
+        least = min(least, delay)
+        self._delays[publisher] = begin, before, least
+        return (delay - min(before, least)) / NANOSECONDS
+
+
 class Measured(NamedTuple):
     """What the control loop hands over after a tick."""
 
@@ -297,6 +319,7 @@ class RobotNode:
             timeout = self._read_timeout()
             self.inbox = CommandInbox(timeout, config.base_frame, self.warn)
             self._numbers = PublisherNumbers(timeout)
+            self._delays = LatenessMeter()
             self.requests: deque[Request] = deque()
             self._measured: SimpleQueue[Measured] = SimpleQueue()
             self._make_messages()
@@ -484,7 +507,11 @@ class RobotNode:
     def _take_twist(self, message: Any, info: Any, age: float = 0.0, frame: str = "") -> None:
         linear, angular = message.linear, message.angular
         velocities = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
-        self.inbox.take(velocities, self._find_publisher(info), age, frame)
+        publisher, sent = self._find_publisher(info), info.get("source_timestamp")
+        if sent:
+            late = self._delays.find(publisher, sent, time.time_ns())
+            age = max(age, late) if age >= 0.0 else age
+        self.inbox.take(velocities, publisher, age, frame)
 
     def _find_publisher(self, info: Any) -> object:
         """Return what tells publishers apart."""

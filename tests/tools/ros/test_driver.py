@@ -13,6 +13,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.links.ros2 import format_scene
 from acsar_gym.tools.ros.driver import (
     CommandInbox,
+    LatenessMeter,
     PublisherNumbers,
     parse_scene,
 )
@@ -183,3 +184,24 @@ def test_bad_scenes_are_refused_with_one_line(text: str) -> None:
     with pytest.raises(ConfigError) as refused:
         parse_scene(text)
     assert "\n" not in str(refused.value)
+
+
+def test_late_messages_are_told_from_clocks_that_differ() -> None:
+    meter, ahead = LatenessMeter(), 7_000_000_000  # of the sender's clock [ns]
+    sent = [round(number * 5e7) for number in range(400)]
+    delays = [1_000_000 + 500_000 * (number % 3) for number in range(400)]
+    told = [meter.find("me", s + ahead, s + d) for s, d in zip(sent, delays, strict=True)]
+    assert max(told) <= 0.001
+    # A middleware that hung hands over a second's messages at once.
+    burst = [meter.find("me", sent[-1] + ahead + late, sent[-1] + 10**9) for late in (0, 10**8)]
+    assert burst == pytest.approx([1.0, 0.9], abs=0.002)
+    assert meter.find("another", 0, 10**9) == 0.0
+
+
+def test_a_clock_that_was_set_is_believed_after_a_while() -> None:
+    meter = LatenessMeter()
+    told = [
+        meter.find("me", k * 10**8, k * 10**8 + (3 * 10**9 if k > 50 else 0)) for k in range(300)
+    ]
+    assert told[60] == 3.0
+    assert told[-1] == 0.0
