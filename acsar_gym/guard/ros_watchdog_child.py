@@ -41,6 +41,10 @@ class CommandPublisher(Stopper):
             matched = self._publisher.get_subscription_count()
         if matched < FEWEST_SUBSCRIPTIONS:
             raise SystemExit  # so that nobody drives without it
+        # The robot may know this node later than this one knows the robot: until it has a zero.
+        self.stop_robot()
+        remaining = max(deadline - time.monotonic(), 0.0)
+        self._publisher.wait_for_all_acked(self._node.make_duration(remaining))
 
     def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
         """Publish zeros if `wanted()`; returns whether they were sent."""
