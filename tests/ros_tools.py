@@ -176,7 +176,8 @@ class Client:
         parameter = Parameter("scene", Parameter.Type.STRING, text).to_parameter_msg()
         request = SetParameters.Request(parameters=[parameter])
         (result,) = self.call(SetParameters, "acsar_driver/set_parameters", request).results
-        assert result.successful
+        if not result.successful:
+            return Trigger.Response(success=False, message=result.reason)
         return self.call(Trigger, "acsar_driver/reset")
 
     def spin(self, seconds: float) -> None:
