@@ -114,7 +114,7 @@ class Ros2Link:
         """Set everything to what it is before the first message."""
         self._deadline = self._heard = self._newest = 0.0
         self._clock_moved = time.monotonic()
-        self._sim_time = self._tripped = False
+        self._sim_time = False
         self._handled = self._echoed = 0
         self._arrivals: Arrivals = []
         self._pending: Arrivals = []
@@ -338,9 +338,7 @@ class Ros2Link:
 
     def _silence_error(self, age: float) -> LinkError:
         """Return the error for a robot that doesn't say how fast its wheels turn."""
-        settings = self._config.ros2
-        name = settings.odom_topic if self._feedback == "odom" else settings.joint_states_topic
-        topic = self.node.resolve(name) if self.node else name
+        topic = self.topics["feedback"]
         if self._problem:
             return BoardSilentError(
                 f"{topic}: nothing that can be used for {age:.2f} s: {self._problem}",
