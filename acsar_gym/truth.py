@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from acsar_gym.worlds import Pose
+from acsar_gym.worlds.crowd import Crowd
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,3 +22,5 @@ class GroundTruth:
     contact: bool = False
     """Whether the robot has touched an obstacle since the reset; checked at the end of every
     tick."""
+    crowd: Crowd | None = None
+    """What moves around the robot; None where nothing does."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import jit, loop
 from acsar_gym.lidar.scan import (
     FULL_TURN,
@@ -26,7 +27,6 @@ from acsar_gym.lidar.scan import (
     ray_spec,
 )
 from acsar_gym.links.base import Link
-from acsar_gym.links.faults import hash_sample
 from acsar_gym.physics.model import compute_physics
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.truth import GroundTruth

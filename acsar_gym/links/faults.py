@@ -20,6 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, LinkLostError, PortNotFoundError, show_value
+from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import loop
 from acsar_gym.links.base import WHILE_WAITING, Arrivals, ForwardingLink, Link
 from acsar_gym.protocol import MAX_LINE, MOTORS, ZERO, Decoder, encode
@@ -49,25 +50,6 @@ OTHER_FAULTS = {
 
 FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2  # what a random number is for
 FAULT_KINDS = 8  # largest number of kinds of faults per line
-
-_STEP = np.uint64(0x9E3779B97F4A7C15)
-_FIRST = np.uint64(0xBF58476D1CE4E5B9)
-_SECOND = np.uint64(0x94D049BB133111EB)
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
-_BITS = 9007199254740992.0  # 2^53, which scales doubles in [0, 1) to integers
-
-
-@loop
-def hash_sample(key: float, number: int) -> float:
-    """Uniform random number in [0, 1) of these inputs only: SplitMix64 (Steele, Lea, Flood, 2014).
-
-    So a single robot and the robots of a batch draw the same one, in any order.
-    """
-    word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
-    word = (word ^ (word >> _S30)) * _FIRST
-    word = (word ^ (word >> _S27)) * _SECOND
-    word ^= word >> _S31
-    return float(word >> _S11) * (1.0 / _BITS)
 
 
 @loop

@@ -374,6 +374,36 @@ def footprint_collides(
     return False
 
 
+@subroutine
+def footprint_gap(
+    x: float, y: float, around: Surroundings, kind: int
+) -> tuple[float, float, float]:
+    """Distance of a point of the base frame from a kind's footprint, 0 inside, and where [m].
+
+    Returns:
+        The distance, and x and y of the place of the footprint that is nearest.
+    """
+    kinds = around.kinds
+    if kinds[kind, 7] == 0.0:
+        near_x = min(max(x, -kinds[kind, 5]), kinds[kind, 5])
+        near_y = min(max(y, -kinds[kind, 6]), kinds[kind, 6])
+        return math.sqrt((x - near_x) ** 2 + (y - near_y) ** 2), near_x, near_y
+    sides = around.sides[kind, : int(kinds[kind, 7])]
+    if is_inside(x, y, sides):
+        return 0.0, x, y
+    least, at_x, at_y = np.inf, x, y
+    for n in range(len(sides)):
+        ax, ay = sides[n, 0], sides[n, 1]
+        ex, ey = sides[n, 2] - ax, sides[n, 3] - ay
+        share = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        share = min(max(share, 0.0), 1.0)
+        near_x, near_y = ax + share * ex, ay + share * ey
+        apart = math.sqrt((x - near_x) ** 2 + (y - near_y) ** 2)
+        if apart < least:
+            least, at_x, at_y = apart, near_x, near_y
+    return least, at_x, at_y
+
+
 @jit
 def circle_meets_box(x: float, y: float, radius: float, half_x: float, half_y: float) -> bool:
     """Whether a circle at (x, y) overlaps the box of these half sizes around the origin."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, show_value
+from acsar_gym.worlds.movers import Mover, check_movers
 
 if TYPE_CHECKING:
     from acsar_gym.physics import Physics
@@ -69,6 +70,8 @@ class World:
     that the world was made for, the published one, or the one to follow."""
     name: str = ""
     """For pictures and reports."""
+    movers: tuple[Mover, ...] = ()
+    """What moves, see `movers`; its times are those since an episode's begin."""
 
     def __post_init__(self) -> None:
         for name, width in (("circles", 3), ("segments", 4), ("path", 2)):
@@ -80,10 +83,12 @@ class World:
             raise WorldError(
                 f"{self.obstacles:,} obstacles are too many, at most {MAX_OBSTACLES:,}"
             )
+        object.__setattr__(self, "movers", tuple(self.movers))
+        check_movers(self.movers)
 
     @property
     def obstacles(self) -> int:
-        """Number of circles and segments."""
+        """Number of circles and segments, which stand."""
         return len(self.circles) + len(self.segments)
 
     @cached_property
@@ -167,6 +172,8 @@ class Scene:
     """Obstacles; None on an open floor."""
     physics: Physics | None = None
     """The simulated robot's physics in this episode; None: as configured."""
+    key: float = 0.0
+    """The episode's draw, 0 to 1, on which its movers' phases and people's traits depend."""
 
 
 def to_world(start: Pose, pose: Pose) -> Pose:
