@@ -370,8 +370,6 @@ class Crowds(NamedTuple):
     """What moves in the worlds, around each robot."""
 
     motions: Motions  # of each world
-    radii: Floats
-    """(worlds, movers) [m]; unused ones are -1 and come last."""
     states: Floats
     """(R, movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
     trails: Floats
