@@ -39,7 +39,7 @@ from acsar_gym.worlds.geometry import (
     make_surroundings,
     widest_angle,
 )
-from acsar_gym.worlds.movers import RADIUS, REACTS, SPEED, locate_mover, may_jump
+from acsar_gym.worlds.movers import RADIUS, REACTS, SPEED, goes_straight, locate_mover, may_jump
 
 OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
 EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
@@ -138,12 +138,14 @@ def begin_passing(passers: Passers, trail: Floats) -> None:
 @subroutine
 def find_passer(
     passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
-) -> tuple[float, float]:
-    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
+) -> tuple[float, float, float, float]:
+    """Place and velocity of a mover at a time [s], in the frame of the world.
+
+    People who react are where they were between two ticks, and their velocity isn't told.
+    """
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
-        x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
-        return x, y
+        return locate_mover(passers.movers[m], passers.pieces, clock)
     slots, places = len(trail), passers.places
     ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
     back = int(ago)
@@ -152,6 +154,8 @@ def find_passer(
     return (
         places[row, m, 0] + share * (places[before, m, 0] - places[row, m, 0]),
         places[row, m, 1] + share * (places[before, m, 1] - places[row, m, 1]),
+        0.0,
+        0.0,
     )
 
 
@@ -183,30 +187,37 @@ def see_passers(
         if mover[RADIUS] < 0.0:
             break
         radius, middle_time = mover[RADIUS], begun + half_time
-        at_x, at_y = find_passer(passers, m, trail, newest, middle_time, rays.period)
+        at_x, at_y, vx, vy = find_passer(passers, m, trail, newest, middle_time, rays.period)
         wide = radius + margin + SPEED_SHARE * mover[SPEED] * half_time
-        dx, dy = at_x - x, at_y - y
-        jumps = may_jump(mover, begun + passers.states[m, CLOCK], 2.0 * half_time)
-        far = rays.farthest + wide
-        if dx * dx + dy * dy > far * far and not jumps:
+        dx, dy, clock = at_x - x, at_y - y, middle_time + passers.states[m, CLOCK]
+        jumps = may_jump(mover, clock - half_time, 2.0 * half_time)
+        apart = math.sqrt(dx * dx + dy * dy)
+        if apart > rays.farthest + wide and not jumps:
             continue
+        nearest = 0.0 if jumps else apart - wide
+        straight = mover[REACTS] == 0.0 and goes_straight(mover, passers.pieces, clock, half_time)
         ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-        half = widest_angle(wide, math.sqrt(dx * dx + dy * dy)) / rays.step
+        half = widest_angle(wide, apart) / rays.step
         half = count if jumps else half
         middle = (angle_of(ahead, left) - rays.start) / rays.step
         for shift in (-turn, 0.0, turn):
             low = max(math.ceil(middle + shift - half), 0)
             high = min(math.floor(middle + shift + half), count - 1)
             for k in range(low, high + 1):
+                if beams.distances[k] <= nearest:
+                    continue
                 time = beams.times[k]
-                to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
+                if straight:
+                    to_x, to_y = at_x + (time - middle_time) * vx, at_y + (time - middle_time) * vy
+                else:
+                    to_x, to_y, _, _ = find_passer(passers, m, trail, newest, time, rays.period)
                 dx, dy = to_x - x, to_y - y
                 ox = dx * cos + dy * sin - beams.origins[k, 0]
                 oy = dy * cos - dx * sin - beams.origins[k, 1]
-                apart = ox * ox + oy * oy - radius * radius
+                outside = ox * ox + oy * oy - radius * radius
                 along = ox * directions[k, 0] + oy * directions[k, 1]
-                inside = along * along - apart
-                if apart <= 0.0:
+                inside = along * along - outside
+                if outside <= 0.0:
                     beams.distances[k] = 0.0
                 elif inside >= 0.0 and along > 0.0:
                     hit = max(along - math.sqrt(inside), 0.0)

@@ -125,7 +125,7 @@ def advance_crowd(
     which: int,
     around: Surroundings,
     kind: int,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Advance all movers of a robot's world to the end of a tick, and look for contacts.
 
     Args:
@@ -144,18 +144,20 @@ def advance_crowd(
         kind: of the robot.
 
     Returns:
-        Whether somebody ran into somebody, such as ROBOT_HIT, and how often the robot has entered
-        somebody's personal space.
+        Whether somebody ran into somebody, such as ROBOT_HIT, how often the robot has entered
+        somebody's personal space, and the next tick in which it can, or nobody reacts.
     """
     now, every = tick * period, max(int(np.floor(REACTION_TIME / period + 0.5)), 1)
     outer = math.sqrt(around.kinds[kind, 5] ** 2 + around.kinds[kind, 6] ** 2)
-    hit, entered = NO_HIT, 0.0
+    hit, entered, next_look = NO_HIT, 0.0, np.inf
     for m in range(len(movers)):
         radius = movers[m, RADIUS]
         if radius < 0.0:
             break
         if tick < states[m, LOOK]:
+            next_look = min(next_look, states[m, LOOK])
             continue
+        states[m, LOOK] = tick + 1.0
         if movers[m, REACTS] == 0.0:
             place_mover(movers[m], pieces, states[m], now)
         else:
@@ -168,8 +170,10 @@ def advance_crowd(
             states[m, NEAR] = 0.0
             if top_speed < np.inf and not jumps_soon(movers[m], states[m], now):
                 ticks = (math.sqrt(square) - near) / ((top_speed + movers[m, SPEED]) * period)
-                states[m, LOOK] = tick + min(np.floor(ticks), np.floor(LONGEST_LOOK / period))
+                states[m, LOOK] += min(np.floor(ticks), np.floor(LONGEST_LOOK / period) - 1.0)
+            next_look = min(next_look, states[m, LOOK])
             continue
+        next_look = tick + 1.0
         ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
         gap, at_x, at_y = footprint_gap(ahead, left, around, kind)
         gap -= radius
@@ -178,7 +182,7 @@ def advance_crowd(
         states[m, NEAR] = is_near
         if gap <= 0.0 and hit == NO_HIT:
             hit = ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
-    return hit, entered
+    return hit, entered, next_look
 
 
 @jit
@@ -378,7 +382,7 @@ def advance_alone(
     pose: Pose,
     twist: Twist,
     around: Surroundings,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """`advance_crowd` for one robot."""
     robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
     movers, pieces = motions.movers[0], motions.pieces[0]
@@ -415,7 +419,7 @@ class Crowd:
     def advance(self, pose: Pose, twist: Twist) -> None:
         """Advance by a control period, at whose end the robot is there and moves so."""
         self._tick += 1
-        hit, entered = advance_alone(
+        hit, entered, _ = advance_alone(
             self.motions,
             self.states,
             self._tick,

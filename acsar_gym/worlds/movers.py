@@ -335,6 +335,17 @@ def locate_mover(mover: Floats, pieces: Floats, clock: float) -> tuple[float, fl
     Returns:
         x, y [m] and their rates [m/s], in the frame of the world.
     """
+    piece, s, direction = find_piece(mover, pieces, clock)
+    x = pieces[piece, 1] + s * (pieces[piece, 2] + s * (pieces[piece, 3] + s * pieces[piece, 4]))
+    y = pieces[piece, 5] + s * (pieces[piece, 6] + s * (pieces[piece, 7] + s * pieces[piece, 8]))
+    vx = pieces[piece, 2] + s * (2.0 * pieces[piece, 3] + s * 3.0 * pieces[piece, 4])
+    vy = pieces[piece, 6] + s * (2.0 * pieces[piece, 7] + s * 3.0 * pieces[piece, 8])
+    return x, y, direction * vx, direction * vy
+
+
+@jit
+def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float, float]:
+    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
     duration, direction = mover[DURATION], 1.0
     if mover[REPEAT] == 1.0:
         clock -= 2.0 * duration * np.floor(clock / (2.0 * duration))
@@ -353,12 +364,19 @@ def locate_mover(mover: Floats, pieces: Floats, clock: float) -> tuple[float, fl
             low = middle
         else:
             high = middle - 1
-    s = clock - pieces[low, 0]
-    x = pieces[low, 1] + s * (pieces[low, 2] + s * (pieces[low, 3] + s * pieces[low, 4]))
-    y = pieces[low, 5] + s * (pieces[low, 6] + s * (pieces[low, 7] + s * pieces[low, 8]))
-    vx = pieces[low, 2] + s * (2.0 * pieces[low, 3] + s * 3.0 * pieces[low, 4])
-    vy = pieces[low, 6] + s * (2.0 * pieces[low, 7] + s * 3.0 * pieces[low, 8])
-    return x, y, direction * vx, direction * vy
+    return low, clock - pieces[low, 0], direction
+
+
+@subroutine
+def goes_straight(mover: Floats, pieces: Floats, clock: float, half_time: float) -> bool:
+    """Whether a mover keeps its velocity from so long before a time to so long after it [s]."""
+    piece, s, direction = find_piece(mover, pieces, clock)
+    for k in (3, 4, 7, 8):
+        if pieces[piece, k] != 0.0:
+            return False
+    last = piece + 1 == int(mover[FIRST] + mover[COUNT])
+    end = mover[DURATION] if last else pieces[piece + 1, 0]
+    return direction != 0.0 and s >= half_time and pieces[piece, 0] + s + half_time <= end
 
 
 @jit

@@ -49,7 +49,7 @@ def advance_movers(
     """Advance robot i's movers to the end of a tick, its number since the reset; look for contacts."""
     world, physics = int(robots.world[i]), robots.physics
     radius = max(physics.left_radius[i], physics.right_radius[i])
-    hit, entered = advance_crowd(
+    hit, entered, look = advance_crowd(
         crowds.motions.movers[world],
         crowds.motions.pieces[world],
         crowds.states[robot],
@@ -62,6 +62,7 @@ def advance_movers(
         scans.around,
         int(robots.kind[i]),
     )
+    robots.crowd_look[i] = look
     robots.intrusions[i] += entered
     if robots.person_contact[i] == 0.0:
         robots.person_contact[i] = hit

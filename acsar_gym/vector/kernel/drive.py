@@ -525,8 +525,9 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             slot = (slot + setup.loops) % slots
             if crowds is not None:
                 for i in range(count):
-                    now = int(robots.loops[i] / setup.loops) + 1
-                    advance_movers(robots, i, begin + i, now, crowds, scans, setup)
+                    after = int(robots.loops[i] / setup.loops) + 1
+                    if after >= robots.crowd_look[i]:
+                        advance_movers(robots, i, begin + i, after, crowds, scans, setup)
             if scans is not None:
                 check_contacts(robots, count, scans.around)
             if setup.metered:

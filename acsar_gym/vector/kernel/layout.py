@@ -108,6 +108,7 @@ class Episode:
     scan_stale: Number
 
     crowd_key: Number  # the episode's draw for movers, as the next ones where worlds move
+    crowd_look: Number  # the next tick in which the robot can touch a mover, or people walk
     closest_person: Number  # for info alone, as the next ones [m]
     time_to_collision: Number  # [s]
     intrusions: Number  # how often the robot has entered somebody's personal space
