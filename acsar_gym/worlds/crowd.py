@@ -339,8 +339,8 @@ def survey_crowd(
         if radius < 0.0:
             break
         dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
-        apart = math.sqrt(dx * dx + dy * dy)
-        if apart - outer - radius < nearest:
+        reach = nearest + outer + radius
+        if dx * dx + dy * dy < reach * reach:
             ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
             gap, _, _ = footprint_gap(ahead, left, around, kind)
             nearest = min(nearest, max(gap - radius, 0.0))

@@ -272,6 +272,8 @@ class MoverRow(NamedTuple):
     count: float
     """How many pieces it has."""
     duration: float
+    cycles: float
+    """How often it repeats itself in a second; 0 where it stops."""
     phase: float
     spread: float
     reacts: float
@@ -280,7 +282,7 @@ class MoverRow(NamedTuple):
     """Its top speed [m/s]."""
 
 
-RADIUS, REPEAT, FIRST, COUNT, DURATION, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
+RADIUS, REPEAT, FIRST, COUNT, DURATION, CYCLES, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
     len(MoverRow._fields)
 )
 
@@ -302,6 +304,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 first,
                 count,
                 mover.duration,
+                1.0 / mover.cycle,
                 mover.phase,
                 mover.spread,
                 mover.reacts,
@@ -351,11 +354,11 @@ def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[in
     """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
     duration, direction = movers[m, DURATION], 1.0
     if movers[m, REPEAT] == 1.0:
-        clock -= 2.0 * duration * np.floor(clock / (2.0 * duration))
+        clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])
         if clock > duration:
             clock, direction = 2.0 * duration - clock, -1.0
     elif movers[m, REPEAT] == 2.0:
-        clock -= duration * np.floor(clock / duration)
+        clock -= duration * np.floor(clock * movers[m, CYCLES])
     else:
         direction = 1.0 if 0.0 <= clock < duration else 0.0
         clock = min(max(clock, 0.0), duration)
@@ -388,8 +391,8 @@ def may_jump(movers: Floats, m: int, clock: float, duration: float) -> bool:
     """Whether a motion that repeats itself begins anew within a duration from a time on [s]."""
     if movers[m, REPEAT] != 2.0:
         return False
-    begun = np.floor(clock / movers[m, DURATION])
-    anew: bool = np.floor((clock + duration) / movers[m, DURATION]) > begun
+    begun = np.floor(clock * movers[m, CYCLES])
+    anew: bool = np.floor((clock + duration) * movers[m, CYCLES]) > begun
     return anew
 
 
