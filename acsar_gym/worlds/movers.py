@@ -351,7 +351,7 @@ def locate_mover(
 
 @jit
 def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[int, float, float]:
-    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
+    """The piece that a mover is in, the time since its begin [s], and its direction: 1, -1, 0."""
     duration, direction = movers[m, DURATION], 1.0
     if movers[m, REPEAT] == 1.0:
         clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])
