@@ -15,6 +15,10 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import Crowd
 
+WHOLE = 0.999
+"""Share of a control period that passes for a whole one: times are sums of periods, and an emulated
+board is advanced by shorter ones."""
+
 
 class SimulatedLink:
     """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
@@ -66,10 +70,11 @@ class SimulatedLink:
             raise _closed_error()
         self._now += period
         got = self._firmware.advance(period)
-        if self._crowd is not None:
+        crowd = self._crowd
+        while crowd is not None and self._now - crowd.now > WHOLE * self._config.period:
             truth = self.body.truth
-            self._crowd.advance(truth.pose, truth.twist)
-            self.body.place_movers(self._crowd)
+            crowd.advance(truth.pose, truth.twist)
+            self.body.place_movers(crowd)
         self.body.feel()
         if self.metered:
             self.work += self.body.power * period
