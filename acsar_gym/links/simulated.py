@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
@@ -95,7 +94,7 @@ class SimulatedLink:
         truth, crowd = self.body.truth if self.body else GroundTruth(), self._crowd
         if crowd is None:
             return truth
-        return replace(truth, contact=truth.contact or crowd.hit > 0.0, crowd=crowd)
+        return GroundTruth(truth.pose, truth.twist, truth.contact or crowd.hit > 0.0, crowd)
 
     @property
     def camera(self) -> Camera | None:

@@ -29,7 +29,7 @@ from acsar_gym.config.footprint import (
     outline_radius,
 )
 from acsar_gym.errors import MissingExtraError, RenderError
-from acsar_gym.jit import record_of
+from acsar_gym.jit import loop, record_of
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
     CHASSIS_CLEARANCE,
@@ -45,8 +45,8 @@ from acsar_gym.physics.body import (
 )
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Pose, Scene, World
-from acsar_gym.worlds.crowd import VX, VY, X, Y, Crowd
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.crowd import Crowd, X, Y
 from acsar_gym.worlds.movers import MAX_MOVER_SPEED
 
 
@@ -84,8 +84,8 @@ FRAME_KEYS = ("Positions", "Orientations")
 FOOT_PLACES = 100  # places between a hub and the middle of the robot that are tried for a foot
 LEAST_FOOT = 1e-3  # radius of the smallest foot [m]
 PUSH_STIFFNESS, PUSH_DAMPING = 1e4, 2e3
-"""Of the contact between a mover and the robot [N/m, N s/m]: the robot is pushed at the mover's speed
-within 1 %, and one that is squeezed between a mover and a wall isn't flung away."""
+"""Of the contact between a mover and the robot [N/m, N s/m]: the robot is pushed at the mover's
+speed, and one that is squeezed between a mover and a wall isn't flung away."""
 BELOW = (0.0, 0.0, -5.0)  # where movers wait that are far away from the robot [m]
 UPRIGHT, STANDSTILL = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 NEAR_MARGIN = 0.5  # movers that may come so near to the robot in a tick are in the simulation [m]
@@ -211,7 +211,8 @@ class BulletBody:
     def place_movers(self, crowd: Crowd) -> None:
         """Put movers where they are, at their velocities; without pictures only those near by."""
         self._crowd = crowd
-        self._movers.place(crowd, self.truth.pose, math.inf if self._seen else self._near)
+        (x, y, _), *_ = self._motion or self._read_motion()
+        self._movers.place(crowd, x, y, math.inf if self._seen else self._near)
 
     def feel(self) -> None:
         """Check whether the robot touches a standing obstacle: overlaps it, or is pushed by it."""
@@ -520,15 +521,13 @@ class MovingObstacles:
         )
         return body
 
-    def place(self, crowd: Crowd, pose: Pose, reach: float) -> None:
-        """Put those where they are whose hulls are within reach of a pose [m], away the others."""
-        apart = np.hypot(*(crowd.states[:, :2] - pose[:2]).T) - crowd.radii
-        near = np.flatnonzero(apart < reach).tolist()
+    def place(self, crowd: Crowd, x: float, y: float, reach: float) -> None:
+        """Put those where they are whose hulls are within reach of a place [m], away the others."""
+        near = list_near(crowd.states, crowd.radii, x, y, reach)
         self.park(near)
-        for number, state in zip(near, crowd.states[near].tolist(), strict=True):
-            self._move(
-                number, (state[X], state[Y], MOVER_HEIGHT / 2.0), (state[VX], state[VY], 0.0)
-            )
+        for number in near:
+            x, y, vx, vy = crowd.states[number, :4].tolist()
+            self._move(number, (x, y, MOVER_HEIGHT / 2.0), (vx, vy, 0.0))
         self._placed = near
 
     def park(self, kept: Sequence[int] = ()) -> None:
@@ -542,6 +541,16 @@ class MovingObstacles:
         body, client = self._bodies[number], self._client
         pybullet.resetBasePositionAndOrientation(body, position, UPRIGHT, client)
         pybullet.resetBaseVelocity(body, velocity, STANDSTILL, client)
+
+
+@loop
+def list_near(states: Floats, radii: Floats, x: float, y: float, reach: float) -> list[int]:
+    """Numbers of the movers whose hulls are within reach of a place [m]."""
+    return [
+        m
+        for m in range(len(radii))
+        if math.hypot(states[m, X] - x, states[m, Y] - y) < radii[m] + reach
+    ]
 
 
 def _compounds(world: World) -> list[dict[str, Any]]:

@@ -40,7 +40,7 @@ from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
-from acsar_gym.worlds.crowd import VX, VY, Y, Crowd
+from acsar_gym.worlds.crowd import VX, VY, Crowd, Y
 from acsar_gym.worlds.world import MAX_COORDINATE
 
 if not has_display():  # MuJoCo chooses how to draw when it is imported, and fails without EGL
@@ -62,9 +62,9 @@ ANGLE_DECIMALS = 6
 """Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
 FLOOR, OBSTACLES = 1, 2  # bits of what a shape may touch
 PUSH = (-1000.0, -200.0)
-"""Stiffness [1/s^2] and damping [1/s] of the contact between a mover and the robot, negated as MuJoCo
-has them: the robot is pushed at the mover's speed within 2 %, and one that is squeezed between a
-mover and a wall isn't flung away."""
+"""Stiffness [1/s^2] and damping [1/s] of the contact between a mover and the robot, negated as
+MuJoCo has them: the robot is pushed at the mover's speed, and one that is squeezed between a mover
+and a wall isn't flung away."""
 MOVER_MASS = 1e5  # so heavy that the robot doesn't slow it down [kg]
 HIDDEN = 3
 """A group of shapes that MuJoCo doesn't draw by default."""

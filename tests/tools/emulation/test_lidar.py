@@ -11,7 +11,7 @@ from lds2d.drivers import rplidar as library
 from acsar_gym import RobotConfig
 from acsar_gym.protocol import encode
 from acsar_gym.tools.emulation.board import LIDAR_SAMPLES, Emulator
-from acsar_gym.worlds import World
+from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
 
 ROOM = World(
@@ -24,7 +24,7 @@ LOOPS = 200
 def test_each_measurement_is_from_where_the_robot_was_then() -> None:
     """Its pose is between those of the loops, which are centimetres off."""
     config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05)
-    with Emulator(config, world=ROOM, sees=True) as emulator:
+    with Emulator(config, scene=Scene(world=ROOM), sees=True) as emulator:
         assert emulator.lidar_device is not None
         ports = [
             os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
