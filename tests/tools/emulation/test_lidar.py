@@ -78,6 +78,6 @@ def test_measurements_meet_movers_where_they_were_then() -> None:
             places = np.array([[walker.position(time)] for time in times])
             expected = measure_ranges((0.0, 0.0), bearings, world, places)
             met += np.isfinite(expected).sum()
-            if loop >= 20:  # before, it stands
+            if loop > 20:  # until then it stands
                 assert ranges == pytest.approx(expected, abs=1e-6)
     assert met > 1000
