@@ -225,14 +225,14 @@ def test_both_lidars_see_the_same_at_the_same_time(
     assert plain.mean() > 0.6
     on_movers = (beside != standing).all(axis=1)
     assert bool(world.movers) == (on_movers.mean() > 0.1)
-    for rays in (plain, plain & on_movers) if world.movers else (plain,):
-        print(
-            f"{rays.sum()} rays: median {np.median(errors[rays]):.4f} m, 95 % "
-            f"{np.percentile(errors[rays], 95):.4f} m"
-        )
-        assert np.median(errors[rays]) < 0.01
-        assert np.percentile(errors[rays], 95.0) < 0.04
     assert np.median(errors) < 0.01
+    assert np.percentile(errors[plain], 95.0) < 0.04
+    if world.movers:
+        moved = errors[plain & on_movers]
+        median, most = np.median(moved), np.percentile(moved, 95.0)
+        print(f"{len(moved)} rays on movers: median {median:.4f} m, 95 % {most:.4f} m")
+        assert median < 0.02
+        assert most < 0.05
     # At an edge it is the range on one of its sides, or between them.
     beyond = np.maximum(beside.min(axis=1) - pairs[:, 1], pairs[:, 1] - beside.max(axis=1))
     print(
