@@ -102,14 +102,15 @@ def begin_crowd(movers: Floats, pieces: Floats, states: Floats, key: float) -> N
             break
         for k in range(STATE_NUMBERS):
             states[m, k] = 0.0
-        states[m, CLOCK] = draw_offset(movers[m], m, key)
-        place_mover(movers[m], pieces, states[m], 0.0)
+        states[m, CLOCK] = draw_offset(movers, m, key)
+        place_mover(movers, m, pieces, states, 0.0)
 
 
 @jit
-def place_mover(mover: Floats, pieces: Floats, state: Floats, time: float) -> None:
+def place_mover(movers: Floats, m: int, pieces: Floats, states: Floats, time: float) -> None:
     """Put a mover that doesn't react where its motion is at a time since the episode's begin."""
-    state[X], state[Y], state[VX], state[VY] = locate_mover(mover, pieces, time + state[CLOCK])
+    x, y, vx, vy = locate_mover(movers, m, pieces, time + states[m, CLOCK])
+    states[m, X], states[m, Y], states[m, VX], states[m, VY] = x, y, vx, vy
 
 
 @subroutine
@@ -136,9 +137,9 @@ def advance_crowd(
         period: of a tick [s].
         key: the episode's, 0 to 1.
         robot: at the end of the tick.
-        top_speed: the robot won't move faster [m/s]. Where nobody reacts, movers that are too far
-            away to touch it in the next ticks stay where they are, until `place_crowd`. inf: all
-            are moved.
+        top_speed: no part of the robot will move faster [m/s]. Where nobody reacts, movers that
+            can't touch it, or come near, in the next ticks stay where they are, until
+            `place_crowd`. inf: all are moved.
         which: the world's place in `around`.
         around: obstacles, and footprints.
         kind: of the robot.
@@ -157,38 +158,37 @@ def advance_crowd(
         if tick < states[m, LOOK]:
             next_look = min(next_look, states[m, LOOK])
             continue
-        states[m, LOOK] = tick + 1.0
         if movers[m, REACTS] == 0.0:
-            place_mover(movers[m], pieces, states[m], now)
+            place_mover(movers, m, pieces, states, now)
         else:
             if (tick + m) % every == 0:
                 decide_step(movers, pieces, states, m, key, robot, outer, which, around)
-            walk_on(movers[m], pieces, states[m], period)
+            walk_on(movers, m, pieces, states, period)
         dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
         near, square = outer + radius + PERSONAL_SPACE, dx * dx + dy * dy
         if square > near * near:
-            states[m, NEAR] = 0.0
-            if top_speed < np.inf and not jumps_soon(movers[m], states[m], now):
-                ticks = (math.sqrt(square) - near) / ((top_speed + movers[m, SPEED]) * period)
-                states[m, LOOK] += min(np.floor(ticks), np.floor(LONGEST_LOOK / period) - 1.0)
-            next_look = min(next_look, states[m, LOOK])
-            continue
-        next_look = tick + 1.0
-        ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
-        gap, at_x, at_y = footprint_gap(ahead, left, around, kind)
-        gap -= radius
-        is_near = 1.0 if gap < PERSONAL_SPACE else 0.0
-        entered += 1.0 if is_near > states[m, NEAR] else 0.0
-        states[m, NEAR] = is_near
-        if gap <= 0.0 and hit == NO_HIT:
-            hit = ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
+            states[m, NEAR], free = 0.0, math.sqrt(square) - near
+        else:
+            ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
+            gap, at_x, at_y = footprint_gap(ahead, left, around, kind)
+            gap -= radius
+            is_near = 1.0 if gap < PERSONAL_SPACE else 0.0
+            entered += 1.0 if is_near > states[m, NEAR] else 0.0
+            states[m, NEAR], free = is_near, min(max(gap, 0.0), abs(gap - PERSONAL_SPACE))
+            if gap <= 0.0 and hit == NO_HIT:
+                hit = ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
+        states[m, LOOK] = tick + 1.0
+        if top_speed < np.inf and not jumps_soon(movers, m, states, now):
+            ticks = min(free / (top_speed + movers[m, SPEED]), LONGEST_LOOK) / period
+            states[m, LOOK] = tick + max(np.floor(ticks), 1.0)
+        next_look = min(next_look, states[m, LOOK])
     return hit, entered, next_look
 
 
 @jit
-def jumps_soon(mover: Floats, state: Floats, now: float) -> bool:
+def jumps_soon(movers: Floats, m: int, states: Floats, now: float) -> bool:
     """Whether a mover may jump while nobody looks."""
-    return may_jump(mover, now + state[CLOCK], LONGEST_LOOK)
+    return may_jump(movers, m, now + states[m, CLOCK], LONGEST_LOOK)
 
 
 @subroutine
@@ -198,7 +198,7 @@ def place_crowd(movers: Floats, pieces: Floats, states: Floats, time: float) -> 
         if movers[m, RADIUS] < 0.0:
             break
         if movers[m, REACTS] == 0.0:
-            place_mover(movers[m], pieces, states[m], time)
+            place_mover(movers, m, pieces, states, time)
 
 
 @jit
@@ -237,7 +237,7 @@ def decide_step(
     relaxation = draw_trait(key, m, 0, RELAXATION_TIMES[0], RELAXATION_TIMES[1])
     strength = draw_trait(key, m, 1, STRENGTHS[0], STRENGTHS[1])
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
-    to_x, to_y, _, _ = locate_mover(movers[m], pieces, clock)
+    to_x, to_y, _, _ = locate_mover(movers, m, pieces, clock)
     want_x, want_y = (to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME
     speed, most = math.sqrt(want_x * want_x + want_y * want_y), SPEED_SHARE * movers[m, SPEED]
     share = most / speed if speed > most else 1.0
@@ -309,17 +309,17 @@ def push_away(
 
 
 @subroutine
-def walk_on(mover: Floats, pieces: Floats, state: Floats, period: float) -> None:
+def walk_on(movers: Floats, m: int, pieces: Floats, states: Floats, period: float) -> None:
     """Let a person who reacts walk for a tick."""
-    vx, vy = state[VX] + state[AX] * period, state[VY] + state[AY] * period
-    speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * mover[SPEED]
+    vx, vy = states[m, VX] + states[m, AX] * period, states[m, VY] + states[m, AY] * period
+    speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * movers[m, SPEED]
     share = most / speed if speed > most else 1.0
-    state[VX], state[VY] = share * vx, share * vy
-    state[X] += state[VX] * period
-    state[Y] += state[VY] * period
-    x, y, _, _ = locate_mover(mover, pieces, state[CLOCK])
-    dx, dy = x - state[X], y - state[Y]
-    state[CLOCK] += period * max(1.0 - math.sqrt(dx * dx + dy * dy) / LEASH, 0.0)
+    states[m, VX], states[m, VY] = share * vx, share * vy
+    states[m, X] += states[m, VX] * period
+    states[m, Y] += states[m, VY] * period
+    x, y, _, _ = locate_mover(movers, m, pieces, states[m, CLOCK])
+    dx, dy = x - states[m, X], y - states[m, Y]
+    states[m, CLOCK] += period * max(1.0 - math.sqrt(dx * dx + dy * dy) / LEASH, 0.0)
 
 
 @subroutine

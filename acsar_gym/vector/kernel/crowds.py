@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from acsar_gym.jit import jit, subroutine
@@ -42,13 +44,32 @@ def begin_movers(
     survey_movers(robots, i, robot, crowds, scans, setup)
 
 
+@jit
+def bound_speed(robots: Robots, i: int) -> float:
+    """A speed that no wheel of a robot exceeds on the ground until it gets other commands [m/s]."""
+    physics, rules = robots.physics, robots.rules
+    least = min(rules.left_radius[i], rules.right_radius[i])
+    wanted = robots.max_linear[i] + 0.5 * rules.separation[i] * robots.max_angular[i]
+    turning = 0.0
+    for k in range(4):
+        turning = max(turning, abs(robots.wheel_speed[k, i]), physics.gain[k, i] * wanted / least)
+    turning = min(turning, physics.max_speed[i])
+    return 1.1 * turning * max(physics.left_radius[i], physics.right_radius[i])
+
+
 @subroutine
 def advance_movers(
     robots: Robots, i: int, robot: int, tick: int, crowds: Crowds, scans: Scans, setup: Setup
 ) -> None:
     """Advance robot i's movers to the end of a tick, its number since the reset; look for contacts."""
-    world, physics = int(robots.world[i]), robots.physics
-    radius = max(physics.left_radius[i], physics.right_radius[i])
+    world = int(robots.world[i])
+    kinds, kind = scans.around.kinds, int(robots.kind[i])
+    top_speed = np.inf
+    if not crowds.motions.reacting[world]:
+        top_speed = bound_speed(robots, i)
+        # That of a corner of the hull, where the two sides' wheels turn against each other.
+        corner = math.sqrt(kinds[kind, 5] ** 2 + kinds[kind, 6] ** 2)
+        top_speed *= max(corner / robots.physics.half_track[i], 1.0)
     hit, entered, look = advance_crowd(
         crowds.motions.movers[world],
         crowds.motions.pieces[world],
@@ -57,10 +78,10 @@ def advance_movers(
         setup.period,
         robots.crowd_key[i],
         motion_in_world(robots, i),
-        np.inf if crowds.motions.reacting[world] else physics.max_speed[i] * radius,
+        top_speed,
         world,
         scans.around,
-        int(robots.kind[i]),
+        kind,
     )
     robots.crowd_look[i] = look
     robots.intrusions[i] += entered
