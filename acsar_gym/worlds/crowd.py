@@ -463,6 +463,11 @@ class Crowd:
         self.hit, self.intrusions, self._tick = NO_HIT, 0.0, 0
         begin_alone(self.motions, self.states, key)
 
+    @property
+    def now(self) -> float:
+        """Time since the episode's begin [s]."""
+        return self._tick * self._period
+
     def advance(self, pose: Pose, twist: Twist) -> None:
         """Advance by a control period, at whose end the robot is there and moves so."""
         self._tick += 1

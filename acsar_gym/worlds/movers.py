@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ class Mover:
         """Time after which the motion repeats itself [s]; inf where it stops."""
         return (math.inf, 2.0 * self.duration, self.duration)[self.repeat]
 
-    @property
+    @cached_property
     def top_speed(self) -> float:
         """An upper bound of its speed, but for jumps; exact on straight lines [m/s]."""
         lengths = np.diff(np.append(self.pieces[:, 0], self.duration))
