@@ -8,7 +8,7 @@ from acsar_gym.worlds.world import make_rectangle
 
 HALL = World(
     segments=make_rectangle(-1.0, -2.0, 5.0, 2.0),
-    start=Region(0.0, 0.0, 0.0, 0.0),
+    start=Region(0.2, -0.1, 0.0, 0.3),
     goal=Region(4.0, 0.0, 0.25),
     movers=(
         walk([[1.6, -1.5], [1.6, 1.5]], 0.8, spread=4.0, name="across"),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mover_tools import HALL
 from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
@@ -71,6 +72,18 @@ def test_a_part_has_what_was_recorded_then(tape: Path, tmp_path: Path) -> None:
     before = whole.episodes[0].stamps.tolist().index(first.stamps[0]) - 1
     assert first.info["part"]["pose"] == whole.episodes[0].poses[before].tolist()
     assert first.revolutions.exchanges[0] == -1
+
+
+def test_a_part_has_the_movers_of_its_time(tmp_path: Path) -> None:
+    path, part = tmp_path / "tape.mcap", tmp_path / "part.mcap"
+    record_env(path, "obstacle_goal", 1, worlds=HALL)
+    cut_recording(path, 1.0, 2.0, part)
+    (whole,), (found,) = read(path).episodes, read(part).episodes
+    place = whole.movers.stamps.tolist().index(found.movers.stamps[0])
+    span = slice(place, place + len(found.movers.stamps))
+    np.testing.assert_array_equal(found.movers.states, whole.movers.states[span])
+    np.testing.assert_array_equal(found.movers.stamps, found.exchanges.stamps)
+    np.testing.assert_array_equal(found.movers.exchanges, found.exchanges.numbers)
 
 
 def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) -> None:
