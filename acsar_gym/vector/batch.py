@@ -33,8 +33,13 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
+<<<<<<< HEAD
 from acsar_gym.worlds.crowd import CLOCK, STATE_NUMBERS
 from acsar_gym.worlds.movers import RADIUS, make_motions
+=======
+from acsar_gym.worlds.crowd import STATE_NUMBERS
+from acsar_gym.worlds.movers import make_motions
+>>>>>>> lead
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -415,7 +420,6 @@ def make_crowds(worlds: Sequence[World], scans: layout.Scans | None) -> layout.C
     most = motions.movers.shape[1]
     return layout.Crowds(
         motions,
-        motions.movers[:, :, RADIUS].copy(),
         np.zeros((robots, most, STATE_NUMBERS)),
         np.zeros((robots, slots, most, 2)),
     )

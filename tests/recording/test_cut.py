@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -174,6 +175,17 @@ def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:
     sent = b"".join(b"".join(part.wire.sent) for part in parts)
     assert sent == b"".join(whole.wire.sent)
     assert np.isfinite(np.concatenate([p.truth for p in parts])).all()
+
+
+def test_a_long_episode_loses_no_mover(tmp_path: Path) -> None:
+    many: Any = Recorder(tmp_path / "many.mcap", split=1.5)
+    for record in (tmp_path / "one.mcap", many):
+        record_env(record, "obstacle_goal", 1, worlds=HALL)
+    names = ("one", "many", "many-2", "many-3")
+    whole, *parts = (read(tmp_path / f"{name}.mcap").episodes[0].movers for name in names)
+    states = np.concatenate([part.states for part in parts])
+    np.testing.assert_array_equal(states, whole.states)
+    assert [part.exchanges[0] for part in parts] == [0, 0, 0]
 
 
 def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:
