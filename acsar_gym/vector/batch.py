@@ -33,13 +33,8 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
-<<<<<<< HEAD
 from acsar_gym.worlds.crowd import CLOCK, STATE_NUMBERS
 from acsar_gym.worlds.movers import RADIUS, make_motions
-=======
-from acsar_gym.worlds.crowd import STATE_NUMBERS
-from acsar_gym.worlds.movers import make_motions
->>>>>>> lead
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -177,7 +172,7 @@ class Batch:
         """Copy what is seen of the movers around a robot in this world, as `Crowd.copy_states`."""
         if self._crowds is None:
             return None
-        radii = self._crowds.radii[world]
+        radii = self._crowds.motions.movers[world, :, RADIUS]
         used = radii > 0.0
         return np.column_stack([self._crowds.states[robot, used, :CLOCK], radii[used]])
 

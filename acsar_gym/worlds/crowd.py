@@ -68,20 +68,13 @@ STANDING_SPEED = 0.05
 FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
 
-<<<<<<< HEAD
-X, Y, VX, VY, CLOCK, AX, AY, NEAR = range(8)
-STATE_NUMBERS = 8
-"""Columns of the state of a mover: place [m], velocity [m/s], the time of its motion [s], the
-acceleration of a person who reacts [m/s^2], and whether the robot is within its personal space."""
-SEEN_NUMBERS = 5
-"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
-=======
 X, Y, VX, VY, CLOCK, AX, AY, NEAR, LOOK = range(9)
 STATE_NUMBERS = 9
 """Columns of the state of a mover: place [m], velocity [m/s], the time of its motion, at the
 episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], whether the
 robot is within its personal space, and the next tick in which it can be."""
->>>>>>> lead
+SEEN_NUMBERS = 5
+"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 TRAITS, TRAIT_NUMBERS = 1000, 2
 """Samples of a person's own numbers begin there, so many for each."""
 NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
@@ -443,12 +436,8 @@ class Crowd:
 
     def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
         """Distance of the nearest mover [m] and time to collision [s], see `survey_crowd`."""
-<<<<<<< HEAD
-        return survey_alone(self._motions, self.states, pose, twist, self._around)
+        return survey_alone(self.motions, self.states, pose, twist, self._around)
 
     def copy_states(self) -> Floats:
         """Copy what is seen of the movers now, (movers, SEEN_NUMBERS), in the world's frame."""
         return np.column_stack([self.states[:, :CLOCK], self.radii])
-=======
-        return survey_alone(self.motions, self.states, pose, twist, self._around)
->>>>>>> lead
