@@ -138,14 +138,12 @@ def begin_passing(passers: Passers, trail: Floats) -> None:
 @subroutine
 def find_passer(
     passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
-) -> tuple[float, float, float, float]:
-    """Place and velocity of a mover at a time [s], in the frame of the world.
-
-    People who react are where they were between two ticks, and their velocity isn't told.
-    """
+) -> tuple[float, float]:
+    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
-        return locate_mover(passers.movers[m], passers.pieces, clock)
+        x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
+        return x, y
     slots, places = len(trail), passers.places
     ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
     back = int(ago)
@@ -154,8 +152,6 @@ def find_passer(
     return (
         places[row, m, 0] + share * (places[before, m, 0] - places[row, m, 0]),
         places[row, m, 1] + share * (places[before, m, 1] - places[row, m, 1]),
-        0.0,
-        0.0,
     )
 
 
@@ -172,45 +168,46 @@ def see_passers(
     """Shorten the distances of beams that meet movers where they were when each was measured.
 
     `place` is the LiDAR's now, x, y, and cosine and sine of the robot's heading, in the frame of
-    the world. A mover's rays are looked for around where it was in the middle of the revolution.
+    the world. The rays that may meet a mover are those around where it is now.
     """
     x, y, cos, sin = place
     count, turn = len(beams.times), FULL_TURN / rays.step
-    begun, ended, margin = beams.times[0], beams.times[0], 0.0
+    now, begun, margin = trail[newest, 0], beams.times[0], 0.0
     for k in range(count):
-        begun, ended = min(begun, beams.times[k]), max(ended, beams.times[k])
+        begun = min(begun, beams.times[k])
         margin = max(margin, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
-    margin = math.sqrt(margin) + 1e-3
-    half_time = 0.5 * (ended - begun)
+    margin, ago = math.sqrt(margin) + 1e-3, now - begun
     for m in range(len(passers.movers)):
-        mover = passers.movers[m]
-        if mover[RADIUS] < 0.0:
+        mover, state = passers.movers[m], passers.states[m]
+        radius = mover[RADIUS]
+        if radius < 0.0:
             break
-        radius, middle_time = mover[RADIUS], begun + half_time
-        at_x, at_y, vx, vy = find_passer(passers, m, trail, newest, middle_time, rays.period)
-        wide = radius + margin + SPEED_SHARE * mover[SPEED] * half_time
-        dx, dy, clock = at_x - x, at_y - y, middle_time + passers.states[m, CLOCK]
-        jumps = may_jump(mover, clock - half_time, 2.0 * half_time)
+        wide = radius + margin + SPEED_SHARE * mover[SPEED] * ago
+        dx, dy = state[X] - x, state[Y] - y
         apart = math.sqrt(dx * dx + dy * dy)
+        jumps = may_jump(mover, begun + state[CLOCK], ago)
         if apart > rays.farthest + wide and not jumps:
             continue
-        nearest = 0.0 if jumps else apart - wide
-        straight = mover[REACTS] == 0.0 and goes_straight(mover, passers.pieces, clock, half_time)
-        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-        half = widest_angle(wide, apart) / rays.step
-        half = count if jumps else half
-        middle = (angle_of(ahead, left) - rays.start) / rays.step
+        nearest, half = apart - wide, widest_angle(wide, apart) / rays.step
+        if jumps:
+            nearest, half = 0.0, turn
+        middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
+        is_known, is_straight = False, False
         for shift in (-turn, 0.0, turn):
             low = max(math.ceil(middle + shift - half), 0)
             high = min(math.floor(middle + shift + half), count - 1)
             for k in range(low, high + 1):
                 if beams.distances[k] <= nearest:
                     continue
+                if not is_known:
+                    is_known = True
+                    is_straight = goes_straight(mover, passers.pieces, now + state[CLOCK], ago)
                 time = beams.times[k]
-                if straight:
-                    to_x, to_y = at_x + (time - middle_time) * vx, at_y + (time - middle_time) * vy
+                if is_straight:
+                    to_x = state[X] + (time - now) * state[VX]
+                    to_y = state[Y] + (time - now) * state[VY]
                 else:
-                    to_x, to_y, _, _ = find_passer(passers, m, trail, newest, time, rays.period)
+                    to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
                 dx, dy = to_x - x, to_y - y
                 ox = dx * cos + dy * sin - beams.origins[k, 0]
                 oy = dy * cos - dx * sin - beams.origins[k, 1]

@@ -368,15 +368,16 @@ def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float,
 
 
 @subroutine
-def goes_straight(mover: Floats, pieces: Floats, clock: float, half_time: float) -> bool:
-    """Whether a mover keeps its velocity from so long before a time to so long after it [s]."""
+def goes_straight(mover: Floats, pieces: Floats, clock: float, ago: float) -> bool:
+    """Whether a mover that doesn't react has kept its velocity for so long until a time [s]."""
     piece, s, direction = find_piece(mover, pieces, clock)
     for k in (3, 4, 7, 8):
         if pieces[piece, k] != 0.0:
             return False
     last = piece + 1 == int(mover[FIRST] + mover[COUNT])
     end = mover[DURATION] if last else pieces[piece + 1, 0]
-    return direction != 0.0 and s >= half_time and pieces[piece, 0] + s + half_time <= end
+    since = s if direction > 0.0 else end - pieces[piece, 0] - s
+    return mover[REACTS] == 0.0 and direction != 0.0 and since >= ago
 
 
 @jit
