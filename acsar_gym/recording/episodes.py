@@ -25,6 +25,7 @@ from acsar_gym.recording.messages import (
     EPISODE,
     EXCHANGES,
     HEADER_RECORD,
+    MOVER_COLUMNS,
     MOVERS,
     OBSERVATION,
     OCTETS_TYPE,
@@ -56,7 +57,7 @@ from acsar_gym.worlds.movers import MAX_MOVERS
 
 MAX_BEARING = 100.0  # largest bearing of a LiDAR's measurement, either sign [rad]
 MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns]; its times then fit 64 bits
-MOVER_HEAD = 4  # numbers of a row before those of its movers
+MOVER_HEAD = len(MOVER_COLUMNS) - 1  # numbers of a row before those of its movers
 COMPACT_PIECES = 100_000  # from so many on, pieces of bytes stay in one buffer
 TABLE_TOPICS = EXCHANGES, TICKS, STEPS
 LIST_TOPICS = WIRE_SENT, WIRE_RECEIVED, SCANS, MOVERS, OBSERVATION, ACTION
