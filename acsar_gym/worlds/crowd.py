@@ -75,6 +75,8 @@ STATE_NUMBERS = 10
 episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], how fast
 the motion's time passes for that person, whether the robot is within its personal space, and the
 next tick in which that can change."""
+SEEN_NUMBERS = 5
+"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 TRAITS, TRAIT_NUMBERS = 1000, 2
 """Samples of a person's own numbers begin there, so many for each."""
 NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
@@ -479,3 +481,7 @@ class Crowd:
     def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
         """Distance of the nearest mover [m] and time to collision [s], see `survey_crowd`."""
         return survey_alone(self.motions, self._around, self.states, pose, twist)
+
+    def copy_states(self) -> Floats:
+        """Copy what is seen of the movers now, (movers, SEEN_NUMBERS), in the world's frame."""
+        return np.column_stack([self.states[:, :CLOCK], self.radii])
