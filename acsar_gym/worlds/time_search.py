@@ -16,7 +16,7 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from acsar_gym.jit import loop
+from acsar_gym.jit import loop, subroutine
 from acsar_gym.worlds.geometry import distance_to_line, segment_clearance
 from acsar_gym.worlds.movers import MAX_MOVER_SPEED, Motions, draw_share, locate_mover, make_motions
 from acsar_gym.worlds.world import Floats, World
@@ -34,13 +34,14 @@ FARTHEST_STEP = MAX_MOVER_SPEED * TIME_STEP
 Place = tuple[float, float]  # x, y [m]
 
 
-def search_time(
+def search_time(  # noqa: PLR0913 - each is one of the search's own
     world: World,
     radius: float,
     speed: float,
     start: Place,
     goal: Place,
     *,
+    margin: float = 0.0,
     begin: float = 0.0,
     key: float = 0.0,
     places: ArrayLike | None = None,
@@ -53,9 +54,11 @@ def search_time(
 
     Args:
         world: obstacles and movers.
-        radius: of the disc, with the margin that it shall keep [m].
+        radius: of the disc; between two cells it may come a centimetre nearer to obstacles [m].
         speed: the disc's greatest; it may stand, and turns on the spot in no time [m/s].
-        start, goal: in the frame of the world [m].
+        start: where the disc is, in the frame of the world [m].
+        goal: where it shall come [m].
+        margin: distance that it keeps from movers [m].
         begin: time since the episode's begin at which the disc is at the start [s].
         key: of the episode, see `Scene.key`.
         places: (steps, movers, 2): where the movers will be every TIME_STEP from `begin` on, the
@@ -75,7 +78,7 @@ def search_time(
         _list_places(motions, begin, key, spots)
     else:
         spots = np.array(places, np.float64)[: math.ceil(horizon / TIME_STEP) + 1]
-    reaches = radius + np.array([mover.radius for mover in world.movers])
+    reaches = radius + margin + np.array([mover.radius for mover in world.movers])
     x, y, side, free = _free_grid(world, radius, start, goal)
     rows: Floats = _search(free, x, y, side, spots, reaches, speed, start, goal, tolerance)
     if not len(rows):
@@ -121,7 +124,7 @@ def _list_places(motions: Motions, begin: float, key: float, spots: Floats) -> N
 
 
 @loop
-def _search(
+def _search(  # noqa: C901, PLR0912, PLR0913, PLR0917 - one search, which reads top to bottom
     free: NDArray[np.bool_],
     x: float,
     y: float,
@@ -134,6 +137,64 @@ def _search(
     tolerance: float,
 ) -> Floats:
     """The path over cells that arrives first, (points, 3); empty where there is none."""
+    width, height = free.shape
+    busy = mark_busy(free, x, y, side, spots, reaches)
+    first, owner, begins, ends = list_intervals(free, busy)
+    here = int(np.rint((start[0] - x) / side)) * height + int(np.rint((start[1] - y) / side))
+    if first[here] == first[here + 1] or begins[first[here]] > 0.0:
+        return np.zeros((0, 3))
+    arrival, leave = np.full(len(owner), np.inf), np.zeros(len(owner))
+    before, done = np.full(len(owner), -1), np.zeros(len(owner), np.bool_)
+    arrival[first[here]] = 0.0
+    queue = [(0.0, first[here])]
+    near, last = max(tolerance, 0.75 * side), -1
+    while queue:
+        _, state = heappop(queue)
+        if done[state]:
+            continue
+        done[state] = True
+        i, j = owner[state] // height, owner[state] % height
+        if math.hypot(x + i * side - goal[0], y + j * side - goal[1]) <= near:
+            last = state
+            break
+        for direction in range(9):
+            di, dj = direction // 3 - 1, direction % 3 - 1
+            next_i, next_j = i + di, j + dj
+            if (di == 0 and dj == 0) or not (0 <= next_i < width and 0 <= next_j < height):
+                continue
+            if not (free[next_i, next_j] and free[i, next_j] and free[next_i, j]):
+                continue
+            takes = side * math.sqrt(di * di + dj * dj) / speed
+            rest = math.hypot(x + next_i * side - goal[0], y + next_j * side - goal[1]) / speed
+            cell = next_i * height + next_j
+            for to in range(first[cell], first[cell + 1]):
+                leaves = max(arrival[state], begins[to])
+                arrives = leaves + takes
+                if arrives > ends[state]:
+                    break
+                if arrives <= ends[to] and arrives < arrival[to]:
+                    arrival[to], leave[to], before[to] = arrives, leaves, state
+                    heappush(queue, (arrives + rest, to))
+    count, state = 0, last
+    while state >= 0:
+        count, state = count + 2, before[state]
+    rows = np.zeros((max(count - 1, 0), 3))  # of each cell the arrival and, but the last, the leave
+    state, leaves = last, arrival[last]
+    while state >= 0:
+        count -= 2
+        at_x, at_y = x + owner[state] // height * side, y + owner[state] % height * side
+        rows[count] = arrival[state], at_x, at_y
+        if count + 1 < len(rows):
+            rows[count + 1] = leaves, at_x, at_y
+        state, leaves = before[state], leave[state]
+    return rows
+
+
+@subroutine
+def mark_busy(
+    free: NDArray[np.bool_], x: float, y: float, side: float, spots: Floats, reaches: Floats
+) -> NDArray[np.bool_]:
+    """Which cells are within reach of a mover in each step, (width, height, steps)."""
     width, height = free.shape
     steps = len(spots) - 1
     busy = np.zeros((width, height, steps), np.bool_)
@@ -155,78 +216,39 @@ def _search(
                         at_x, at_y = x + i * side, y + j * side
                         if distance_to_line(at_x, at_y, ax, ay, bx, by) < reach:
                             busy[i, j, k] = True
-    first = np.zeros(width * height + 1, np.int64)  # number of a cell's first interval
+    return busy
+
+
+@subroutine
+def list_intervals(
+    free: NDArray[np.bool_], busy: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+    """The intervals in which cells are free.
+
+    Returns:
+        Number of each cell's first interval, one more at the end; of each interval its cell, and
+        where it begins and ends [s].
+    """
+    width, height, steps = busy.shape
+    first = np.zeros(width * height + 1, np.int64)
     for cell in range(width * height):
-        count = 0
+        row, count = busy[cell // height, cell % height], 0
         if free[cell // height, cell % height]:
-            row = busy[cell // height, cell % height]
             for k in range(steps):
                 count += not row[k] and (k == 0 or row[k - 1])
         first[cell + 1] = first[cell] + count
-    states = first[-1]
-    begins, ends = np.zeros(states), np.zeros(states)
-    owner = np.zeros(states, np.int64)
+    owner = np.zeros(first[-1], np.int64)
+    begins, ends = np.zeros(len(owner)), np.zeros(len(owner))
     for cell in range(width * height):
-        state = first[cell] - 1
+        row, interval = busy[cell // height, cell % height], first[cell] - 1
         if first[cell + 1] > first[cell]:
-            row = busy[cell // height, cell % height]
             for k in range(steps):
                 if not row[k]:
                     if k == 0 or row[k - 1]:
-                        state += 1
-                        begins[state], owner[state] = k * TIME_STEP, cell
-                    ends[state] = (k + 1) * TIME_STEP
-    here = int(np.rint((start[0] - x) / side)) * height + int(np.rint((start[1] - y) / side))
-    arrival, leave = np.full(states, np.inf), np.zeros(states)
-    before = np.full(states, -1)
-    done = np.zeros(states, np.bool_)
-    last = -1
-    queue = [(0.0, first[here])]
-    if first[here] == first[here + 1] or begins[first[here]] > 0.0:
-        return np.zeros((0, 3))
-    arrival[first[here]] = 0.0
-    near = max(tolerance, 0.75 * side)
-    while len(queue):
-        _, state = heappop(queue)
-        if done[state]:
-            continue
-        done[state] = True
-        i, j = owner[state] // height, owner[state] % height
-        if math.hypot(x + i * side - goal[0], y + j * side - goal[1]) <= near:
-            last = state
-            break
-        for direction in range(9):
-            di, dj = direction // 3 - 1, direction % 3 - 1
-            next_i, next_j = i + di, j + dj
-            if (di == 0 and dj == 0) or not (0 <= next_i < width and 0 <= next_j < height):
-                continue
-            if not (free[next_i, next_j] and free[i, next_j] and free[next_i, j]):
-                continue
-            takes = side * math.sqrt(di * di + dj * dj) / speed
-            cell = next_i * height + next_j
-            rest = math.hypot(x + next_i * side - goal[0], y + next_j * side - goal[1]) / speed
-            for to in range(first[cell], first[cell + 1]):
-                leaves = max(arrival[state], begins[to])
-                arrives = leaves + takes
-                if arrives > ends[state]:
-                    break
-                if arrives <= ends[to] and arrives < arrival[to]:
-                    arrival[to], leave[to], before[to] = arrives, leaves, state
-                    heappush(queue, (arrives + rest, to))
-    count, state = 0, last
-    while state >= 0:
-        count, state = count + 2, before[state]
-    rows = np.zeros((max(count - 1, 0), 3))
-    state = last
-    while state >= 0:
-        count -= 2
-        cell = owner[state]
-        rows[count] = arrival[state], x + (cell // height) * side, y + (cell % height) * side
-        if before[state] >= 0:
-            cell = owner[before[state]]
-            rows[count - 1] = leave[state], x + (cell // height) * side, y + (cell % height) * side
-        state = before[state]
-    return rows
+                        interval += 1
+                        owner[interval], begins[interval] = cell, k * TIME_STEP
+                    ends[interval] = (k + 1) * TIME_STEP
+    return first, owner, begins, ends
 
 
 def _straighten(
