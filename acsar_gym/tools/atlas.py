@@ -115,14 +115,15 @@ def describe_movers(worlds: Sequence[World]) -> str:
     movers = [mover for world in worlds for mover in world.movers]
     if not movers:
         return ""
-    counts = [len(world.movers) for world in worlds]
+    counts = sorted({len(world.movers) for world in worlds})
+    numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     speeds = [mover.top_speed for mover in movers]
     reacting = [mover for mover in movers if mover.reacts]
     blind = sum(not mover.sees_robot for mover in reacting)
-    numbers = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{counts[0]}"
+    how = f"{len(reacting)} of {len(movers)} react, {blind} of these don't see the robot"
     return (
         f"movers: {numbers} in a world, top speeds {min(speeds):.2f} to {max(speeds):.2f} m/s; "
-        f"{len(reacting)} of {len(movers)} react to others, {blind} of these don't see the robot"
+        f"{how if reacting else 'none reacts'}"
     )
 
 

@@ -7,6 +7,7 @@ each episode, within its `spread`.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -25,6 +26,7 @@ WALKER_MARGIN = 0.05
 """Distance that walkers keep from what stands, on top of their radius [m]."""
 START_DISTANCE = 1.0
 """Least distance from a robot that starts to where movers begin, between their discs [m]."""
+BEGIN_SPACING = 0.25  # of the places that are looked at for this [m]
 PHASE_SPREAD = 6.0
 """A walker's begin varies by so much from episode to episode [s]."""
 WALKER_SPEEDS = (0.3, 1.8)  # slowest of all, fastest at difficulty 1 [m/s]
@@ -291,7 +293,8 @@ def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
 
 def begins_away(mover: Mover, start: Region, radius: float) -> bool:
     """Whether a mover never begins within START_DISTANCE of a robot's start."""
-    places = [mover.position(0.0, share) for share in np.linspace(0.0, 1.0, 33).tolist()]
+    count = 2 + math.ceil(mover.spread * mover.top_speed / BEGIN_SPACING)
+    places = [mover.position(0.0, share) for share in np.linspace(0.0, 1.0, count).tolist()]
     least = START_DISTANCE + radius + start.radius + mover.radius
     return min(math.dist(place, (start.x, start.y)) for place in places) >= least
 
@@ -308,17 +311,26 @@ def add_walkers(
         left, low = left - OPEN_MARGIN, low - OPEN_MARGIN
         right, high = right + OPEN_MARGIN, high + OPEN_MARGIN
     for number in range(count):
-        for _ in range(DRAWS):
-            walker = draw_walker(rng, world, [(left, low, right, high)], difficulty, radius)
-            crowded = replace(world, movers=(*world.movers, walker))
-            if can_be_crossed(crowded, radius):
-                world = crowded
-                break
-        else:
+        crowded = _add_walker(world, (left, low, right, high), rng, difficulty, radius)
+        if crowded is None:
             raise WorldError(
                 f"{world.name}: nobody can cross it with more than {number} walkers: use fewer"
             )
+        world = crowded
     return world
+
+
+def _add_walker(
+    world: World, area: Box, rng: np.random.Generator, difficulty: float, radius: float
+) -> World | None:
+    """A world with one more walker; None where it couldn't be crossed any more."""
+    with contextlib.suppress(WorldError):
+        for _ in range(DRAWS):
+            walker = draw_walker(rng, world, [area], difficulty, radius)
+            crowded = replace(world, movers=(*world.movers, walker))
+            if can_be_crossed(crowded, radius):
+                return crowded
+    return None
 
 
 def can_be_crossed(world: World, radius: float) -> bool:
@@ -380,7 +392,8 @@ def draw_cylinder(rng: np.random.Generator, difficulty: float, radius: float) ->
         speeds = np.clip(rng.normal(mean, deviation, len(keys) - 1), DYNABARN_SLOWEST, fastest)
         lengths = np.hypot(*np.diff(keys, axis=0).T)
         times = np.concatenate([[0.0], np.cumsum(lengths / np.round(speeds, 1))])
-        mover = follow_keys(times, keys, smooth=True, radius=DYNABARN_RADIUS, spread=times[-1])
+        whole = float(times[-1])
+        mover = follow_keys(times, keys, smooth=True, radius=DYNABARN_RADIUS, spread=whole)
         if mover.top_speed <= OVERSHOOT * fastest and begins_away(mover, DYNABARN_START, radius):
             return mover
 

@@ -50,7 +50,8 @@ def search_time(  # noqa: PLR0913 - each is one of the search's own
 ) -> Floats | None:
     """Find the path of a disc that arrives first, and touches nobody on its way.
 
-    People who react count as if they followed their motion, unless `places` says better.
+    People who react count as if they followed their motion, unless `places` says better. Between
+    two steps of time movers count as going straight, so who turns there may come a little nearer.
 
     Args:
         world: obstacles and movers.
