@@ -17,7 +17,15 @@ import numpy as np
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.geometry import point_clearance
-from acsar_gym.worlds.movers import PERSON_RADIUS, Mover, Repeat, follow_keys, walk
+from acsar_gym.worlds.movers import (
+    PERSON_RADIUS,
+    Mover,
+    Repeat,
+    follow_keys,
+    locate_alone,
+    make_motions,
+    walk,
+)
 from acsar_gym.worlds.search import path_length, shortest_path
 from acsar_gym.worlds.time_search import search_time
 from acsar_gym.worlds.world import Floats, Region, World, make_box, make_rectangle, make_wall
@@ -294,7 +302,9 @@ def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
 def begins_away(mover: Mover, start: Region, radius: float) -> bool:
     """Whether a mover never begins within START_DISTANCE of a robot's start."""
     count = 2 + math.ceil(mover.spread * mover.top_speed / BEGIN_SPACING)
-    places = [mover.position(0.0, share) for share in np.linspace(0.0, 1.0, count).tolist()]
+    (movers,), (pieces,) = make_motions([[mover]])
+    shares = np.linspace(0.0, 1.0, count).tolist()
+    places = [locate_alone(movers[0], pieces, 0.0, share)[:2] for share in shares]
     least = START_DISTANCE + radius + start.radius + mover.radius
     return min(math.dist(place, (start.x, start.y)) for place in places) >= least
 
