@@ -13,7 +13,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.hashing import hash_sample
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import (
     FULL_TURN,
     Floats,
@@ -28,10 +28,18 @@ from acsar_gym.lidar.scan import (
 )
 from acsar_gym.links.base import Link
 from acsar_gym.physics.model import compute_physics
-from acsar_gym.trigonometry import cos_sin
+from acsar_gym.trigonometry import angle_of, cos_sin
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.geometry import Obstacles, Surroundings, cast_lines, make_surroundings
+from acsar_gym.worlds.crowd import CLOCK, SPEED_SHARE, VX, VY, X, Y
+from acsar_gym.worlds.geometry import (
+    Obstacles,
+    Surroundings,
+    cast_lines,
+    make_surroundings,
+    widest_angle,
+)
+from acsar_gym.worlds.movers import RADIUS, REACTS, SPEED, goes_straight, locate_mover, may_jump
 
 OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
 EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
@@ -96,6 +104,123 @@ def aim_beams(
         beams.origins[k, 0], beams.origins[k, 1] = x, y
 
 
+class Passers(NamedTuple):
+    """The movers around a LiDAR."""
+
+    movers: Floats
+    """(movers, numbers): see `worlds.movers.Motions`."""
+    pieces: Floats
+    """(pieces, 9): of their motions."""
+    states: Floats
+    """(movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
+    places: Floats
+    """(slots, movers, 2): where people who react were at the times of the robot's trail, x, y in
+    the frame of the world [m]."""
+
+
+@jit
+def see_nobody() -> Passers:
+    """No movers."""
+    nothing = np.zeros((0, 0))
+    return Passers(nothing, nothing, nothing, np.zeros((0, 0, 2)))
+
+
+@subroutine
+def begin_passing(passers: Passers, trail: Floats) -> None:
+    """Fill the places of a trail that has begun; before it, people walked as they do now."""
+    now, states, places = trail[0, 0], passers.states, passers.places
+    for row in range(len(places)):
+        for m in range(len(states)):
+            places[row, m, 0] = states[m, X] + (trail[row, 0] - now) * states[m, VX]
+            places[row, m, 1] = states[m, Y] + (trail[row, 0] - now) * states[m, VY]
+
+
+@subroutine
+def find_passer(
+    passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
+) -> tuple[float, float]:
+    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
+    if passers.movers[m, REACTS] == 0.0:
+        clock = time + passers.states[m, CLOCK]
+        x, y, _, _ = locate_mover(passers.movers, m, passers.pieces, clock)
+        return x, y
+    slots, places = len(trail), passers.places
+    ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
+    back = int(ago)
+    row, before = (newest - back + slots) % slots, (newest - back - 1 + slots) % slots
+    share = ago - back
+    return (
+        places[row, m, 0] + share * (places[before, m, 0] - places[row, m, 0]),
+        places[row, m, 1] + share * (places[before, m, 1] - places[row, m, 1]),
+    )
+
+
+@subroutine
+def see_passers(
+    passers: Passers,
+    trail: Floats,
+    newest: int,
+    place: tuple[float, float, float, float],
+    rays: Rays,
+    directions: Floats,
+    beams: Beams,
+) -> None:
+    """Shorten the distances of beams that meet movers where they were when each was measured.
+
+    `place` is the LiDAR's now, x, y, and cosine and sine of the robot's heading, in the frame of
+    the world. The rays that may meet a mover are those around where it is, or was on the way.
+    """
+    x, y, cos, sin = place
+    count, turn = len(beams.times), FULL_TURN / rays.step
+    now, begun, margin = trail[newest, 0], beams.times[0], 0.0
+    for k in range(count):
+        begun = min(begun, beams.times[k])
+        margin = max(margin, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
+    margin, ago = math.sqrt(margin) + 1e-3, now - begun
+    movers, states = passers.movers, passers.states
+    for m in range(len(movers)):
+        radius = movers[m, RADIUS]
+        if radius < 0.0:
+            break
+        wide = radius + margin + SPEED_SHARE * movers[m, SPEED] * ago
+        dx, dy = states[m, X] - x, states[m, Y] - y
+        jumps, far = may_jump(movers, m, begun + states[m, CLOCK], ago), rays.farthest + wide
+        if dx * dx + dy * dy > far * far and not jumps:
+            continue
+        is_straight = goes_straight(movers, m, passers.pieces, now + states[m, CLOCK], ago)
+        if is_straight:
+            wide = radius + margin + 0.5 * movers[m, SPEED] * ago
+            dx, dy = dx - 0.5 * ago * states[m, VX], dy - 0.5 * ago * states[m, VY]
+        apart = math.sqrt(dx * dx + dy * dy)
+        nearest, half = apart - wide, widest_angle(wide, apart) / rays.step
+        if jumps:
+            nearest, half = 0.0, turn
+        middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
+        for shift in (-turn, 0.0, turn):
+            low = max(math.ceil(middle + shift - half), 0)
+            high = min(math.floor(middle + shift + half), count - 1)
+            for k in range(low, high + 1):
+                if beams.distances[k] <= nearest:
+                    continue
+                time = beams.times[k]
+                if is_straight:
+                    to_x = states[m, X] + (time - now) * states[m, VX]
+                    to_y = states[m, Y] + (time - now) * states[m, VY]
+                else:
+                    to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
+                dx, dy = to_x - x, to_y - y
+                ox = dx * cos + dy * sin - beams.origins[k, 0]
+                oy = dy * cos - dx * sin - beams.origins[k, 1]
+                outside = ox * ox + oy * oy - radius * radius
+                along = ox * directions[k, 0] + oy * directions[k, 1]
+                inside = along * along - outside
+                if outside <= 0.0:
+                    beams.distances[k] = 0.0
+                elif inside >= 0.0 and along > 0.0:
+                    hit = max(along - math.sqrt(inside), 0.0)
+                    beams.distances[k] = min(beams.distances[k], hit)
+
+
 @loop
 def add_errors(
     distances: Floats, key: float, number: float, traits: LidarTraits, rays: Rays
@@ -145,6 +270,7 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     episode: tuple[float, float, float],
     traits: LidarTraits,
     beams: Beams,
+    passers: Passers,
     kind: int = 0,
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
@@ -157,6 +283,11 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
     x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
     cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances, kind)
+    if len(passers.movers) > 0:
+        x += cos * rays.mount_x - sin * rays.mount_y
+        y += sin * rays.mount_x + cos * rays.mount_y
+        directions = around.directions[kind]
+        see_passers(passers, trail, newest, (x, y, cos, sin), rays, directions, beams)
     add_errors(beams.distances, key, number, traits, rays)
     return ended
 
@@ -183,6 +314,7 @@ class SimulatedLidar:
         self._config = config
         self._around = make_surroundings(Obstacles(), ray_spec(config), 1, config)
         self._rays = make_rays(config)
+        self._passers = see_nobody()
         self._episode = (0.0, 0.0, 0.0)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -201,11 +333,21 @@ class SimulatedLidar:
         self._episode = (self._link.now(), *draw_episode(rng))
         self.oldest = 2.0 / physics.scan_rate
         self._trail = Trail(self.oldest, config.period)
+        self._passers = see_nobody()
         self.poll(self._link.truth, self._link.now())
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Mark where the robot is after a tick."""
+        """Mark where the robot and the movers are after a tick."""
+        begins = self._trail.newest < 0
         self._trail.mark(now, truth.pose if truth else (0.0, 0.0, 0.0))
+        if truth is not None and truth.crowd is not None:
+            crowd, rows = truth.crowd, self._trail.rows
+            if begins:
+                places = np.zeros((len(rows), len(crowd.states), 2))
+                movers, pieces = crowd.motions.movers[0], crowd.motions.pieces[0]
+                self._passers = Passers(movers, pieces, crowd.states, places)
+                begin_passing(self._passers, rows)
+            self._passers.places[self._trail.newest] = crowd.states[:, :2]
 
     def scan(self) -> Revolution:
         """Measure the newest complete revolution, where the robot's present rays point."""
@@ -219,6 +361,7 @@ class SimulatedLidar:
             self._episode,
             self._traits,
             beams,
+            self._passers,
         )
         return Revolution(beams.bearings, beams.distances, beams.times, ended)
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -120,7 +120,7 @@ class Mover:
     def position(self, time: float, share: float = 0.0) -> tuple[float, float]:
         """Where the motion is [m] at a time since the episode's begin [s].
 
-        `share` is the episode's draw, 0 to 1, see `draw_share`.
+        `share` is the episode's draw, 0 to 1, of its `spread`.
         """
         x, y, _, _ = locate_alone(*_arrays_of(self), time, share)
         return x, y
@@ -137,12 +137,8 @@ def walk(
     *,
     pauses: float | Sequence[float] = 0.0,
     repeat: Repeat = Repeat.BACK,
-    radius: float = PERSON_RADIUS,
-    phase: float = 0.0,
-    spread: float = 0.0,
-    reacts: bool = False,
-    sees_robot: bool = True,
     name: str = "",
+    **options: Any,
 ) -> Mover:
     """Make a mover that walks straight from point to point.
 
@@ -151,7 +147,8 @@ def walk(
         speed: of all lines, or of each [m/s].
         pauses: how long it stands at each point, the first one included, or at each its own [s].
         repeat: what follows at the end; with LOOP it walks on to the first point.
-        radius, phase, spread, reacts, sees_robot, name: as in `Mover`.
+        name: as in `Mover`.
+        **options: other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Raises:
         WorldError: for numbers that can't be used.
@@ -190,17 +187,7 @@ def walk(
     if len(times) == 1:
         times.append(1.0)
         places.append(ways[0])
-    return follow_keys(
-        times,
-        places,
-        repeat=repeat,
-        radius=radius,
-        phase=phase,
-        spread=spread,
-        reacts=reacts,
-        sees_robot=sees_robot,
-        name=name,
-    )
+    return follow_keys(times, places, repeat=repeat, name=name, **options)
 
 
 def follow_keys(
@@ -210,12 +197,8 @@ def follow_keys(
     smooth: bool = False,
     tension: float = 0.0,
     repeat: Repeat = Repeat.LOOP,
-    radius: float = PERSON_RADIUS,
-    phase: float = 0.0,
-    spread: float = 0.0,
-    reacts: bool = False,
-    sees_robot: bool = True,
     name: str = "",
+    **options: Any,
 ) -> Mover:
     """Make a mover that is at a point at each of some times, such as Gazebo's key frames.
 
@@ -227,7 +210,8 @@ def follow_keys(
             (1 - tension) / 2 times the step between the neighbours of a point.
         tension: of the spline, 0 to 1; 1 stands still at every point.
         repeat: what follows at the end; with LOOP it jumps to the first point.
-        radius, phase, spread, reacts, sees_robot, name: as in `Mover`.
+        name: as in `Mover`.
+        **options: other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Raises:
         WorldError: for numbers that can't be used.
@@ -253,17 +237,7 @@ def follow_keys(
         pieces[:, [4, 8]] = (leave + arrive - 2.0 * steps) / lengths**3
     else:
         pieces[:, [2, 6]] = steps / lengths
-    return Mover(
-        pieces,
-        float(at[-1] - at[0]),
-        radius,
-        repeat,
-        phase,
-        spread,
-        reacts,
-        sees_robot,
-        name,
-    )
+    return Mover(pieces, float(at[-1] - at[0]), repeat=repeat, name=name, **options)
 
 
 def check_movers(movers: Sequence[Mover]) -> None:
@@ -284,6 +258,8 @@ class Motions(NamedTuple):
     """(worlds, movers, MOVER_NUMBERS); unused rows have a radius of -1 and come last."""
     pieces: Floats
     """(worlds, pieces, 9): those of all movers of a world, one after the other."""
+    reacting: NDArray[np.bool_]
+    """(worlds,): whether anybody reacts."""
 
 
 class MoverRow(NamedTuple):
@@ -296,6 +272,8 @@ class MoverRow(NamedTuple):
     count: float
     """How many pieces it has."""
     duration: float
+    cycles: float
+    """How often it repeats itself in a second; 0 where it stops."""
     phase: float
     spread: float
     reacts: float
@@ -304,10 +282,9 @@ class MoverRow(NamedTuple):
     """Its top speed [m/s]."""
 
 
-RADIUS, REPEAT, FIRST, COUNT, DURATION, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
+RADIUS, REPEAT, FIRST, COUNT, DURATION, CYCLES, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
     len(MoverRow._fields)
 )
-NO_MOTIONS = Motions(np.zeros((1, 0, len(MoverRow._fields))), np.zeros((1, 0, PIECE_NUMBERS)))
 
 
 def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
@@ -327,6 +304,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 first,
                 count,
                 mover.duration,
+                1.0 / mover.cycle,
                 mover.phase,
                 mover.spread,
                 mover.reacts,
@@ -334,70 +312,93 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 mover.top_speed,
             )
             first += count
-    return Motions(rows, pieces)
+    return Motions(rows, pieces, (rows[:, :, REACTS] > 0.0).any(axis=1))
 
 
 def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
     motions = make_motions([[mover]])
-    return motions.movers[0, 0], motions.pieces[0]
+    return motions.movers[0], motions.pieces[0]
 
 
 @jit
-def draw_share(key: float, mover: int) -> float:
-    """The draw of a mover of an episode, 0 to 1, from the episode's key."""
-    return hash_sample(key, mover)
+def draw_offset(movers: Floats, m: int, key: float) -> float:
+    """Time in the motion of mover m at which an episode of this key begins [s]."""
+    return movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
 
 
 @subroutine
 def locate_mover(
-    mover: Floats, pieces: Floats, time: float, share: float
+    movers: Floats, m: int, pieces: Floats, clock: float
 ) -> tuple[float, float, float, float]:
     """Where a mover's motion is, and its velocity.
 
     Args:
-        mover: its row of `Motions.movers`.
+        movers: of a world, as in `Motions`.
+        m: which of them.
         pieces: of its world.
-        time: since the episode's begin [s].
-        share: the episode's draw, 0 to 1.
+        clock: time since the episode's begin, and the offset of `draw_offset` [s].
 
     Returns:
         x, y [m] and their rates [m/s], in the frame of the world.
     """
-    return locate_clock(mover, pieces, time + mover[PHASE] + share * mover[SPREAD])
+    piece, s, direction = find_piece(movers, m, pieces, clock)
+    x = pieces[piece, 1] + s * (pieces[piece, 2] + s * (pieces[piece, 3] + s * pieces[piece, 4]))
+    y = pieces[piece, 5] + s * (pieces[piece, 6] + s * (pieces[piece, 7] + s * pieces[piece, 8]))
+    vx = pieces[piece, 2] + s * (2.0 * pieces[piece, 3] + s * 3.0 * pieces[piece, 4])
+    vy = pieces[piece, 6] + s * (2.0 * pieces[piece, 7] + s * 3.0 * pieces[piece, 8])
+    return x, y, direction * vx, direction * vy
 
 
-@subroutine
-def locate_clock(mover: Floats, pieces: Floats, clock: float) -> tuple[float, float, float, float]:
-    """As `locate_mover`, at a time of the motion's own clock [s]."""
-    duration, direction = mover[DURATION], 1.0
-    if mover[REPEAT] == 1.0:
-        clock -= 2.0 * duration * np.floor(clock / (2.0 * duration))
+@jit
+def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[int, float, float]:
+    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
+    duration, direction = movers[m, DURATION], 1.0
+    if movers[m, REPEAT] == 1.0:
+        clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])
         if clock > duration:
             clock, direction = 2.0 * duration - clock, -1.0
-    elif mover[REPEAT] == 2.0:
-        clock -= duration * np.floor(clock / duration)
+    elif movers[m, REPEAT] == 2.0:
+        clock -= duration * np.floor(clock * movers[m, CYCLES])
     else:
         direction = 1.0 if 0.0 <= clock < duration else 0.0
         clock = min(max(clock, 0.0), duration)
-    low = int(mover[FIRST])
-    high = low + int(mover[COUNT]) - 1
+    low = int(movers[m, FIRST])
+    high = low + int(movers[m, COUNT]) - 1
     while low < high:
         middle = (low + high + 1) // 2
         if pieces[middle, 0] <= clock:
             low = middle
         else:
             high = middle - 1
-    s = clock - pieces[low, 0]
-    x = pieces[low, 1] + s * (pieces[low, 2] + s * (pieces[low, 3] + s * pieces[low, 4]))
-    y = pieces[low, 5] + s * (pieces[low, 6] + s * (pieces[low, 7] + s * pieces[low, 8]))
-    vx = pieces[low, 2] + s * (2.0 * pieces[low, 3] + s * 3.0 * pieces[low, 4])
-    vy = pieces[low, 6] + s * (2.0 * pieces[low, 7] + s * 3.0 * pieces[low, 8])
-    return x, y, direction * vx, direction * vy
+    return low, clock - pieces[low, 0], direction
+
+
+@subroutine
+def goes_straight(movers: Floats, m: int, pieces: Floats, clock: float, ago: float) -> bool:
+    """Whether a mover that doesn't react has kept its velocity for so long until a time [s]."""
+    piece, s, direction = find_piece(movers, m, pieces, clock)
+    for k in (3, 4, 7, 8):
+        if pieces[piece, k] != 0.0:
+            return False
+    last = piece + 1 == int(movers[m, FIRST] + movers[m, COUNT])
+    end = movers[m, DURATION] if last else pieces[piece + 1, 0]
+    since = s if direction > 0.0 else end - pieces[piece, 0] - s
+    return movers[m, REACTS] == 0.0 and direction != 0.0 and since >= ago
+
+
+@jit
+def may_jump(movers: Floats, m: int, clock: float, duration: float) -> bool:
+    """Whether a motion that repeats itself begins anew within a duration from a time on [s]."""
+    if movers[m, REPEAT] != 2.0:
+        return False
+    begun = np.floor(clock * movers[m, CYCLES])
+    anew: bool = np.floor((clock + duration) * movers[m, CYCLES]) > begun
+    return anew
 
 
 @loop
 def locate_alone(
-    mover: Floats, pieces: Floats, time: float, share: float
+    movers: Floats, pieces: Floats, time: float, share: float
 ) -> tuple[float, float, float, float]:
-    """`locate_mover` for Python."""
-    return locate_mover(mover, pieces, time, share)
+    """`locate_mover` of the only mover, for Python."""
+    return locate_mover(movers, 0, pieces, time + movers[0, PHASE] + share * movers[0, SPREAD])

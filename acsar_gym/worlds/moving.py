@@ -302,9 +302,9 @@ def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
 def begins_away(mover: Mover, start: Region, radius: float) -> bool:
     """Whether a mover never begins within START_DISTANCE of a robot's start."""
     count = 2 + math.ceil(mover.spread * mover.top_speed / BEGIN_SPACING)
-    (movers,), (pieces,) = make_motions([[mover]])
+    (movers,), (pieces,), _ = make_motions([[mover]])
     shares = np.linspace(0.0, 1.0, count).tolist()
-    places = [locate_alone(movers[0], pieces, 0.0, share)[:2] for share in shares]
+    places = [locate_alone(movers, pieces, 0.0, share)[:2] for share in shares]
     least = START_DISTANCE + radius + start.radius + mover.radius
     return min(math.dist(place, (start.x, start.y)) for place in places) >= least
 

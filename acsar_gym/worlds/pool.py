@@ -134,10 +134,9 @@ class Pool:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether something moves in its worlds; of generated ones the first one says it."""
-        if self.generated:
-            return bool(self[self.numbers[0]].movers)
-        return any(world.movers for world in self)
+        """Whether something moves in these worlds; in generated ones, whether it does in the first."""
+        numbers = self.numbers[:1] if self.generated else self.numbers
+        return any(self[number].movers for number in numbers)
 
     @cached_property
     def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

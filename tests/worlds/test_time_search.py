@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from acsar_gym.hashing import hash_sample
 from acsar_gym.worlds.geometry import segment_clearance
-from acsar_gym.worlds.movers import Mover, Repeat, draw_share, follow_keys, walk
+from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
 from acsar_gym.worlds.time_search import TIME_STEP, search_time
 from acsar_gym.worlds.world import Floats, Region, World, make_rectangle
 
@@ -35,7 +36,7 @@ def check(path: Floats | None, world: World, key: float = 0.0) -> Floats:
     if world.obstacles:
         assert segment_clearance(path[:-1, 1:], path[1:, 1:], world).min() > RADIUS - 0.015
     for number, mover in enumerate(world.movers):
-        share = draw_share(key, number)
+        share = hash_sample(key, number)
         for time in np.arange(path[0, 0], path[-1, 0], 0.05).tolist():
             at = [np.interp(time, path[:, 0], path[:, k]) for k in (1, 2)]
             gap = math.dist(at, mover.position(time, share)) - mover.radius - RADIUS
@@ -110,7 +111,7 @@ def test_nobody_is_touched(movers: list[Mover], key: float, begin: float) -> Non
         check(path, world, key)
     steps = np.arange(601) * TIME_STEP + begin
     places = [
-        [mover.position(t, draw_share(key, n)) for n, mover in enumerate(movers)]
+        [mover.position(t, hash_sample(key, n)) for n, mover in enumerate(movers)]
         for t in steps.tolist()
     ]
     again = find(world, places=np.reshape(places, (601, len(movers), 2)), begin=begin)
