@@ -15,6 +15,7 @@ import numpy as np
 
 from acsar_gym.errors import require_extra
 from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.worlds.crowd import PERSON_HIT, ROBOT_HIT
 
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000
@@ -32,10 +33,12 @@ class Summary:
 
     episodes: int
     success_rate: float
-    collision_rate: float
+    collision_rate: float  # touched an obstacle, or ran into somebody
+    struck_rate: float  # somebody ran into the robot, which is no collision of its own
     timeout_rate: float
-    """None of the others: time-out or out of bounds. The four rates add up to 1."""
+    """None of the others: time-out or out of bounds. These five rates add up to 1."""
     fault_rate: float  # ended by a fault of link, board or wheels
+    person_collision_rate: float  # ran into somebody: the part of the collisions with people
     episode_return: float
     """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
     length: float  # policy steps per episode
@@ -46,7 +49,16 @@ class Summary:
     smoothness: float  # heading change per metre driven [rad/m]; smaller is smoother
     jerk: float  # mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother
     clearance: float
-    """Least distance of the footprint to an obstacle in an episode, 0 in a collision [m]."""
+    """Least distance of the footprint to an obstacle that stands in an episode, 0 where it touched
+    one [m]."""
+    closest_person: float
+    """Least distance of the footprint to somebody who moves in an episode, 0 where they touched
+    [m]; NaN where nobody moves, as the next two."""
+    time_to_collision: float
+    """Least time in an episode until the robot would touch somebody if all kept their velocities
+    [s]; at most 10."""
+    intrusion_rate: float
+    """How often a minute the robot entered somebody's personal space, in an episode [1/min]."""
     energy: float  # mechanical work of a simulated robot's motors, over successful episodes [J]
     odometry_error: float  # distance between odometry and ground truth at the end of an episode [m]
     odometry_drift: float  # odometry error divided by the length of the path driven
@@ -91,13 +103,21 @@ def replace_nonfinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-EPISODE_RATES: dict[str, Callable[[Episode], bool]] = {
+EPISODE_ENDS: dict[str, Callable[[Episode], bool]] = {
     "success_rate": lambda e: e.success,
     "collision_rate": lambda e: e.collision,
-    "timeout_rate": lambda e: not (e.success or e.collision or e.fault),
+    "struck_rate": lambda e: e.person_contact == PERSON_HIT,
+    "timeout_rate": lambda e: not (
+        e.success or e.collision or e.person_contact == PERSON_HIT or e.fault
+    ),
     "fault_rate": lambda e: bool(e.fault),
 }
 """How an episode ended."""
+EPISODE_RATES: dict[str, Callable[[Episode], bool]] = {
+    **EPISODE_ENDS,
+    "person_collision_rate": lambda e: e.person_contact == ROBOT_HIT,
+}
+"""What is true of an episode or not."""
 EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
     "episode_return": lambda e: e.episode_return,
     "length": lambda e: e.length,
@@ -108,6 +128,9 @@ EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
     "smoothness": lambda e: e.turning / max(e.path, 1e-9),
     "jerk": lambda e: e.jerk,
     "clearance": lambda e: e.clearance,
+    "closest_person": lambda e: e.closest_person,
+    "time_to_collision": lambda e: e.time_to_collision,
+    "intrusion_rate": lambda e: 60.0 * e.intrusions / max(e.time, 1e-9),
     "energy": lambda e: e.energy if e.success else math.nan,
     "odometry_error": lambda e: e.odometry_error,
     "odometry_drift": lambda e: (

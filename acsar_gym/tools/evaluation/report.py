@@ -20,7 +20,7 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.metrics import EPISODE_RATES, TOLD_PREFIX, Summary
+from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, TOLD_PREFIX, Summary
 
 Item = TypeVar("Item")
 ODOMETRY_ALARM = 0.15
@@ -145,7 +145,7 @@ def write_evaluation_page(
     figure = graph_objects.Figure(
         layout={"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
     )
-    for name, is_ended_so in EPISODE_RATES.items():
+    for name, is_ended_so in EPISODE_ENDS.items():
         chosen = [episode for episode in episodes if is_ended_so(episode)]
         figure.add_scatter(
             x=[episode.seed for episode in chosen],
@@ -205,6 +205,8 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
         f"({summary.success_rate:.1%})"
     ),
     "collision": lambda summary: _format_rate(summary.collision_rate),
+    "into people": lambda summary: _format_rate(summary.person_collision_rate),
+    "struck": lambda summary: _format_rate(summary.struck_rate),
     "time-out": lambda summary: _format_rate(summary.timeout_rate),
     "fault": lambda summary: _format_rate(summary.fault_rate),
     "SPL": lambda summary: _format_number(summary.spl),
@@ -214,6 +216,9 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
     "time to goal": lambda summary: _format_number(summary.time_to_goal, "s"),
     "path": lambda summary: _format_number(summary.path, "m"),
     "clearance": lambda summary: _format_number(summary.clearance * 100.0, "cm"),
+    "closest person": lambda summary: _format_number(summary.closest_person * 100.0, "cm"),
+    "time to collision": lambda summary: _format_number(summary.time_to_collision, "s"),
+    "intrusions": lambda summary: _format_number(summary.intrusion_rate, "/min"),
     "energy": lambda summary: _format_number(summary.energy, "J"),
     "beside path": lambda summary: _format_number(summary.cross_track * 100.0, "cm"),
     "odometry error": lambda summary: _format_number(summary.odometry_error * 100.0, "cm"),
