@@ -294,13 +294,31 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     Raises:
         ConfigError: it can't be read, or holds no true poses.
     """
-    lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
+    truths = _read_events(log, "pose")
     try:
-        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
-        truths = [(float(event["t"]), event["pose"]) for event in events if "pose" in event]
         poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
-    except (ValueError, TypeError, LookupError) as error:
-        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from error
+    except (ValueError, TypeError) as error:
+        raise _foreign_log(log) from error
     if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
     return [stamp for stamp, _ in truths], poses
+
+
+def read_person_contact(log: Path, started: float, ended: float) -> float:
+    """Read who ran into whom first between two times, as `Episode.person_contact` says it."""
+    contacts = (hit for stamp, hit in _read_events(log, "hit") if started < stamp <= ended)
+    return float(next(contacts, NO_HIT))
+
+
+def _read_events(log: Path, kind: str) -> list[tuple[float, Any]]:
+    """Read the times [s] and values of events from an emulator's log."""
+    lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
+    try:
+        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
+        return [(float(event["t"]), event[kind]) for event in events if kind in event]
+    except (ValueError, TypeError, LookupError) as error:
+        raise _foreign_log(log) from error
+
+
+def _foreign_log(log: Path) -> ConfigError:
+    return ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'")
