@@ -55,7 +55,10 @@ SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
         "barn-husky": SceneChoice("barn", ("husky",), "barn_score_own"),
         "barn-unseen": SceneChoice("barn", UNSEEN_ROBOTS, "barn_score_own"),
     },
-    "acsar_gym/Crowd-v0": {"crowd": SceneChoice("crowd", TWO_ROBOTS, "completion_time")},
+    "acsar_gym/Crowd-v0": {
+        "crowd": SceneChoice("crowd", TWO_ROBOTS, "completion_time"),
+        "crowd-reacting": SceneChoice("crowd_reacting", TWO_ROBOTS, "completion_time"),
+    },
     "acsar_gym/DynaBarn-v0": {"dynabarn": SceneChoice("dynabarn", TWO_ROBOTS, "completion_time")},
     "acsar_gym/PathFollow-v0": {"path": SceneChoice("smooth_path", THREE_ROBOTS, "cross_track")},
 }

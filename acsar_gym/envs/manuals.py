@@ -304,10 +304,10 @@ class CrowdEnv(RobotEnv):
 
     ## Start and end
 
-    Every episode takes place in one of the env's numbered worlds, in which people walk: some as if
-    nobody else were there, some keep a distance from others, and of these some see the robot.
-    Where they are at its begin is drawn anew for each episode. The robot stands at the world's
-    start, which is the origin of the odometry frame. The episode terminates when odometry says that
+    Every episode takes place in one of the env's numbered worlds: a corridor, a crossing, rooms
+    with doors or an open floor, in which people walk. Where they are at its begin is drawn anew for
+    each episode. The robot stands at the world's start, which is the origin of the odometry frame.
+    The episode terminates when odometry says that
     the robot is within 0.5 m of the goal (success), or when a simulated robot and an obstacle or a
     person touch (collision, whoever ran into whom). It is truncated after 800 steps.
     `reset(options={"world": 1017})` chooses the world, `{"goal": (x, y)}` sets the goal, as in
@@ -318,8 +318,11 @@ class CrowdEnv(RobotEnv):
     - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
       `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`
       and `lidar` as in `acsar_gym/ObstacleGoal-v1`.
-    - `worlds`: "crowd:train" by default, the 400 worlds to train in; "crowd:test" are the 200 that
-      `acsar-gym evaluate` tests in. More as in `acsar_gym/ObstacleGoal-v1`.
+    - `worlds`: "crowd:train" by default, the 400 worlds to train in, where people walk as if nobody
+      else were there; "crowd:test" are the 200 that `acsar-gym evaluate` tests in. In
+      "crowd_reacting" some people keep a distance from others, and most of these see the robot. In
+      "clutter+6:train" six walk through the worlds of clutter. More as in
+      `acsar_gym/ObstacleGoal-v1`.
 
     ## Info
 

@@ -61,9 +61,9 @@ def test_the_sets_that_are_driven() -> None:
     """Robots in the names of sets that have several; their scores; easy worlds for wide robots."""
     found = {some.name: some for some in EVERY_SET}
     names = ["open", "clutter", "clutter-unseen", "barn", "barn-fast", "barn-husky", "barn-unseen"]
-    names += ["crowd", "dynabarn", "path"]
+    names += ["crowd", "crowd-reacting", "dynabarn", "path"]
     assert list(dict.fromkeys(name.partition("/")[0] for name in found)) == names
-    assert {found[f"{name}/jackal"].score for name in names[-3:-1]} == {"completion_time"}
+    assert {found[f"{name}/jackal"].score for name in names[-4:-1]} == {"completion_time"}
     assert len([name for name in found if name.startswith("clutter-unseen/drawn:")]) == 5
     fast, husky = found["barn-fast"], found["barn-husky"]
     assert (fast.robot, fast.score, fast.config.max_linear) == ("jackal", "barn_score", 2.0)
