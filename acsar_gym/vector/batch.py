@@ -34,7 +34,7 @@ from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
 from acsar_gym.worlds.crowd import STATE_NUMBERS
-from acsar_gym.worlds.movers import RADIUS, make_motions
+from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -407,7 +407,6 @@ def make_crowds(worlds: Sequence[World], scans: layout.Scans | None) -> layout.C
     most = motions.movers.shape[1]
     return layout.Crowds(
         motions,
-        motions.movers[:, :, RADIUS].copy(),
         np.zeros((robots, most, STATE_NUMBERS)),
         np.zeros((robots, slots, most, 2)),
     )

@@ -525,8 +525,9 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             slot = (slot + setup.loops) % slots
             if crowds is not None:
                 for i in range(count):
-                    now = int(robots.loops[i] / setup.loops) + 1
-                    advance_movers(robots, i, begin + i, now, crowds, scans, setup)
+                    after = int(robots.loops[i] / setup.loops) + 1
+                    if after >= robots.crowd_look[i]:
+                        advance_movers(robots, i, begin + i, after, crowds, scans, setup)
             if scans is not None:
                 check_contacts(robots, count, scans.around)
             if setup.metered:
@@ -541,7 +542,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 for i in range(count if setup.sees else 0):
                     now = robots.steps[i] * setup.ticks + tick + 1.0
                     mark_trails(robots, i, scans.trails, begin + i, now, setup)
-                    if crowds is not None:
+                    if crowds is not None and crowds.motions.reacting[int(robots.world[i])]:
                         mark_movers(crowds, begin + i, int(now) % scans.trails.shape[2])
         if commands is not None:
             explain_commands(robots, count, setup)
@@ -549,7 +550,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
             continue
         for i in range(count):
             if crowds is not None:
-                survey_movers(robots, i, begin + i, crowds, scans)
+                survey_movers(robots, i, begin + i, crowds, scans, setup)
             if lines is not None:
                 is_cut = tables.idle[begin + i] and not tables.over[begin + i]
                 if is_cut and lines.kept.shape[1] > 0:

@@ -33,6 +33,7 @@ from acsar_gym.vector.kernel.layout import (
     robots_of_block,
 )
 from acsar_gym.vector.pcg import uniform
+from acsar_gym.worlds.movers import RADIUS
 
 
 @jit
@@ -130,7 +131,10 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                 draw_goal(robots, i, random, robot, spawns)
             else:
                 draw_start(robots, i, random, robot, spawns)
-                if crowds is not None and crowds.radii[int(robots.world[i]), 0] > 0.0:
+                if (
+                    crowds is not None
+                    and crowds.motions.movers[int(robots.world[i]), 0, RADIUS] > 0.0
+                ):
                     robots.crowd_key[i] = uniform(random, robot)
             kind = int(robots.kind[i])
             low, high = draws.low[kind], draws.high[kind]

@@ -108,6 +108,7 @@ class Episode:
     scan_stale: Number
 
     crowd_key: Number  # the episode's draw for movers, as the next ones where worlds move
+    crowd_look: Number  # the next tick in which the robot can touch a mover, or people walk
     closest_person: Number  # for info alone, as the next ones [m]
     time_to_collision: Number  # [s]
     intrusions: Number  # how often the robot has entered somebody's personal space
@@ -370,8 +371,6 @@ class Crowds(NamedTuple):
     """What moves in the worlds, around each robot."""
 
     motions: Motions  # of each world
-    radii: Floats
-    """(worlds, movers) [m]; unused ones are -1 and come last."""
     states: Floats
     """(R, movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
     trails: Floats

@@ -6,7 +6,7 @@ import numpy as np
 
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import begin_trail, fill_scan
-from acsar_gym.lidar.simulated import LidarTraits, Passers, make_beams, measure_revolution
+from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution, see_nobody
 from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.crowds import begin_trails, passers_of
@@ -75,7 +75,7 @@ def read_scans(
     env, whose reset fails.
     """
     setup, trails = setups[0], scans.trails
-    nobody = Passers(np.zeros(0), np.zeros((0, 0, 2)))
+    nobody = see_nobody()
     beams, mapped = make_beams(tables.ranges.shape[1]), np.zeros(len(MAP_NAMES))
     for block in range(first, last):
         robots = tables.blocks[block]
