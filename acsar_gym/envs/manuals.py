@@ -295,11 +295,26 @@ class CrowdEnv(RobotEnv):
 
     ## Observation space
 
-    OBSERVATION
+    `Box((133 + rays,), float32)`, with the 64 rays of the ACSAR robot (197,). Numbers 0 to 96 are
+    those of `acsar_gym/ObstacleGoal-v1`, and the rays come last, as there. Between them stand the
+    six nearest of what moves around the robot, the nearest one first, six numbers each:
+
+    | index | observation of the nearest one, and 6 on for each next one | range |
+    |---|---|---|
+    | 97 | 1, or 0 where none is seen: then the other five are 0, too | 0 to 1 |
+    | 98, 99 | where it is from the base: a vector to its middle, ahead and to the left | -1 to 1 |
+    | 100, 101 | its velocity over the floor, ahead and to the left / (4 `max_linear`) | -1 to 1 |
+    | 102 | its radius / (4 R) | 0 to 1 |
+
+    The length of the vector at 98 is log(1 + 4 d / R) / log(1 + 4 * 16), d being the distance from
+    the base's middle. They are tracked in the LiDAR's scans: who is hidden, or stands, isn't told,
+    and the map forgets whoever has moved on.
 
     ## Reward
 
-    As in `acsar_gym/ObstacleGoal-v1`, COST.
+    As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
+    personal space of the nearest one that it sees moving: 0 where that one's hull is 0.45 m or more
+    from the circle around the robot, 1 where they touch, by observations 97 to 102.
     `reward_threshold` 14.
 
     ## Start and end
