@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from acsar_gym.worlds.geometry import is_inside
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
+NO_TRACKS = np.zeros((0, 5))
+TRACK_MARGIN = 0.15
+"""Obstacles that are no farther from a mover's hull belong to it [m]."""
 
 
 @loop
@@ -63,12 +67,20 @@ def points_clearance(
     return best
 
 
+def to_base(pose: Pose, places: Floats) -> Floats:
+    """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
+    dx, dy, cos, sin = *(places - pose[:2]).T, math.cos(pose[2]), math.sin(pose[2])
+    return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
+
+
 class MappedPolicy(BaselinePolicy):
     """Drives along the way that the robot's map plans, around what the LiDAR sees and saw."""
 
     needs = GOAL_NUMBERS
     what = ("a goal", "obstacle_goal")
     lidar = True
+    follows_movers: ClassVar[bool] = False
+    """Whether it needs the tracks of the robot's sensor `movers`."""
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task.
@@ -81,6 +93,11 @@ class MappedPolicy(BaselinePolicy):
             raise PolicyError(
                 f"{self.name}: needs a map, which {setting.task} doesn't observe: use --env "
                 "obstacle_goal, or another policy"
+            )
+        if self.follows_movers and setting.movers is None:
+            raise PolicyError(
+                f"{self.name}: needs the sensor 'movers', which {setting.task} doesn't observe: "
+                "use --env crowd, or another policy"
             )
         self.map: MapSensor = setting.map
         corners = np.array(setting.config.outline)
@@ -108,8 +125,15 @@ class MappedPolicy(BaselinePolicy):
             Linear [m/s] and angular velocity [rad/s].
         """
 
-    def obstacles(self, pose: Pose, seen: DecodedObservation, reach: float) -> Floats:
-        """(n, 2): what is around the robot, in the odometry frame [m].
+    def tracks(self) -> Floats:
+        """(m, 5): movers, in the odometry frame: x, y [m], their rates [m/s], and radius [m]."""
+        movers = self.setting.movers
+        return movers.tracks if self.follows_movers and movers is not None else NO_TRACKS
+
+    def obstacles(
+        self, pose: Pose, seen: DecodedObservation, reach: float, tracks: Floats = NO_TRACKS
+    ) -> Floats:
+        """(n, 2): what is around the robot and belongs to no track, in the odometry frame [m].
 
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
@@ -131,7 +155,9 @@ class MappedPolicy(BaselinePolicy):
         elsewhere = (self.map.cells_of(places) != cells).any(axis=1)
         places[elsewhere] = self.map.centres_of(cells[elsewhere])
         near = np.abs(scan - pose[:2]).max(axis=1) <= reach
-        return np.concatenate([scan[near], places])
+        points = np.concatenate([scan[near], places])
+        apart = np.hypot(*(points[:, None] - tracks[:, :2]).T).T
+        return points[(apart > tracks[:, 4] + TRACK_MARGIN).all(axis=1)]
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
         """The point that is so far along the way [m], in the base frame [m]."""
