@@ -49,8 +49,10 @@ from acsar_gym.tasks.episode import Assignment, ObservationCheck, RunningEpisode
 from acsar_gym.tasks.factory import make_task, task_name, validate_task
 from acsar_gym.tasks.options import SharedOptions, read_step_limit
 from acsar_gym.tasks.spec import PlainSpec, task_spaces
-from acsar_gym.tasks.state import INFO, NO_PATH, NO_RANGES, NOTHING_SENSED, write_maker
+from acsar_gym.tasks.state import CROWD_INFO, INFO, NO_PATH, NO_RANGES, NOTHING_SENSED, write_maker
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Pose, Scene
+from acsar_gym.worlds.crowd import FARTHEST_COLLISION, FARTHEST_PERSON, NO_HIT
 from acsar_gym.worlds.world import point_in_world, to_odometry
 
 Info = dict[str, Any]
@@ -124,6 +126,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.task = make_task(task, task_options, EnvOptions.names())
         self._spawn = Spawn(self.task, self._options.worlds, self._options.difficulty, config)
         self.pool = self._spawn.pool
+        self._moves = self.pool is not None and self.pool.moves
+        self._info = INFO | CROWD_INFO if self._moves else INFO
         self._connect(link, config)
         validate_task(self.task, config, self.sensors)
         self.action_space: Any
@@ -201,7 +205,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episode = episode = RunningEpisode(self.task, assignment, self._observed)
         self._has_ended = False
         start, physics = assignment.start, self._randomizer.draw(self.np_random)
-        scene = Scene(start, point_in_world(start, assignment.goal), assignment.world, physics)
+        goal = point_in_world(start, assignment.goal)
+        scene = Scene(start, goal, assignment.world, physics, assignment.key)
         self._describe_episode(seed, assignment)
         self.robot.reset(scene, self.np_random)
         self._sensed = self.robot.read().astype(np.float32)
@@ -361,6 +366,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             "goal_distance": math.hypot(goal_x - true_x, goal_y - true_y),
             "odom_error": math.hypot(true_x - x, true_y - y),
         }
+        if self._moves:
+            numbers |= survey_movers(truth)
         state = make_state(
             numbers,
             0,
@@ -381,7 +388,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Observation and info after a reset or step."""
         observation = np.concatenate([episode.observe(state), state.sensed])
         numbers["success"] = float(episode.outcome is Outcome.SUCCESS)
-        info = {key: numbers[name] for key, name in INFO.items()}
+        info = {key: numbers[name] for key, name in self._info.items()}
         info |= episode.info() | self._randomizer.info()
         if self._faulty is not None or math.isnan(numbers["contact"]):  # no simulator's truth
             info["fault"] = 0.0
@@ -446,3 +453,14 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if getattr(self, "robot", None) is not None and hasattr(self, "_screen"):
             with contextlib.suppress(AcsarError):
                 self.close()
+
+
+def survey_movers(truth: GroundTruth | None) -> Numbers:
+    """The numbers of `CROWD_INFO`; NaN where no simulator knows them."""
+    if truth is None:
+        return dict.fromkeys(CROWD_INFO.values(), math.nan)
+    closest, soonest, intrusions, hit = FARTHEST_PERSON, FARTHEST_COLLISION, 0.0, NO_HIT
+    if (crowd := truth.crowd) is not None:
+        closest, soonest = crowd.survey(truth.pose, truth.twist)
+        intrusions, hit = crowd.intrusions, crowd.hit
+    return dict(zip(CROWD_INFO.values(), (closest, soonest, intrusions, hit), strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
@@ -12,6 +13,7 @@ from acsar_gym.physics.body import Body, Camera
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
+from acsar_gym.worlds.crowd import Crowd
 
 
 class SimulatedLink:
@@ -28,6 +30,7 @@ class SimulatedLink:
         self._make_body = make_body
         self.body: Body | None = None
         self._firmware: Firmware | None = None
+        self._crowd: Crowd | None = None
         self._now = 0.0
         self.metered = False
         self.work = 0.0
@@ -45,6 +48,10 @@ class SimulatedLink:
             raise _closed_error()
         self.body.reset(scene)
         self._firmware.reset(scene.physics)
+        self._crowd = None
+        if scene.world is not None and scene.world.movers:
+            self._crowd = Crowd(scene.world, self._config, scene.key)
+            self.body.place_movers(self._crowd)
         self._now = self.work = 0.0
 
     def write(self, data: bytes) -> None:
@@ -59,6 +66,10 @@ class SimulatedLink:
             raise _closed_error()
         self._now += period
         got = self._firmware.advance(period)
+        if self._crowd is not None:
+            truth = self.body.truth
+            self._crowd.advance(truth.pose, truth.twist)
+            self.body.place_movers(self._crowd)
         self.body.feel()
         if self.metered:
             self.work += self.body.power * period
@@ -75,8 +86,11 @@ class SimulatedLink:
 
     @property
     def truth(self) -> GroundTruth:
-        """State of the body; the origin before the link is opened."""
-        return self.body.truth if self.body else GroundTruth()
+        """State of the body and the movers; the origin before the link is opened."""
+        truth, crowd = self.body.truth if self.body else GroundTruth(), self._crowd
+        if crowd is None:
+            return truth
+        return replace(truth, contact=truth.contact or crowd.hit > 0.0, crowd=crowd)
 
     @property
     def camera(self) -> Camera | None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from acsar_gym.protocol import Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
+from acsar_gym.worlds.crowd import Crowd
 
 Image = NDArray[np.uint8]
 """(height, width, 3): an RGB picture."""
@@ -52,8 +53,15 @@ class Body(Protocol):
             set_points: of the four wheel speeds [rad/s].
         """
 
+    def place_movers(self, crowd: Crowd) -> None:
+        """Put the movers of the scene's world where they are now, moving at their velocities.
+
+        Args:
+            crowd: knows them; it also decides whether the robot touches one.
+        """
+
     def feel(self) -> None:
-        """Check whether the robot touches an obstacle now; `truth` then tells it."""
+        """Check whether the robot touches a standing obstacle now; `truth` then tells it."""
 
     @property
     def truth(self) -> GroundTruth:

@@ -12,6 +12,7 @@ from acsar_gym.physics.model import loop_period, motor_power
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
+from acsar_gym.worlds.crowd import Crowd
 from acsar_gym.worlds.geometry import Obstacles, footprint_collides, make_surroundings
 
 
@@ -53,6 +54,9 @@ class PlanarBody:
         vx, vy, rate = self._velocity
         dt = self._dt
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
+
+    def place_movers(self, crowd: Crowd) -> None:
+        """Do nothing: movers don't stop the robot, as other obstacles don't."""
 
     def feel(self) -> None:
         """Check whether the footprint touches an obstacle now. Obstacles don't stop the robot."""

@@ -66,6 +66,8 @@ class Assignment:
     none."""
     start: Pose = (0.0, 0.0, 0.0)
     """Where the robot starts: x [m], y [m], theta [rad] in the frame of the world."""
+    key: float = 0.0
+    """The episode's draw for the world's movers, see `Scene.key`."""
 
     @property
     def info(self) -> Info:
@@ -189,20 +191,22 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
 def draw_in_world(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
-    """Draw a world, the start in it and the goal; takes WORLD_DRAWS numbers."""
+    """Draw a world, the start in it and the goal; takes WORLD_DRAWS numbers, and one for movers."""
     u = rng.random(WORLD_DRAWS).tolist()
     number, world = choose_world(worlds, u[0], options)
+    key = float(rng.random()) if world.movers else 0.0
     ends = align_with_path(world) if follow else world
     x, y = point_in_disc(ends.start.x, ends.start.y, ends.start.radius, u[1], u[2])
     theta = ends.start.theta
     theta = (2.0 * u[3] - 1.0) * math.pi if theta is None else theta
     start: Pose = (x, y, theta)
     if options.get("goal") is not None:  # without the world's path, which leads elsewhere
-        return Assignment(_check_point(options["goal"]), world, number=number, start=start)
+        goal = _check_point(options["goal"])
+        return Assignment(goal, world, number=number, start=start, key=key)
     goal_x, goal_y = point_in_disc(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
-    goal: Goal = relative_point(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
+    goal = relative_point(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
     path = path_from_start(ends) if follow else None
-    return Assignment(goal, world, path, ends.length, number, start)
+    return Assignment(goal, world, path, ends.length, number, start, key)
 
 
 def assign_path(path: Any) -> Assignment:

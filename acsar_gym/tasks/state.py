@@ -87,6 +87,13 @@ INFO = {
     "odometry_error": "odom_error",
 }
 """Keys of info that every task has, and their numbers."""
+CROWD_INFO = {
+    "closest_person": "closest_person",
+    "time_to_collision": "time_to_collision",
+    "intrusions": "intrusions",
+    "person_contact": "person_contact",
+}
+"""Keys of info that tasks have in worlds that move, and their numbers; see `worlds.crowd`."""
 OPTIONAL_INFO = ("world", "scan_age", "scan_stale", "fault", "fault_reason")
 """Keys of info that some envs have; in a batch their numbers have the same names."""
 

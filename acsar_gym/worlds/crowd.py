@@ -63,6 +63,7 @@ PERSONAL_SPACE = 0.45
 the intimate distance in E. T. Hall, "The Hidden Dimension" (1966)."""
 STANDING_SPEED = 0.05
 """A robot that comes nearer to a person by no more than this hasn't run into it [m/s]."""
+FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
 
 X, Y, VX, VY, CLOCK, AX, AY, NEAR = range(8)
@@ -301,11 +302,10 @@ def survey_crowd(
     """Measure how near the robot is to movers.
 
     Returns:
-        Distance from its hull to the nearest one's, at least 0, inf where there is none [m]; and
-        the time until its disc would touch one if all kept their velocities [s], at most
-        FARTHEST_COLLISION.
+        Distance from its hull to the nearest one's [m], 0 to FARTHEST_PERSON, and the time until
+        its disc would touch one if all kept their velocities [s], at most FARTHEST_COLLISION.
     """
-    nearest, soonest = np.inf, FARTHEST_COLLISION
+    nearest, soonest = FARTHEST_PERSON, FARTHEST_COLLISION
     outer = math.sqrt(around.kinds[kind, 5] ** 2 + around.kinds[kind, 6] ** 2)
     for m in range(len(movers)):
         radius = movers[m, RADIUS]

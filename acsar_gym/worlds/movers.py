@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -137,12 +137,8 @@ def walk(
     *,
     pauses: float | Sequence[float] = 0.0,
     repeat: Repeat = Repeat.BACK,
-    radius: float = PERSON_RADIUS,
-    phase: float = 0.0,
-    spread: float = 0.0,
-    reacts: bool = False,
-    sees_robot: bool = True,
     name: str = "",
+    **options: Any,
 ) -> Mover:
     """Make a mover that walks straight from point to point.
 
@@ -151,7 +147,8 @@ def walk(
         speed: of all lines, or of each [m/s].
         pauses: how long it stands at each point, the first one included, or at each its own [s].
         repeat: what follows at the end; with LOOP it walks on to the first point.
-        radius, phase, spread, reacts, sees_robot, name: as in `Mover`.
+        name: as in `Mover`.
+        **options: other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Raises:
         WorldError: for numbers that can't be used.
@@ -190,17 +187,7 @@ def walk(
     if len(times) == 1:
         times.append(1.0)
         places.append(ways[0])
-    return follow_keys(
-        times,
-        places,
-        repeat=repeat,
-        radius=radius,
-        phase=phase,
-        spread=spread,
-        reacts=reacts,
-        sees_robot=sees_robot,
-        name=name,
-    )
+    return follow_keys(times, places, repeat=repeat, name=name, **options)
 
 
 def follow_keys(
@@ -210,12 +197,8 @@ def follow_keys(
     smooth: bool = False,
     tension: float = 0.0,
     repeat: Repeat = Repeat.LOOP,
-    radius: float = PERSON_RADIUS,
-    phase: float = 0.0,
-    spread: float = 0.0,
-    reacts: bool = False,
-    sees_robot: bool = True,
     name: str = "",
+    **options: Any,
 ) -> Mover:
     """Make a mover that is at a point at each of some times, such as Gazebo's key frames.
 
@@ -227,7 +210,8 @@ def follow_keys(
             (1 - tension) / 2 times the step between the neighbours of a point.
         tension: of the spline, 0 to 1; 1 stands still at every point.
         repeat: what follows at the end; with LOOP it jumps to the first point.
-        radius, phase, spread, reacts, sees_robot, name: as in `Mover`.
+        name: as in `Mover`.
+        **options: other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Raises:
         WorldError: for numbers that can't be used.
@@ -253,17 +237,7 @@ def follow_keys(
         pieces[:, [4, 8]] = (leave + arrive - 2.0 * steps) / lengths**3
     else:
         pieces[:, [2, 6]] = steps / lengths
-    return Mover(
-        pieces,
-        float(at[-1] - at[0]),
-        radius,
-        repeat,
-        phase,
-        spread,
-        reacts,
-        sees_robot,
-        name,
-    )
+    return Mover(pieces, float(at[-1] - at[0]), repeat=repeat, name=name, **options)
 
 
 def check_movers(movers: Sequence[Mover]) -> None:

@@ -132,6 +132,12 @@ class Pool:
         return self._make(number)
 
     @cached_property
+    def moves(self) -> bool:
+        """Whether something moves in these worlds; in generated ones, whether it does in the first."""
+        numbers = self.numbers[:1] if self.generated else self.numbers
+        return any(self[number].movers for number in numbers)
+
+    @cached_property
     def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Indices into `numbers` from the easiest to the hardest world, and their difficulties."""
         if not self.generated:
