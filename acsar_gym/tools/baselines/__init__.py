@@ -21,6 +21,7 @@ BASELINES = {
     "dwa_movers": "dwa:DwaMovers",
     "orca": "orca:Orca",
     "orca_true": "orca:OrcaTrue",
+    "time_search": "time_search:TimeSearch",
 }
 """What `--policy` calls each, and its module in this package and class."""
 

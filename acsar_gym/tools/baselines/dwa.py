@@ -49,6 +49,7 @@ class DwaConstants:
     reverse_share: float = 0.4  # greatest speed backwards, out of dead ends [top speed]
     arc_time: float = 1.5  # how far ahead an arc is scored [s]
     turn_time: float = 0.6  # how long the robot turns on an arc before it goes straight [s]
+    window_periods: float = 1.0  # velocities are tried that can be reached so soon [period]
     hold_periods: float = 2.0  # a velocity is kept so long before the robot brakes [period]
     nose: float = 1.0  # progress counts this far ahead, so that the heading matters [radius]
     stop_clearance: float = 0.125  # least clearance on the way to a stop [radius]
@@ -182,9 +183,9 @@ class Dwa(MappedPolicy):
         return self._escape(around, state)
 
     def _window(self, fastest: float, turning: float) -> Floats:
-        """(n, 2): velocities that can be reached in a step, and standing still."""
-        linear, angular = self._model.acceleration, self._model.spin
-        linear, angular = linear * self.setting.period, angular * self.setting.period
+        """(n, 2): velocities that can be reached soon, and standing still."""
+        time = self.constants.window_periods * self.setting.period
+        linear, angular = self._model.acceleration * time, self._model.spin * time
         v = self.sent[0] + np.linspace(-linear, linear, LINEAR_SAMPLES)
         v = np.clip(v, -self.constants.reverse_share * fastest, fastest)
         w = np.clip(

@@ -16,6 +16,7 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.geometry import is_inside
 
 Pose = tuple[float, float, float]
@@ -71,6 +72,17 @@ def to_base(pose: Pose, places: Floats) -> Floats:
     """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
     dx, dy, cos, sin = *(places - pose[:2]).T, math.cos(pose[2]), math.sin(pose[2])
     return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
+
+
+def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
+    """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
+    if truth.crowd is None:
+        return NO_TRACKS
+    states, base, turned = truth.crowd.states, truth.pose, truth.pose[2] - pose[2]
+    cos, sin = math.cos(turned), math.sin(turned)
+    back = np.array([[cos, -sin], [sin, cos]])
+    places = pose[:2] + (states[:, :2] - base[:2]) @ back
+    return np.column_stack([places, states[:, 2:4] @ back, truth.crowd.radii])
 
 
 class MappedPolicy(BaselinePolicy):

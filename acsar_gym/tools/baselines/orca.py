@@ -21,8 +21,9 @@ import numpy as np
 
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
+from acsar_gym.tools.baselines.base import Privileged
 from acsar_gym.tools.baselines.half_planes import BOX, make_box, solve_programme
-from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base
+from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base, true_tracks
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, footprint_gap, make_surroundings
 
@@ -109,6 +110,17 @@ class Orca(MappedPolicy):
             self._model.ahead * max(min(angular - turn, 0.0), -units.turning),
             self._model.ahead * min(max(angular + turn, 0.0), units.turning),
         )
+
+
+class OrcaTrue(Privileged, Orca):
+    """As `Orca`, with the true places and velocities."""
+
+    name = "orca_true"
+    follows_movers = False
+
+    def tracks(self) -> Floats:
+        """As `MappedPolicy.tracks`, without an error."""
+        return true_tracks(self.truth, self.map.pose)
 
 
 @loop

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +67,15 @@ class Policy(Protocol):
         """
 
 
+@runtime_checkable
+class Tracker(Protocol):
+    """A sensor that tracks movers."""
+
+    @property
+    def tracks(self) -> Floats:
+        """(m, 5): x, y [m], their rates [m/s], in the odometry frame, and radius [m]."""
+
+
 class FilePolicy(ABC):
     """Base class of the policies that are loaded from a file."""
 
@@ -89,6 +98,8 @@ class FilePolicy(ABC):
     """The object itself, of a policy that is neither a file nor in a module."""
     act_many: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None = None
     """Maps observations (n, numbers) to actions (n, 2), where the policy has no memory."""
+    privileged: bool = False
+    """Whether it knows what only a simulator does: a ceiling that no robot reaches; see `watch`."""
 
     @property
     def about(self) -> dict[str, str | None]:
@@ -144,6 +155,13 @@ class FilePolicy(ABC):
 
         Args:
             setting: of the env, which is made and checked for this policy, and not reset yet.
+        """
+
+    def watch(self, env: RobotEnv) -> None:  # noqa: B027 - most policies see observations alone
+        """Take the env whose truth a `privileged` policy knows, after `bind`; by default nothing.
+
+        Args:
+            env: that it will drive.
         """
 
     def reset(self) -> None:  # noqa: B027 - most policies have no memory
@@ -249,6 +267,8 @@ class PolicyContext:
     map: MapSensor | None = field(default=None, repr=False, compare=False)
     """The robot's map: where it is by odometry, what is occupied, the way to the goal; None without
     one. It changes with every step."""
+    movers: Tracker | None = field(default=None, repr=False, compare=False)
+    """The robot's sensor of movers; None without one. It changes with every step."""
     episode_seed: Callable[[], int | None] = field(default=lambda: None, repr=False, compare=False)
     """Returns the seed of the episode that has begun; None where it has none."""
 
@@ -277,6 +297,7 @@ class PolicyContext:
             scale=observation_scale(task),
             rays=rays,
             map=next((one for one in env.sensors if isinstance(one, MapSensor)), None),
+            movers=next((one for one in env.sensors if isinstance(one, Tracker)), None),
             episode_seed=lambda: env.np_random_seed,
         )
 
