@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import loop
 from acsar_gym.tasks.state import Floats
 
 BOX = 4
@@ -22,14 +22,9 @@ PARALLEL = 1e-9
 """Lines whose normals have a smaller cross product than this are parallel."""
 
 
-@jit
-def make_box(least_x: float, most_x: float, least_y: float, most_y: float, planes: Floats) -> None:
-    """Write the half planes that bound the variables into the first BOX rows."""
-    planes[:BOX] = 0.0
-    planes[0, 0], planes[0, 2] = 1.0, least_x
-    planes[1, 0], planes[1, 2] = -1.0, -most_x
-    planes[2, 1], planes[2, 2] = 1.0, least_y
-    planes[3, 1], planes[3, 2] = -1.0, -most_y
+def make_box(x: tuple[float, float], y: tuple[float, float], planes: Floats) -> None:
+    """Write the half planes of the least and greatest x and y into the first BOX rows."""
+    planes[:BOX] = (1.0, 0.0, x[0]), (-1.0, 0.0, -x[1]), (0.0, 1.0, y[0]), (0.0, -1.0, -y[1])
 
 
 @loop

@@ -1,14 +1,15 @@
-"""Optimal reciprocal collision avoidance: half planes of velocities that no mover forbids.
+"""Optimal reciprocal collision avoidance: half planes of velocities with which nobody is met.
 
-Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. Each mover
-forbids the velocities with which the robot would meet it within a horizon, if it kept its own. Of
-these the robot leaves out a half plane, and chooses the velocity within all half planes that is
-nearest to the one along the way of its map.
+Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover forbids
+the velocities with which the robot would meet it within a horizon if it kept its own. The robot
+keeps to a half plane without them, and chooses the velocity within all half planes that is nearest
+to the one along the way of its map. What stands forbids velocities with which the nearest place of
+the exact footprint would reach it within a shorter horizon; these half planes hold in any case.
 
-A robot that can't move sideways controls its effective centre, a point some way ahead, which can
-move in any direction: Snape, van den Berg, Guy & Manocha, "Smooth and collision-free navigation for
-multiple robots under differential-drive constraints", IROS 2010. A wall forbids velocities with
-which the nearest place of the exact footprint would reach it within a shorter horizon.
+A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
+difference, as in Alonso-Mora et al., "Optimal reciprocal collision avoidance for multiple
+non-holonomic robots", DARS 2010. Its speed is the one along its heading that the half planes leave.
+Everything is seen from where the robot will be when a command takes effect.
 """
 
 from __future__ import annotations
@@ -27,33 +28,42 @@ from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base, true_t
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import Obstacles, Surroundings, footprint_gap, make_surroundings
 
+LAG_STEPS = 4
+"""Steps in which the robot's motion until a command takes effect is predicted."""
+ACROSS = 0.05
+"""Half planes whose border is so nearly parallel to the heading don't limit the speed."""
+
 
 @dataclass(frozen=True)
 class OrcaConstants:
     """Constants of ORCA; `constants.yaml` has those of the presets."""
 
-    horizon: float = 3.0  # movers that would be met later don't count [s]
-    wall_horizon: float = 0.6  # a wall is reached no sooner than this [s]
-    share: float = 1.0  # of the avoidance that the robot takes: 0.5 where the others take the rest
-    centre: float = 0.5  # the effective centre is so far ahead of the robot's [radius]
-    mover_margin: float = 0.2  # added to the radius of movers [radius]
-    wall_margin: float = 0.1  # least clearance from walls [radius]
+    horizon: float = 2.0  # movers that would be met later don't count [s]
+    wall_horizon: float = 0.5  # what stands isn't reached sooner [s]
+    share: float = 1.0  # of the avoidance that the robot takes: 0.5 where others take the rest
+    mover_margin: float = 0.2  # of the disc around the footprint [radius]
+    wall_margin: float = 0.1  # least clearance from what stands [radius]
     lookahead: float = 3.0  # distance along the way of the point that it heads for [radius]
-    reverse_share: float = 0.3  # greatest speed backwards [top speed]
+    delay: float = 1.5  # until a command takes effect [period]
+    turn_gain: float = 3.0  # yaw rate for a velocity whose bearing is 1 rad [1/s]
+    reverse_share: float = 0.4  # greatest speed backwards [top speed]
+    reverse_bearing: float = 2.5  # it drives backwards where the bearing is larger [rad]
 
 
-class CentreModel(NamedTuple):
-    """The robot and the constants, in SI units; velocities are those of the effective centre."""
+class VelocityModel(NamedTuple):
+    """The constants on velocities, in SI units."""
 
-    ahead: float
-    """How far the centre is ahead of the robot's [m]."""
     radius: float
-    """Of the disc around the centre that covers the footprint, margin included [m]."""
+    """Of the disc around the footprint, margin included [m]."""
     horizon: float
+    """[s]."""
     wall_horizon: float
+    """[s]."""
     wall_margin: float
+    """[m]."""
     share: float
     period: float
+    """Within which the robot leaves a mover that it touches [s]."""
 
 
 class Orca(MappedPolicy):
@@ -67,49 +77,43 @@ class Orca(MappedPolicy):
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
-        units, k, config = self.units, self.constants, setting.config
-        ahead = k.centre * units.radius
-        corners = np.array(config.outline) - (ahead, 0.0)
-        self._model = CentreModel(
-            ahead=ahead,
-            radius=float(np.hypot(*corners.T).max()) + k.mover_margin * units.radius,
+        units, k = self.units, self.constants
+        self._model = VelocityModel(
+            radius=(1.0 + k.mover_margin) * units.radius,
             horizon=k.horizon,
             wall_horizon=k.wall_horizon,
             wall_margin=k.wall_margin * units.radius,
             share=k.share,
             period=units.period,
         )
-        self._footprint = make_surroundings(Obstacles(), None, 1, config)
+        self._footprint = make_surroundings(Obstacles(), None, 1, setting.config)
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""
-        units, k, ahead = self.units, self.constants, self._model.ahead
-        x, y = self.carrot(pose, k.lookahead * units.radius)
-        far = max(math.hypot(x - ahead, y), 1e-6)
-        wanted = units.speed * (x - ahead) / far, units.speed * y / far
-        reach = units.speed * k.wall_horizon + units.radius + self._model.wall_margin
-        tracks = self.tracks()
-        points = to_base(pose, self.obstacles(pose, seen, reach, tracks))
-        movers = np.column_stack(
-            [to_base(pose, tracks[:, :2]), to_base((0.0, 0.0, pose[2]), tracks[:, 2:4]), tracks[:, 4]]
-        )
-        window = self._window()
-        twist = seen.linear, ahead * seen.angular
-        forward, sideways = choose_velocity(
-            window, wanted, twist, points, movers, self._model, self._footprint
-        )
-        return forward, sideways / ahead
-
-    def _window(self) -> tuple[float, float, float, float]:
-        """Least and greatest velocity of the centre in a step, ahead and sideways [m/s]."""
-        units, (linear, angular) = self.units, self.sent
-        faster, turn = units.acceleration * units.period, units.spin * units.period
-        return (
-            max(min(linear - faster, 0.0), -self.constants.reverse_share * units.speed),
-            min(max(linear + faster, 0.0), units.speed),
-            self._model.ahead * max(min(angular - turn, 0.0), -units.turning),
-            self._model.ahead * min(max(angular + turn, 0.0), units.turning),
-        )
+        units, k = self.units, self.constants
+        delay, tracks = k.delay * units.period, self.tracks()
+        twist = seen.linear, seen.angular
+        soon, speed = predict_pose(pose, twist, self.sent, units.lag, delay)
+        reach = units.speed * (k.wall_horizon + delay) + units.radius + self._model.wall_margin
+        points = to_base(soon, self.obstacles(pose, seen, reach, tracks))
+        places = to_base(soon, tracks[:, :2] + delay * tracks[:, 2:4])
+        rates = to_base((0.0, 0.0, soon[2]), tracks[:, 2:4])
+        movers = np.column_stack([places, rates, tracks[:, 4]])
+        planes, walls = list_planes(speed, points, movers, self._model, self._footprint)
+        make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
+        carrot = np.array([self.map.point_ahead(k.lookahead * units.radius)])
+        ((x, y),) = to_base(soon, carrot).tolist()
+        share = units.speed / max(math.hypot(x, y), 1e-6)
+        ahead, left = solve_programme(planes, BOX + walls, share * x, share * y)
+        bearing, direction = math.atan2(left, ahead), 1.0
+        if abs(bearing) > k.reverse_bearing:
+            bearing, direction = math.remainder(bearing + math.pi, math.tau), -1.0
+        turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
+        wanted = direction * math.hypot(ahead, left) * max(math.cos(bearing), 0.0)
+        planes = planes_along(planes, units.period * turn)
+        make_box((-k.reverse_share * units.speed, units.speed), (0.0, 0.0), planes)
+        speed, _ = solve_programme(planes, BOX + walls, wanted, 0.0)
+        return speed, turn
 
 
 class OrcaTrue(Privileged, Orca):
@@ -124,74 +128,89 @@ class OrcaTrue(Privileged, Orca):
 
 
 @loop
-def choose_velocity(
-    window: tuple[float, float, float, float],
-    wanted: tuple[float, float],
-    twist: tuple[float, float],
-    points: Floats,
-    movers: Floats,
-    model: CentreModel,
-    footprint: Surroundings,
-) -> tuple[float, float]:
-    """Choose the velocity of the effective centre; everything in the base frame.
+def predict_pose(
+    pose: Pose, twist: tuple[float, float], sent: tuple[float, float], lag: float, seconds: float
+) -> tuple[Pose, float]:
+    """Where the robot will be if the last command stays, and its speed then [m/s].
+
+    `lag` is the time constant of the motors [s].
+    """
+    (x, y, theta), (linear, angular), step = pose, twist, seconds / LAG_STEPS
+    blend = 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+    for _ in range(LAG_STEPS):
+        linear += blend * (sent[0] - linear)
+        angular += blend * (sent[1] - angular)
+        theta += angular * step
+        x += linear * step * math.cos(theta)
+        y += linear * step * math.sin(theta)
+    return (x, y, theta), linear
+
+
+@loop
+def list_planes(
+    speed: float, points: Floats, movers: Floats, model: VelocityModel, footprint: Surroundings
+) -> tuple[Floats, int]:
+    """List the half planes of velocities that obstacles leave; everything in the base frame.
 
     Args:
-        window: least and greatest velocity ahead, and sideways [m/s].
-        wanted: the velocity that leads along the way [m/s].
-        twist: the present one of the centre [m/s].
+        speed: of the robot [m/s].
         points: (n, 2): what stands [m].
         movers: (m, 5): x, y [m], their rates [m/s], and radius [m].
-        model: of the robot.
+        model: the constants.
         footprint: of the robot.
 
     Returns:
-        Velocity ahead, and sideways [m/s].
+        (BOX + n + m, 3): the half planes, the first BOX of which are still to be written; and n.
     """
-    planes, count = np.empty((BOX + len(points) + len(movers), 3)), BOX
-    make_box(window[0], window[1], window[2], window[3], planes)
+    planes = np.zeros((BOX + len(points) + len(movers), 3))
     for n in range(len(points)):
-        gap, at_x, at_y = footprint_gap(points[n, 0], points[n, 1], footprint, 0)
+        x, y = points[n, 0], points[n, 1]
+        gap, at_x, at_y = footprint_gap(x, y, footprint, 0)
         if gap == 0.0:
             at_x = at_y = 0.0
-        dx, dy = points[n, 0] - at_x, points[n, 1] - at_y
-        apart = math.sqrt(dx * dx + dy * dy) + 1e-9
-        towards_x = dx / apart
-        towards_y = (at_x * dy - at_y * dx) / (apart * model.ahead)
-        length = math.sqrt(towards_x * towards_x + towards_y * towards_y)
+        apart = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
         fastest = max(gap - model.wall_margin, 0.0) / model.wall_horizon
-        if length > 1e-6:
-            planes[count, 0], planes[count, 1] = -towards_x / length, -towards_y / length
-            planes[count, 2] = -fastest / length
-            count += 1
-    hard = count
-    for n in range(len(movers)):
-        forbid_meeting(movers[n], twist, model, planes[count])
-        count += 1
-    return solve_programme(planes[:count], hard, wanted[0], wanted[1])
+        write_plane(planes[BOX + n], (at_x - x) / apart, (at_y - y) / apart, -fastest)
+    for m in range(len(movers)):
+        forbid_meeting(planes[BOX + len(points) + m], movers[m], speed, model)
+    return planes, len(points)
 
 
 @jit
-def forbid_meeting(
-    mover: Floats, twist: tuple[float, float], model: CentreModel, plane: Floats
-) -> None:
-    """Write the half plane of velocities that a mover leaves, equations (3) to (5) of the paper."""
-    x, y = mover[0] - model.ahead, mover[1]
-    both, square = model.radius + mover[4], x * x + y * y
-    vx, vy = twist[0] - mover[2], twist[1] - mover[3]
-    touching = square <= both * both
-    horizon = model.period if touching else model.horizon
+def write_plane(plane: Floats, a: float, b: float, c: float) -> None:
+    """Write a row of half planes."""
+    plane[0], plane[1], plane[2] = a, b, c
+
+
+@jit
+def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityModel) -> None:
+    """Write the half plane that a mover leaves to a robot of that speed, section 4 of the paper."""
+    x, y, both = mover[0], mover[1], model.radius + mover[4]
+    vx, vy, square = speed - mover[2], -mover[3], x * x + y * y
+    is_near = square <= both * both
+    horizon = model.period if is_near else model.horizon
     wx, wy = vx - x / horizon, vy - y / horizon
     along, from_cap = wx * x + wy * y, wx * wx + wy * wy
-    if touching or (along < 0.0 and along * along > both * both * from_cap):
+    if is_near or (along < 0.0 and along * along > both * both * from_cap):
         length = math.sqrt(from_cap) + 1e-9
-        a, b = wx / length, wy / length
-        push = both / horizon - length
+        a, b, push = wx / length, wy / length, both / horizon - length
     else:
-        leg = math.sqrt(square - both * both)
-        if x * wy - y * wx > 0.0:
-            a, b = -(x * both + y * leg) / square, (x * leg - y * both) / square
-        else:
-            a, b = -(x * both - y * leg) / square, -(x * leg + y * both) / square
+        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
+        leg = side * math.sqrt(square - both * both)
+        a, b = -(x * both + y * leg) / square, (x * leg - y * both) / square
         push = -(a * vx + b * vy)
-    plane[0], plane[1] = a, b
-    plane[2] = a * twist[0] + b * twist[1] + model.share * push
+    write_plane(plane, a, b, a * speed + model.share * push)
+
+
+@loop
+def planes_along(planes: Floats, heading: float) -> Floats:
+    """The half planes as limits of the speed along a heading; the first BOX stay empty."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    limits = np.zeros_like(planes)
+    for n in range(BOX, len(planes)):
+        slope = planes[n, 0] * cos + planes[n, 1] * sin
+        if abs(slope) > ACROSS:
+            write_plane(limits[n], math.copysign(1.0, slope), 0.0, planes[n, 2] / abs(slope))
+        else:
+            write_plane(limits[n], 1.0, 0.0, -np.inf)
+    return limits
