@@ -31,7 +31,7 @@ from acsar_gym.physics.model import compute_physics
 from acsar_gym.trigonometry import angle_of, cos_sin
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.crowd import VX, VY, X, Y
+from acsar_gym.worlds.crowd import CLOCK, SPEED_SHARE, VX, VY, X, Y
 from acsar_gym.worlds.geometry import (
     Obstacles,
     Surroundings,
@@ -39,7 +39,7 @@ from acsar_gym.worlds.geometry import (
     make_surroundings,
     widest_angle,
 )
-from acsar_gym.worlds.movers import MAX_MOVER_SPEED
+from acsar_gym.worlds.movers import RADIUS, REACTS, SPEED, goes_straight, locate_mover, may_jump
 
 OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
 EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
@@ -105,44 +105,54 @@ def aim_beams(
 
 
 class Passers(NamedTuple):
-    """The movers around a LiDAR, and where they were at the times of a robot's trail."""
+    """The movers around a LiDAR."""
 
-    radii: Floats
-    """(movers,) [m]; unused ones are -1 and come last."""
+    movers: Floats
+    """(movers, numbers): see `worlds.movers.Motions`."""
+    pieces: Floats
+    """(pieces, 9): of their motions."""
+    states: Floats
+    """(movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
     places: Floats
-    """(slots, movers, 2): x, y in the frame of the world [m], in the rows of the trail."""
-
-
-NO_PASSERS = Passers(np.zeros(0), np.zeros((0, 0, 2)))
-
-
-@subroutine
-def begin_passing(passers: Passers, states: Floats, trail: Floats) -> None:
-    """Fill the places of a trail that has begun; before it, movers walked as they do now."""
-    now = trail[0, 0]
-    for row in range(len(passers.places)):
-        for m in range(len(passers.radii)):
-            passers.places[row, m, 0] = states[m, X] + (trail[row, 0] - now) * states[m, VX]
-            passers.places[row, m, 1] = states[m, Y] + (trail[row, 0] - now) * states[m, VY]
+    """(slots, movers, 2): where people who react were at the times of the robot's trail, x, y in
+    the frame of the world [m]."""
 
 
 @jit
+def see_nobody() -> Passers:
+    """No movers."""
+    nothing = np.zeros((0, 0))
+    return Passers(nothing, nothing, nothing, np.zeros((0, 0, 2)))
+
+
+@subroutine
+def begin_passing(passers: Passers, trail: Floats) -> None:
+    """Fill the places of a trail that has begun; before it, people walked as they do now."""
+    now, states, places = trail[0, 0], passers.states, passers.places
+    for row in range(len(places)):
+        for m in range(len(states)):
+            places[row, m, 0] = states[m, X] + (trail[row, 0] - now) * states[m, VX]
+            places[row, m, 1] = states[m, Y] + (trail[row, 0] - now) * states[m, VY]
+
+
+@subroutine
 def find_passer(
     passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
 ) -> tuple[float, float]:
-    """Where a mover was at a time [s], interpolated between two ticks; in the frame of the world.
-
-    Where it jumped between the two it was still at the older place.
-    """
+    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
+    if passers.movers[m, REACTS] == 0.0:
+        clock = time + passers.states[m, CLOCK]
+        x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
+        return x, y
     slots, places = len(trail), passers.places
     ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
     back = int(ago)
     row, before = (newest - back + slots) % slots, (newest - back - 1 + slots) % slots
     share = ago - back
-    dx, dy = places[before, m, 0] - places[row, m, 0], places[before, m, 1] - places[row, m, 1]
-    if abs(dx) + abs(dy) > 2.0 * MAX_MOVER_SPEED * period:
-        share = 1.0
-    return places[row, m, 0] + share * dx, places[row, m, 1] + share * dy
+    return (
+        places[row, m, 0] + share * (places[before, m, 0] - places[row, m, 0]),
+        places[row, m, 1] + share * (places[before, m, 1] - places[row, m, 1]),
+    )
 
 
 @subroutine
@@ -152,51 +162,59 @@ def see_passers(
     newest: int,
     place: tuple[float, float, float, float],
     rays: Rays,
+    directions: Floats,
     beams: Beams,
 ) -> None:
     """Shorten the distances of beams that meet movers where they were when each was measured.
 
     `place` is the LiDAR's now, x, y, and cosine and sine of the robot's heading, in the frame of
-    the world.
+    the world. The rays that may meet a mover are those around where it is now.
     """
     x, y, cos, sin = place
     count, turn = len(beams.times), FULL_TURN / rays.step
-    begun, ended, margin = beams.times[0], beams.times[0], 0.0
+    now, begun, margin = trail[newest, 0], beams.times[0], 0.0
     for k in range(count):
-        begun, ended = min(begun, beams.times[k]), max(ended, beams.times[k])
+        begun = min(begun, beams.times[k])
         margin = max(margin, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
-    margin = math.sqrt(margin)
-    ticks = int((ended - begun) / rays.period) + 2
-    for m in range(len(passers.radii)):
-        radius = passers.radii[m]
+    margin, ago = math.sqrt(margin) + 1e-3, now - begun
+    for m in range(len(passers.movers)):
+        mover, state = passers.movers[m], passers.states[m]
+        radius = mover[RADIUS]
         if radius < 0.0:
             break
-        at_x, at_y = find_passer(passers, m, trail, newest, 0.5 * (begun + ended), rays.period)
-        spread = 0.0
-        for n in range(ticks + 1):
-            time = begun + (ended - begun) * n / ticks
-            to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
-            spread = max(spread, (to_x - at_x) ** 2 + (to_y - at_y) ** 2)
-        wide = radius + margin + 1.1 * math.sqrt(spread) + 1e-3
-        dx, dy = at_x - x, at_y - y
-        far = rays.farthest + wide
-        if dx * dx + dy * dy > far * far:
+        wide = radius + margin + SPEED_SHARE * mover[SPEED] * ago
+        dx, dy = state[X] - x, state[Y] - y
+        apart = math.sqrt(dx * dx + dy * dy)
+        jumps = may_jump(mover, begun + state[CLOCK], ago)
+        if apart > rays.farthest + wide and not jumps:
             continue
-        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin
-        half = widest_angle(wide, math.sqrt(dx * dx + dy * dy)) / rays.step
-        middle = (angle_of(ahead, left) - rays.start) / rays.step
+        nearest, half = apart - wide, widest_angle(wide, apart) / rays.step
+        if jumps:
+            nearest, half = 0.0, turn
+        middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
+        is_known, is_straight = False, False
         for shift in (-turn, 0.0, turn):
             low = max(math.ceil(middle + shift - half), 0)
             high = min(math.floor(middle + shift + half), count - 1)
             for k in range(low, high + 1):
-                to_x, to_y = find_passer(passers, m, trail, newest, beams.times[k], rays.period)
+                if beams.distances[k] <= nearest:
+                    continue
+                if not is_known:
+                    is_known = True
+                    is_straight = goes_straight(mover, passers.pieces, now + state[CLOCK], ago)
+                time = beams.times[k]
+                if is_straight:
+                    to_x = state[X] + (time - now) * state[VX]
+                    to_y = state[Y] + (time - now) * state[VY]
+                else:
+                    to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
                 dx, dy = to_x - x, to_y - y
                 ox = dx * cos + dy * sin - beams.origins[k, 0]
                 oy = dy * cos - dx * sin - beams.origins[k, 1]
-                c, s = cos_sin(rays.start + k * rays.step)
-                apart, along = ox * ox + oy * oy - radius * radius, ox * c + oy * s
-                inside = along * along - apart
-                if apart <= 0.0:
+                outside = ox * ox + oy * oy - radius * radius
+                along = ox * directions[k, 0] + oy * directions[k, 1]
+                inside = along * along - outside
+                if outside <= 0.0:
                     beams.distances[k] = 0.0
                 elif inside >= 0.0 and along > 0.0:
                     hit = max(along - math.sqrt(inside), 0.0)
@@ -265,10 +283,11 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
     x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
     cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances, kind)
-    if len(passers.radii) > 0:
+    if len(passers.movers) > 0:
         x += cos * rays.mount_x - sin * rays.mount_y
         y += sin * rays.mount_x + cos * rays.mount_y
-        see_passers(passers, trail, newest, (x, y, cos, sin), rays, beams)
+        directions = around.directions[kind]
+        see_passers(passers, trail, newest, (x, y, cos, sin), rays, directions, beams)
     add_errors(beams.distances, key, number, traits, rays)
     return ended
 
@@ -295,7 +314,7 @@ class SimulatedLidar:
         self._config = config
         self._around = make_surroundings(Obstacles(), ray_spec(config), 1, config)
         self._rays = make_rays(config)
-        self._passers = NO_PASSERS
+        self._passers = see_nobody()
         self._episode = (0.0, 0.0, 0.0)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -314,7 +333,7 @@ class SimulatedLidar:
         self._episode = (self._link.now(), *draw_episode(rng))
         self.oldest = 2.0 / physics.scan_rate
         self._trail = Trail(self.oldest, config.period)
-        self._passers = NO_PASSERS
+        self._passers = see_nobody()
         self.poll(self._link.truth, self._link.now())
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
@@ -324,8 +343,10 @@ class SimulatedLidar:
         if truth is not None and truth.crowd is not None:
             crowd, rows = truth.crowd, self._trail.rows
             if begins:
-                self._passers = Passers(crowd.radii, np.zeros((len(rows), len(crowd.radii), 2)))
-                begin_passing(self._passers, crowd.states, rows)
+                places = np.zeros((len(rows), len(crowd.states), 2))
+                movers, pieces = crowd.motions.movers[0], crowd.motions.pieces[0]
+                self._passers = Passers(movers, pieces, crowd.states, places)
+                begin_passing(self._passers, rows)
             self._passers.places[self._trail.newest] = crowd.states[:, :2]
 
     def scan(self) -> Revolution:

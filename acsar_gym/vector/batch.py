@@ -25,7 +25,7 @@ from acsar_gym.sensors.map.sensor import MAP_NAMES, MapSensor, make_record
 from acsar_gym.sensors.map.way import SCRATCH
 from acsar_gym.tasks.episode import ObservationCheck, Spawn, path_from_start
 from acsar_gym.tasks.factory import method_place, task_name
-from acsar_gym.tasks.state import INFO
+from acsar_gym.tasks.state import CROWD_INFO, INFO
 from acsar_gym.tasks.task import Task
 from acsar_gym.vector import pcg
 from acsar_gym.vector.kernel import drive, episode, layout, lidars
@@ -33,6 +33,8 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
+from acsar_gym.worlds.crowd import STATE_NUMBERS
+from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -130,6 +132,7 @@ class Batch:
         self._commands = make_commands(blocks, setup, kinds)
         self._lines = make_lines(blocks, setup, self._commands)
         self._scans = make_scans(robots, self.worlds, setup, kinds)
+        self._crowds = make_crowds(self.worlds, self._scans)
         self.maps: layout.Maps | None = None
         if self._has_map:
             records = np.concatenate([make_record(config, step) for config in fleet])
@@ -146,6 +149,8 @@ class Batch:
             "fault": faults.possible,
         }
         self._info = INFO | {name: name for name, has_it in optional.items() if has_it}
+        if self._pool is not None and self._pool.moves:
+            self._info |= CROWD_INFO
         """Keys of info, and their fields."""
         self.seeded = False
 
@@ -224,7 +229,7 @@ class Batch:
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of blocks first to last, and after a step's last tick what follows it."""
-        tables, options = self.tables, (self._commands, self._lines, self._scans)
+        tables, options = self.tables, (self._commands, self._lines, self._scans, self._crowds)
         drive.step(tables, *options, first, last, self._setups)
         if tables.ring[3] == self._setup.ticks:
             self._begin(first, last)
@@ -236,10 +241,11 @@ class Batch:
         """
         tables, setups = self.tables, self._setups
         if tables.over[first * layout.BLOCK_ROBOTS : last * layout.BLOCK_ROBOTS].any():
-            arrays = tables, self._commands, self._lines, self._draws
-            episode.reset(*arrays, first, last, setups, self._spawns)
+            options = self._commands, self._lines, self._scans, self._crowds
+            episode.reset(tables, *options, self._draws, first, last, setups, self._spawns)
         if self._scans is not None and self._setup.sees:
-            lidars.read_scans(tables, self._scans, self.maps, first, last, setups)
+            optional = self._crowds, self.maps
+            lidars.read_scans(tables, self._scans, *optional, first, last, setups)
         if self._together:
             self._loops.run(first, last)
 
@@ -372,7 +378,7 @@ def make_scans(
 
     Obstacles are padded to the world with most of them.
     """
-    if not (setup.sees or any(world.obstacles for world in worlds)):
+    if not (setup.sees or any(world.obstacles or world.movers for world in worlds)):
         return None
     fleet, far = [config for _, config in kinds], PADDING_PLACE
     obstacles = geometry.Obstacles(
@@ -389,6 +395,20 @@ def make_scans(
         around=geometry.surround_kinds(obstacles, specs, max(len(worlds), 1), fleet),
         rays=stack_records([make_rays(config) for config in fleet]),
         trails=np.zeros((2, robots, slots, 4)),
+    )
+
+
+def make_crowds(worlds: Sequence[World], scans: layout.Scans | None) -> layout.Crowds | None:
+    """Make the arrays of what moves; None where nothing does."""
+    if scans is None or not any(world.movers for world in worlds):
+        return None
+    motions = make_motions([world.movers for world in worlds])
+    robots, slots = scans.trails.shape[1:3]
+    most = motions.movers.shape[1]
+    return layout.Crowds(
+        motions,
+        np.zeros((robots, most, STATE_NUMBERS)),
+        np.zeros((robots, slots, most, 2)),
     )
 
 

@@ -34,9 +34,10 @@ from acsar_gym.worlds.movers import (
     SEES_ROBOT,
     SPEED,
     Motions,
-    draw_share,
+    draw_offset,
     locate_mover,
     make_motions,
+    may_jump,
 )
 from acsar_gym.worlds.world import World
 
@@ -55,6 +56,7 @@ SIGHT_COSINE = math.cos(math.radians(100.0))  # others beyond this bearing are b
 BEHIND_SHARE = 0.5  # share of the push of others that are behind
 SPEED_SHARE = 1.3  # greatest speed, in parts of that of the motion
 MOST_PUSH = 10.0  # greatest acceleration [m/s^2]
+LONGEST_LOOK = 1.0  # a mover that is far away is looked at so often, at least [s]
 FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
 LEASH = 1.0  # the motion waits for a person who is so far behind [m]
@@ -66,10 +68,11 @@ STANDING_SPEED = 0.05
 FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
 
-X, Y, VX, VY, CLOCK, AX, AY, NEAR = range(8)
-STATE_NUMBERS = 8
-"""Columns of the state of a mover: place [m], velocity [m/s], the time of its motion [s], the
-acceleration of a person who reacts [m/s^2], and whether the robot is within its personal space."""
+X, Y, VX, VY, CLOCK, AX, AY, NEAR, LOOK = range(9)
+STATE_NUMBERS = 9
+"""Columns of the state of a mover: place [m], velocity [m/s], the time of its motion, at the
+episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], whether the
+robot is within its personal space, and the next tick in which it can be."""
 TRAITS, TRAIT_NUMBERS = 1000, 2
 """Samples of a person's own numbers begin there, so many for each."""
 NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
@@ -99,9 +102,14 @@ def begin_crowd(movers: Floats, pieces: Floats, states: Floats, key: float) -> N
             break
         for k in range(STATE_NUMBERS):
             states[m, k] = 0.0
-        states[m, X], states[m, Y], states[m, VX], states[m, VY] = locate_mover(
-            movers[m], pieces, 0.0, draw_share(key, m)
-        )
+        states[m, CLOCK] = draw_offset(movers[m], m, key)
+        place_mover(movers[m], pieces, states[m], 0.0)
+
+
+@jit
+def place_mover(mover: Floats, pieces: Floats, state: Floats, time: float) -> None:
+    """Put a mover that doesn't react where its motion is at a time since the episode's begin."""
+    state[X], state[Y], state[VX], state[VY] = locate_mover(mover, pieces, time + state[CLOCK])
 
 
 @subroutine
@@ -113,10 +121,11 @@ def advance_crowd(
     period: float,
     key: float,
     robot: RobotMotion,
+    top_speed: float,
     which: int,
     around: Surroundings,
     kind: int,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Advance all movers of a robot's world to the end of a tick, and look for contacts.
 
     Args:
@@ -127,40 +136,44 @@ def advance_crowd(
         period: of a tick [s].
         key: the episode's, 0 to 1.
         robot: at the end of the tick.
+        top_speed: the robot won't move faster [m/s]. Where nobody reacts, movers that are too far
+            away to touch it in the next ticks stay where they are, until `place_crowd`. inf: all
+            are moved.
         which: the world's place in `around`.
         around: obstacles, and footprints.
         kind: of the robot.
 
     Returns:
-        Whether somebody ran into somebody, such as ROBOT_HIT, and how often the robot has entered
-        somebody's personal space.
+        Whether somebody ran into somebody, such as ROBOT_HIT, how often the robot has entered
+        somebody's personal space, and the next tick in which it can, or nobody reacts.
     """
     now, every = tick * period, max(int(np.floor(REACTION_TIME / period + 0.5)), 1)
-    for m in range(len(movers)):
-        if movers[m, RADIUS] < 0.0:
-            break
-        if movers[m, REACTS] == 0.0:
-            states[m, X], states[m, Y], states[m, VX], states[m, VY] = locate_mover(
-                movers[m], pieces, now, draw_share(key, m)
-            )
     outer = math.sqrt(around.kinds[kind, 5] ** 2 + around.kinds[kind, 6] ** 2)
-    for m in range(len(movers)):
-        if movers[m, RADIUS] < 0.0:
-            break
-        if movers[m, REACTS] > 0.0:
-            if (tick + m) % every == 0:
-                decide_step(movers, pieces, states, m, key, robot, outer, which, around)
-            walk_on(movers[m], pieces, states[m], period, m, key)
-    hit, entered = NO_HIT, 0.0
+    hit, entered, next_look = NO_HIT, 0.0, np.inf
     for m in range(len(movers)):
         radius = movers[m, RADIUS]
         if radius < 0.0:
             break
-        dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
-        near = outer + radius + PERSONAL_SPACE
-        if dx * dx + dy * dy > near * near:
-            states[m, NEAR] = 0.0
+        if tick < states[m, LOOK]:
+            next_look = min(next_look, states[m, LOOK])
             continue
+        states[m, LOOK] = tick + 1.0
+        if movers[m, REACTS] == 0.0:
+            place_mover(movers[m], pieces, states[m], now)
+        else:
+            if (tick + m) % every == 0:
+                decide_step(movers, pieces, states, m, key, robot, outer, which, around)
+            walk_on(movers[m], pieces, states[m], period)
+        dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
+        near, square = outer + radius + PERSONAL_SPACE, dx * dx + dy * dy
+        if square > near * near:
+            states[m, NEAR] = 0.0
+            if top_speed < np.inf and not jumps_soon(movers[m], states[m], now):
+                ticks = (math.sqrt(square) - near) / ((top_speed + movers[m, SPEED]) * period)
+                states[m, LOOK] += min(np.floor(ticks), np.floor(LONGEST_LOOK / period) - 1.0)
+            next_look = min(next_look, states[m, LOOK])
+            continue
+        next_look = tick + 1.0
         ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
         gap, at_x, at_y = footprint_gap(ahead, left, around, kind)
         gap -= radius
@@ -169,7 +182,23 @@ def advance_crowd(
         states[m, NEAR] = is_near
         if gap <= 0.0 and hit == NO_HIT:
             hit = ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
-    return hit, entered
+    return hit, entered, next_look
+
+
+@jit
+def jumps_soon(mover: Floats, state: Floats, now: float) -> bool:
+    """Whether a mover may jump while nobody looks."""
+    return may_jump(mover, now + state[CLOCK], LONGEST_LOOK)
+
+
+@subroutine
+def place_crowd(movers: Floats, pieces: Floats, states: Floats, time: float) -> None:
+    """Put all movers that don't react where they are at a time since the episode's begin [s]."""
+    for m in range(len(movers)):
+        if movers[m, RADIUS] < 0.0:
+            break
+        if movers[m, REACTS] == 0.0:
+            place_mover(movers[m], pieces, states[m], time)
 
 
 @jit
@@ -208,7 +237,7 @@ def decide_step(
     relaxation = draw_trait(key, m, 0, RELAXATION_TIMES[0], RELAXATION_TIMES[1])
     strength = draw_trait(key, m, 1, STRENGTHS[0], STRENGTHS[1])
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
-    to_x, to_y, _, _ = locate_mover(movers[m], pieces, clock, draw_share(key, m))
+    to_x, to_y, _, _ = locate_mover(movers[m], pieces, clock)
     want_x, want_y = (to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME
     speed, most = math.sqrt(want_x * want_x + want_y * want_y), SPEED_SHARE * movers[m, SPEED]
     share = most / speed if speed > most else 1.0
@@ -280,9 +309,7 @@ def push_away(
 
 
 @subroutine
-def walk_on(
-    mover: Floats, pieces: Floats, state: Floats, period: float, m: int, key: float
-) -> None:
+def walk_on(mover: Floats, pieces: Floats, state: Floats, period: float) -> None:
     """Let a person who reacts walk for a tick."""
     vx, vy = state[VX] + state[AX] * period, state[VY] + state[AY] * period
     speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * mover[SPEED]
@@ -290,7 +317,7 @@ def walk_on(
     state[VX], state[VY] = share * vx, share * vy
     state[X] += state[VX] * period
     state[Y] += state[VY] * period
-    x, y, _, _ = locate_mover(mover, pieces, state[CLOCK], draw_share(key, m))
+    x, y, _, _ = locate_mover(mover, pieces, state[CLOCK])
     dx, dy = x - state[X], y - state[Y]
     state[CLOCK] += period * max(1.0 - math.sqrt(dx * dx + dy * dy) / LEASH, 0.0)
 
@@ -355,11 +382,11 @@ def advance_alone(
     pose: Pose,
     twist: Twist,
     around: Surroundings,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """`advance_crowd` for one robot."""
     robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
     movers, pieces = motions.movers[0], motions.pieces[0]
-    return advance_crowd(movers, pieces, states, tick, period, key, robot, 0, around, 0)
+    return advance_crowd(movers, pieces, states, tick, period, key, robot, np.inf, 0, around, 0)
 
 
 @loop
@@ -374,26 +401,26 @@ def survey_alone(
 class Crowd:
     """The movers around one simulated robot, in one episode.
 
-    Attributes: `radii`, (movers,) [m]; `states`, (movers, STATE_NUMBERS); `hit`, the first contact,
+    Attributes: `motions`, of this world alone; `radii`, (movers,) [m]; `states`, (movers, STATE_NUMBERS); `hit`, the first contact,
     such as ROBOT_HIT; `intrusions`, how often the robot has entered somebody's personal space.
     """
 
     def __init__(self, world: World, config: RobotConfig, key: float) -> None:
-        self._motions = make_motions([world.movers])
+        self.motions = make_motions([world.movers])
         self._period = config.period
         self._key = key
         obstacles = Obstacles(world.circles, world.segments)
         self._around = make_surroundings(obstacles, None, 1, config)
-        self.radii = self._motions.movers[0, :, RADIUS].copy()
+        self.radii = self.motions.movers[0, :, RADIUS].copy()
         self.states = np.zeros((len(self.radii), STATE_NUMBERS))
         self.hit, self.intrusions, self._tick = NO_HIT, 0.0, 0
-        begin_alone(self._motions, self.states, key)
+        begin_alone(self.motions, self.states, key)
 
     def advance(self, pose: Pose, twist: Twist) -> None:
         """Advance by a control period, at whose end the robot is there and moves so."""
         self._tick += 1
-        hit, entered = advance_alone(
-            self._motions,
+        hit, entered, _ = advance_alone(
+            self.motions,
             self.states,
             self._tick,
             self._period,
@@ -407,4 +434,4 @@ class Crowd:
 
     def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
         """Distance of the nearest mover [m] and time to collision [s], see `survey_crowd`."""
-        return survey_alone(self._motions, self.states, pose, twist, self._around)
+        return survey_alone(self.motions, self.states, pose, twist, self._around)

@@ -120,7 +120,7 @@ class Mover:
     def position(self, time: float, share: float = 0.0) -> tuple[float, float]:
         """Where the motion is [m] at a time since the episode's begin [s].
 
-        `share` is the episode's draw, 0 to 1, see `draw_share`.
+        `share` is the episode's draw, 0 to 1, of its `spread`.
         """
         x, y, _, _ = locate_alone(*_arrays_of(self), time, share)
         return x, y
@@ -258,6 +258,8 @@ class Motions(NamedTuple):
     """(worlds, movers, MOVER_NUMBERS); unused rows have a radius of -1 and come last."""
     pieces: Floats
     """(worlds, pieces, 9): those of all movers of a world, one after the other."""
+    reacting: NDArray[np.bool_]
+    """(worlds,): whether anybody reacts."""
 
 
 class MoverRow(NamedTuple):
@@ -281,7 +283,6 @@ class MoverRow(NamedTuple):
 RADIUS, REPEAT, FIRST, COUNT, DURATION, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
     len(MoverRow._fields)
 )
-NO_MOTIONS = Motions(np.zeros((1, 0, len(MoverRow._fields))), np.zeros((1, 0, PIECE_NUMBERS)))
 
 
 def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
@@ -308,7 +309,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 mover.top_speed,
             )
             first += count
-    return Motions(rows, pieces)
+    return Motions(rows, pieces, (rows[:, :, REACTS] > 0.0).any(axis=1))
 
 
 def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
@@ -317,32 +318,34 @@ def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
 
 
 @jit
-def draw_share(key: float, mover: int) -> float:
-    """The draw of a mover of an episode, 0 to 1, from the episode's key."""
-    return hash_sample(key, mover)
+def draw_offset(mover: Floats, m: int, key: float) -> float:
+    """Time in the motion of mover m at which an episode of this key begins [s]."""
+    return mover[PHASE] + mover[SPREAD] * hash_sample(key, m)
 
 
 @subroutine
-def locate_mover(
-    mover: Floats, pieces: Floats, time: float, share: float
-) -> tuple[float, float, float, float]:
+def locate_mover(mover: Floats, pieces: Floats, clock: float) -> tuple[float, float, float, float]:
     """Where a mover's motion is, and its velocity.
 
     Args:
         mover: its row of `Motions.movers`.
         pieces: of its world.
-        time: since the episode's begin [s].
-        share: the episode's draw, 0 to 1.
+        clock: time since the episode's begin, and the offset of `draw_offset` [s].
 
     Returns:
         x, y [m] and their rates [m/s], in the frame of the world.
     """
-    return locate_clock(mover, pieces, time + mover[PHASE] + share * mover[SPREAD])
+    piece, s, direction = find_piece(mover, pieces, clock)
+    x = pieces[piece, 1] + s * (pieces[piece, 2] + s * (pieces[piece, 3] + s * pieces[piece, 4]))
+    y = pieces[piece, 5] + s * (pieces[piece, 6] + s * (pieces[piece, 7] + s * pieces[piece, 8]))
+    vx = pieces[piece, 2] + s * (2.0 * pieces[piece, 3] + s * 3.0 * pieces[piece, 4])
+    vy = pieces[piece, 6] + s * (2.0 * pieces[piece, 7] + s * 3.0 * pieces[piece, 8])
+    return x, y, direction * vx, direction * vy
 
 
-@subroutine
-def locate_clock(mover: Floats, pieces: Floats, clock: float) -> tuple[float, float, float, float]:
-    """As `locate_mover`, at a time of the motion's own clock [s]."""
+@jit
+def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float, float]:
+    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
     duration, direction = mover[DURATION], 1.0
     if mover[REPEAT] == 1.0:
         clock -= 2.0 * duration * np.floor(clock / (2.0 * duration))
@@ -361,12 +364,30 @@ def locate_clock(mover: Floats, pieces: Floats, clock: float) -> tuple[float, fl
             low = middle
         else:
             high = middle - 1
-    s = clock - pieces[low, 0]
-    x = pieces[low, 1] + s * (pieces[low, 2] + s * (pieces[low, 3] + s * pieces[low, 4]))
-    y = pieces[low, 5] + s * (pieces[low, 6] + s * (pieces[low, 7] + s * pieces[low, 8]))
-    vx = pieces[low, 2] + s * (2.0 * pieces[low, 3] + s * 3.0 * pieces[low, 4])
-    vy = pieces[low, 6] + s * (2.0 * pieces[low, 7] + s * 3.0 * pieces[low, 8])
-    return x, y, direction * vx, direction * vy
+    return low, clock - pieces[low, 0], direction
+
+
+@subroutine
+def goes_straight(mover: Floats, pieces: Floats, clock: float, ago: float) -> bool:
+    """Whether a mover that doesn't react has kept its velocity for so long until a time [s]."""
+    piece, s, direction = find_piece(mover, pieces, clock)
+    for k in (3, 4, 7, 8):
+        if pieces[piece, k] != 0.0:
+            return False
+    last = piece + 1 == int(mover[FIRST] + mover[COUNT])
+    end = mover[DURATION] if last else pieces[piece + 1, 0]
+    since = s if direction > 0.0 else end - pieces[piece, 0] - s
+    return mover[REACTS] == 0.0 and direction != 0.0 and since >= ago
+
+
+@jit
+def may_jump(mover: Floats, clock: float, duration: float) -> bool:
+    """Whether a motion that repeats itself begins anew within a duration from a time on [s]."""
+    if mover[REPEAT] != 2.0:
+        return False
+    begun = np.floor(clock / mover[DURATION])
+    anew: bool = np.floor((clock + duration) / mover[DURATION]) > begun
+    return anew
 
 
 @loop
@@ -374,4 +395,4 @@ def locate_alone(
     mover: Floats, pieces: Floats, time: float, share: float
 ) -> tuple[float, float, float, float]:
     """`locate_mover` for Python."""
-    return locate_mover(mover, pieces, time, share)
+    return locate_mover(mover, pieces, time + mover[PHASE] + share * mover[SPREAD])

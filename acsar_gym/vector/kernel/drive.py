@@ -44,11 +44,13 @@ from acsar_gym.safety.rules import (
     limit_twist,
 )
 from acsar_gym.trigonometry import sincos
+from acsar_gym.vector.kernel.crowds import advance_movers, mark_movers, survey_movers
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
     EPISODE_ROWS,
     TURN,
     Commands,
+    Crowds,
     Floats,
     LineFaults,
     Lines,
@@ -470,6 +472,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
     commands: Commands | None,
     lines: Lines | None,
     scans: Scans | None,
+    crowds: Crowds | None,
     first: int,
     last: int,
     setups: Records,
@@ -520,6 +523,11 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
                 move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots
+            if crowds is not None:
+                for i in range(count):
+                    after = int(robots.loops[i] / setup.loops) + 1
+                    if after >= robots.crowd_look[i]:
+                        advance_movers(robots, i, begin + i, after, crowds, scans, setup)
             if scans is not None:
                 check_contacts(robots, count, scans.around)
             if setup.metered:
@@ -534,11 +542,15 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 for i in range(count if setup.sees else 0):
                     now = robots.steps[i] * setup.ticks + tick + 1.0
                     mark_trails(robots, i, scans.trails, begin + i, now, setup)
+                    if crowds is not None and crowds.motions.reacting[int(robots.world[i])]:
+                        mark_movers(crowds, begin + i, int(now) % scans.trails.shape[2])
         if commands is not None:
             explain_commands(robots, count, setup)
         if stop < setup.ticks:
             continue
         for i in range(count):
+            if crowds is not None:
+                survey_movers(robots, i, begin + i, crowds, scans, setup)
             if lines is not None:
                 is_cut = tables.idle[begin + i] and not tables.over[begin + i]
                 if is_cut and lines.kept.shape[1] > 0:

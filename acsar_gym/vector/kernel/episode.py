@@ -14,6 +14,7 @@ from acsar_gym.physics.model import whole_loops
 from acsar_gym.physics.randomization import draw_robot
 from acsar_gym.tasks.episode import goal_at
 from acsar_gym.tasks.task import point_in_disc, relative_point
+from acsar_gym.vector.kernel.crowds import begin_movers
 from acsar_gym.vector.kernel.drive import newest_line, settle_with_faults
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
@@ -21,15 +22,18 @@ from acsar_gym.vector.kernel.layout import (
     PHYSICS_ROW,
     TURN,
     Commands,
+    Crowds,
     Draws,
     Lines,
     Records,
     Robots,
+    Scans,
     Spawns,
     Tables,
     robots_of_block,
 )
 from acsar_gym.vector.pcg import uniform
+from acsar_gym.worlds.movers import RADIUS
 
 
 @jit
@@ -90,6 +94,8 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
     tables: Tables,
     commands: Commands | None,
     lines: Lines | None,
+    scans: Scans | None,
+    crowds: Crowds | None,
     draws: Draws,
     first: int,
     last: int,
@@ -125,6 +131,11 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                 draw_goal(robots, i, random, robot, spawns)
             else:
                 draw_start(robots, i, random, robot, spawns)
+                if (
+                    crowds is not None
+                    and crowds.motions.movers[int(robots.world[i]), 0, RADIUS] > 0.0
+                ):
+                    robots.crowd_key[i] = uniform(random, robot)
             kind = int(robots.kind[i])
             low, high = draws.low[kind], draws.high[kind]
             for k in range(len(samples)):
@@ -151,6 +162,8 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                         tables.ranges[robot, k] = 0.0
                     for k in range(setup.numbers, setup.first_ray + tables.ranges.shape[1]):
                         tables.observations[robot, k] = 0.0
+            if crowds is not None:
+                begin_movers(robots, i, robot, crowds, scans, setup)
 
 
 @loop

@@ -23,6 +23,7 @@ from acsar_gym.jit import jit
 from acsar_gym.physics import Physics
 from acsar_gym.safety.rules import AxisLimits, SafetyRules
 from acsar_gym.worlds.geometry import Surroundings
+from acsar_gym.worlds.movers import Motions
 
 Floats = NDArray[np.float64]
 Number = Annotated[Floats, ()]  # a number of each robot of a block, (BLOCK_ROBOTS,)
@@ -105,6 +106,13 @@ class Episode:
     work: Number  # mechanical work of the motors, where the batch is `metered` [J]
     scan_age: Number  # [s]
     scan_stale: Number
+
+    crowd_key: Number  # the episode's draw for movers, as the next ones where worlds move
+    crowd_look: Number  # the next tick in which the robot can touch a mover, or people walk
+    closest_person: Number  # for info alone, as the next ones [m]
+    time_to_collision: Number  # [s]
+    intrusions: Number  # how often the robot has entered somebody's personal space
+    person_contact: Number  # who ran into whom, see `worlds.crowd.ROBOT_HIT`
 
     key: Number
     """The episode's, which decides on lost and late lines; negative where none are. This and the
@@ -357,6 +365,16 @@ class Scans(NamedTuple):
     trails: Floats
     """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
     `Trail.rows`; no slots without a LiDAR."""
+
+
+class Crowds(NamedTuple):
+    """What moves in the worlds, around each robot."""
+
+    motions: Motions  # of each world
+    states: Floats
+    """(R, movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
+    trails: Floats
+    """(R, slots, movers, 2): where they were, in the rows of `Scans.trails`."""
 
 
 class Maps(NamedTuple):

@@ -6,11 +6,13 @@ import numpy as np
 
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import begin_trail, fill_scan
-from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution
+from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution, see_nobody
 from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
 from acsar_gym.trigonometry import sincos
+from acsar_gym.vector.kernel.crowds import begin_trails, passers_of
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
+    Crowds,
     Floats,
     Maps,
     Records,
@@ -59,7 +61,13 @@ def mark_trails(
 
 @loop
 def read_scans(
-    tables: Tables, scans: Scans, maps: Maps | None, first: int, last: int, setups: Records
+    tables: Tables,
+    scans: Scans,
+    crowds: Crowds | None,
+    maps: Maps | None,
+    first: int,
+    last: int,
+    setups: Records,
 ) -> None:
     """Read LiDARs and maps of these blocks' robots, after a reset or a whole step.
 
@@ -67,6 +75,7 @@ def read_scans(
     env, whose reset fails.
     """
     setup, trails = setups[0], scans.trails
+    nobody = see_nobody()
     beams, mapped = make_beams(tables.ranges.shape[1]), np.zeros(len(MAP_NAMES))
     for block in range(first, last):
         robots = tables.blocks[block]
@@ -81,6 +90,8 @@ def read_scans(
                 robots.scan_phase[i] = uniform(tables.random, robot)
                 robots.scan_key[i] = uniform(tables.random, robot)
                 mark_trails(robots, i, trails, robot, tick, setup)
+                if crowds is not None:
+                    begin_trails(crowds, robot, int(robots.world[i]), trails[1, robot])
             newest = int(tick) % trails.shape[2]
             physics = robots.physics
             kind, count = int(robots.kind[i]), int(robots.rays[i])
@@ -94,6 +105,9 @@ def read_scans(
                 physics.range_dropouts[i],
                 physics.range_outliers[i],
             )
+            passers = nobody
+            if crowds is not None:
+                passers = passers_of(crowds, robot, int(robots.world[i]))
             robots.scan_stamp[i] = measure_revolution(
                 trails[1, robot],
                 newest,
@@ -103,6 +117,7 @@ def read_scans(
                 (robots.scan_start[i], robots.scan_phase[i], robots.scan_key[i]),
                 traits,
                 beams,
+                passers,
                 kind,
             )
             ranges = tables.ranges[robot, :count]
