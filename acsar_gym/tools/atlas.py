@@ -22,6 +22,7 @@ from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
+from acsar_gym.worlds.moving import can_be_crossed
 from acsar_gym.worlds.pool import Pool, read_worlds
 from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
 
@@ -109,6 +110,22 @@ def draw_tile(world: World, size: int) -> RgbImage:
     return canvas.picture()
 
 
+def describe_movers(worlds: Sequence[World]) -> str:
+    """Describe what moves in worlds, on one line; empty where nothing does."""
+    movers = [mover for world in worlds for mover in world.movers]
+    if not movers:
+        return ""
+    counts = [len(world.movers) for world in worlds]
+    speeds = [mover.top_speed for mover in movers]
+    reacting = [mover for mover in movers if mover.reacts]
+    blind = sum(not mover.sees_robot for mover in reacting)
+    numbers = f"{min(counts)} to {max(counts)}" if min(counts) < max(counts) else f"{counts[0]}"
+    return (
+        f"movers: {numbers} in a world, top speeds {min(speeds):.2f} to {max(speeds):.2f} m/s; "
+        f"{len(reacting)} of {len(movers)} react to others, {blind} of these don't see the robot"
+    )
+
+
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, Any]]:
     """Check whether a robot can cross each world; measure path lengths and BARN's difficulty.
 
@@ -124,6 +141,8 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, A
         try:
             path = shortest_path(world, radius)
             shortest, difficulty = path_length(path), measure_difficulty(world, path)
+            if world.movers and not can_be_crossed(replace(world, path=path), radius):
+                fault = "nobody can cross it, even knowing all motions"
         except WorldError as error:
             fault = str(error).removeprefix(f"{world.name}: ")
         lengths = {"path": world.length, "shortest": shortest}

@@ -289,7 +289,7 @@ def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> Non
 )
 def test_what_only_measures_or_shines_is_no_mover(parts: list[str]) -> None:
     found = sdf.read_obstacles(sdf_of(*parts))
-    assert (found.movers, found.actors) == ((), ())
+    assert (found.movers, found.standing, found.actors) == ((), (), ())
 
 
 # Models of other files
