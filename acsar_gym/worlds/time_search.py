@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.worlds.geometry import distance_to_line, segment_clearance
-from acsar_gym.worlds.movers import MAX_MOVER_SPEED, Motions, draw_share, locate_mover, make_motions
+from acsar_gym.worlds.movers import MAX_MOVER_SPEED, Motions, draw_offset, locate_mover, make_motions
 from acsar_gym.worlds.world import Floats, World
 
 TIME_STEP = 0.1  # between two known places of movers [s]
@@ -116,10 +116,10 @@ def _list_places(motions: Motions, begin: float, key: float, spots: Floats) -> N
     """Fill in where the movers' motions are every TIME_STEP."""
     movers, pieces = motions.movers[0], motions.pieces[0]
     for m in range(spots.shape[1]):
-        share = draw_share(key, m)
+        offset = draw_offset(movers[m], m, key)
         for k in range(len(spots)):
             spots[k, m, 0], spots[k, m, 1], _, _ = locate_mover(
-                movers[m], pieces, begin + k * TIME_STEP, share
+                movers[m], pieces, begin + k * TIME_STEP + offset
             )
 
 

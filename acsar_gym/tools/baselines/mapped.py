@@ -92,7 +92,7 @@ class MappedPolicy(BaselinePolicy):
     what = ("a goal", "obstacle_goal")
     lidar = True
     follows_movers: ClassVar[bool] = False
-    """Whether it needs the tracks of the robot's sensor `movers`."""
+    """Whether it uses the tracks of the map."""
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task.
@@ -105,11 +105,6 @@ class MappedPolicy(BaselinePolicy):
             raise PolicyError(
                 f"{self.name}: needs a map, which {setting.task} doesn't observe: use --env "
                 "obstacle_goal, or another policy"
-            )
-        if self.follows_movers and setting.movers is None:
-            raise PolicyError(
-                f"{self.name}: needs the sensor 'movers', which {setting.task} doesn't observe: "
-                "use --env crowd, or another policy"
             )
         self.map: MapSensor = setting.map
         corners = np.array(setting.config.outline)
@@ -139,8 +134,7 @@ class MappedPolicy(BaselinePolicy):
 
     def tracks(self) -> Floats:
         """(m, 5): movers, in the odometry frame: x, y [m], their rates [m/s], and radius [m]."""
-        movers = self.setting.movers
-        return movers.tracks if self.follows_movers and movers is not None else NO_TRACKS
+        return self.map.movers if self.follows_movers else NO_TRACKS
 
     def obstacles(
         self, pose: Pose, seen: DecodedObservation, reach: float, tracks: Floats = NO_TRACKS

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,15 +65,6 @@ class Policy(Protocol):
         Returns:
             The action, shape (2,), within the env's action space.
         """
-
-
-@runtime_checkable
-class Tracker(Protocol):
-    """A sensor that tracks movers."""
-
-    @property
-    def tracks(self) -> Floats:
-        """(m, 5): x, y [m], their rates [m/s], in the odometry frame, and radius [m]."""
 
 
 class FilePolicy(ABC):
@@ -267,8 +258,6 @@ class PolicyContext:
     map: MapSensor | None = field(default=None, repr=False, compare=False)
     """The robot's map: where it is by odometry, what is occupied, the way to the goal; None without
     one. It changes with every step."""
-    movers: Tracker | None = field(default=None, repr=False, compare=False)
-    """The robot's sensor of movers; None without one. It changes with every step."""
     episode_seed: Callable[[], int | None] = field(default=lambda: None, repr=False, compare=False)
     """Returns the seed of the episode that has begun; None where it has none."""
 
@@ -297,7 +286,6 @@ class PolicyContext:
             scale=observation_scale(task),
             rays=rays,
             map=next((one for one in env.sensors if isinstance(one, MapSensor)), None),
-            movers=next((one for one in env.sensors if isinstance(one, Tracker)), None),
             episode_seed=lambda: env.np_random_seed,
         )
 
