@@ -59,6 +59,9 @@ SPEED_SHARE = 1.3  # greatest speed, in parts of that of the motion
 MOST_PUSH = 10.0  # greatest acceleration [m/s^2]
 LONGEST_LOOK = 1.0  # a mover that is far away is looked at so often, at least [s]
 FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
+SIGHT_RESOLUTION = 2.0**-20
+"""People see where the robot is and how it moves to this, a micrometre [m, m/s]. Crowds are chaotic:
+without it the last bit of a pose, in which one robot and a batch differ, changes them in 20 s."""
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
 LEASH = 1.0  # the motion waits for a person who is so far behind [m]
 PERSONAL_SPACE = 0.45
@@ -246,12 +249,27 @@ def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> Non
     every = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
     if (tick - 1) % every == 0:
         place_crowd(hall.movers, hall.pieces, states, tick * hall.period)
+        seen = RobotMotion(
+            round_seen(robot.x),
+            round_seen(robot.y),
+            round_seen(robot.cos),
+            round_seen(robot.sin),
+            round_seen(robot.forward),
+            round_seen(robot.rate),
+        )
         for m in range(len(hall.movers)):
             if hall.movers[m, REACTS] > 0.0:
-                decide_step(hall, states, m, robot)
+                decide_step(hall, states, m, seen)
     for m in range(len(hall.movers)):
         if hall.movers[m, REACTS] > 0.0:
             walk_on(hall.movers, m, states, hall.period)
+
+
+@jit
+def round_seen(number: float) -> float:
+    """A number as people see it, see `SIGHT_RESOLUTION`."""
+    seen: float = np.rint(number / SIGHT_RESOLUTION) * SIGHT_RESOLUTION
+    return seen
 
 
 @subroutine
