@@ -4,7 +4,10 @@ Once a control period `advance_crowd` puts those that follow their motion where 
 people who react walk on. These are driven by the social force model of D. Helbing and P. Molnar,
 "Social force model for pedestrian dynamics", Physical Review E 51 (1995): each adapts its velocity
 to the way that it wants to go, and is pushed away from others by an exponential potential, whose
-equipotential lines are ellipses along the other's next steps. Walls push as in D. Helbing,
+equipotential lines are ellipses along the other's next steps. These steps are relative to one's
+own, as in A. Johansson, D. Helbing and P. Shukla, "Specification of the social force pedestrian
+model by evolutionary adjustment to video tracking data", Advances in Complex Systems 10 (2007), so
+that people begin to walk around what stands before they are there. Walls push as in D. Helbing,
 I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407 (2000), whose
 range lets people through doors. A person decides anew every REACTION_TIME, and walks on in between.
 
@@ -49,7 +52,10 @@ RELAXATION_TIMES = (0.4, 0.6)
 STRENGTHS = (1.5, 2.7)
 """Strength of the push of others, drawn for each [m^2/s^2]; published: 2.1."""
 PUSH_RANGE = 0.3  # range of that push [m]
-STRIDE_TIME = 2.0  # the push's ellipse reaches along the other's way of so long [s]
+STRIDE_TIME = 1.0  # the push's ellipse reaches along the other's relative way of so long [s]
+SIDESTEP = 0.2
+"""People turn the push of others so much to their right: two who meet head-on would stop, or walk
+through each other [rad]."""
 WALL_PUSH = 25.0  # push of a wall that a person touches [m/s^2]
 WALL_RANGE = 0.08  # range of that push [m]
 FARTHEST_WALL = 8.0 * WALL_RANGE  # walls that are farther away don't push [m]
@@ -318,11 +324,13 @@ def push_from_others(
         square = dx * dx + dy * dy
         if not is_pushing or square > FARTHEST_PUSH * FARTHEST_PUSH:
             continue
+        vx, vy = vx - states[m, VX], vy - states[m, VY]
         push_x, push_y = push_away(dx, dy, vx, vy, movers[m, RADIUS] + radius, strength)
         seen = -(want_x * dx + want_y * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
         share = 1.0 if seen else BEHIND_SHARE
         total_x, total_y = total_x + share * push_x, total_y + share * push_y
-    return total_x, total_y
+    cos, sin = math.cos(SIDESTEP), math.sin(SIDESTEP)
+    return cos * total_x - sin * total_y, sin * total_x + cos * total_y
 
 
 @jit
@@ -355,7 +363,7 @@ def push_from_walls(hall: Hall, x: float, y: float, radius: float) -> tuple[floa
 def push_away(
     dx: float, dy: float, vx: float, vy: float, both: float, strength: float
 ) -> tuple[float, float]:
-    """Push on a person who is at (dx, dy) from another one that moves at (vx, vy) [m/s^2].
+    """Push [m/s^2] on a person at (dx, dy) from another one, whose relative velocity is (vx, vy).
 
     The potential is strength * exp(-(b - both) / PUSH_RANGE), b being the semi-minor axis of the
     ellipse, and `both` the radii of the two, which the published one leaves out.

@@ -206,9 +206,9 @@ def walk(
             places.append(place)
         if number < line_count:
             target = ways[(number + 1) % len(ways)]
-            length = math.dist(place, target)
-            if length > 0.0:
-                times.append(times[-1] + length / float(speeds[number]))
+            arrival = times[-1] + math.dist(place, target) / float(speeds[number])
+            if arrival > times[-1]:
+                times.append(arrival)
                 places.append(target)
     if len(times) == 1:
         times.append(1.0)
