@@ -282,8 +282,10 @@ def round_seen(number: float) -> float:
 def decide_step(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> None:
     """Set the acceleration of person m, and the pace of its motion, until the next decision."""
     movers, x, y = hall.movers, states[m, X], states[m, Y]
-    now_x, now_y, _, _ = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
-    behind = math.sqrt((now_x - x) ** 2 + (now_y - y) ** 2)
+    now_x, now_y, now_vx, now_vy = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
+    off_x, off_y = now_x - x, now_y - y
+    is_behind = off_x * now_vx + off_y * now_vy > 0.0
+    behind = math.sqrt(off_x * off_x + off_y * off_y) if is_behind else 0.0
     states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
     to_x, to_y, _, _ = locate_mover(movers, m, hall.pieces, clock)
