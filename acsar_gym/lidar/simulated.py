@@ -139,7 +139,7 @@ def begin_passing(passers: Passers, trail: Floats) -> None:
 def find_passer(
     passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
 ) -> tuple[float, float]:
-    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
+    """Where a mover was at a time [s], in the world's frame; people's ways are interpolated."""
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
         x, y, _, _ = locate_mover(passers.movers, m, passers.pieces, clock)
@@ -156,7 +156,7 @@ def find_passer(
 
 
 @subroutine
-def see_passers(
+def see_passers(  # noqa: C901, PLR0912 - one loop over rays, as `see_circle`
     passers: Passers,
     trail: Floats,
     newest: int,

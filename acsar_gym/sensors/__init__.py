@@ -4,6 +4,7 @@ from acsar_gym.lidar.scan import Revolution
 from acsar_gym.sensors.sensor import (
     LIDAR,
     MAP,
+    MOVERS,
     Bound,
     Factory,
     Sensor,
@@ -16,6 +17,7 @@ from acsar_gym.sensors.suite import Sensors
 __all__ = [
     "LIDAR",
     "MAP",
+    "MOVERS",
     "Bound",
     "Factory",
     "Revolution",

@@ -152,7 +152,7 @@ class LidarSensor(Sensor):
 
 def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
     """The LiDAR among a robot's sensors; None without one."""
-    for sensor in sensors[:2]:  # the map may come before it
+    for sensor in sensors[:3]:  # map and movers may come before it
         if isinstance(sensor, LidarSensor):
             return sensor
     return None

@@ -21,7 +21,8 @@ Floats = NDArray[np.float64]
 Numbers = NDArray[np.floating | np.integer | np.bool_]
 Bound = float | Sequence[float] | Floats  # one bound for all numbers of a sensor, or one for each
 MAP = "map"  # in a task's `sensors`, and of the sensor: the first of a robot's
-LIDAR = "lidar"  # likewise; after the map, and before all others
+MOVERS = "movers"  # likewise; after the map
+LIDAR = "lidar"  # likewise; after map and movers, and before all others
 
 
 def draw_uniform(rngs: Any, i: int) -> float:

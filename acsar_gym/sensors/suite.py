@@ -18,14 +18,17 @@ from acsar_gym.links.base import Link, clock_of, ros_link_of, tape_of
 from acsar_gym.odometry import Odometry
 from acsar_gym.reading import import_object
 from acsar_gym.sensors.lidar import LidarSensor, find_lidar
-from acsar_gym.sensors.map.sensor import MapSensor
-from acsar_gym.sensors.sensor import LIDAR, MAP, Factory, Floats, Sensor
+from acsar_gym.sensors.map.movers import MoversSensor
+from acsar_gym.sensors.map.sensor import MapSensor, find_map
+from acsar_gym.sensors.sensor import LIDAR, MAP, MOVERS, Factory, Floats, Sensor
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 
 class Sensors(Sequence[Sensor]):
-    """The sensors of a robot in the order of their numbers in the observation, map and LiDAR first.
+    """The sensors of a robot in the order of their numbers in the observation.
+
+    Map, movers and LiDAR come first.
 
     Args:
         wanted: factories, or ready sensors.
@@ -49,14 +52,16 @@ class Sensors(Sequence[Sensor]):
         for sensor in sensors:
             sensor.follow(odometry)
         self._link = link
-        first = {MAP: 0, LIDAR: 1}
-        self._sensors = sorted(sensors, key=lambda sensor: first.get(sensor.name, 2))
+        first = {MAP: 0, MOVERS: 1, LIDAR: 2}
+        self._sensors = sorted(sensors, key=lambda sensor: first.get(sensor.name, 3))
         self._polled = [one for one in self._sensors if type(one).poll is not Sensor.poll]
         self._uses_truth = any(sensor.uses_truth for sensor in self._sensors)
         check_names([sensor.name for sensor in self._sensors])
         for sensor in self._sensors:
             if isinstance(sensor, MapSensor):
                 sensor.watch(find_lidar(self._sensors))
+            elif isinstance(sensor, MoversSensor):
+                sensor.watch(find_map(self._sensors))
 
     def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]
@@ -347,7 +352,9 @@ def sensor_factories(
             factories.append(make_lidar)
         elif sensor == MAP:
             factories.append(partial(MapSensor, period=period))
+        elif sensor == MOVERS:
+            factories.append(MoversSensor)
         else:
-            near = suggest_name(sensor, [LIDAR, MAP])
+            near = suggest_name(sensor, [LIDAR, MAP, MOVERS])
             raise ConfigError(f"unknown sensor {show_value(sensor)}{near}")
     return factories

@@ -19,8 +19,9 @@ from acsar_gym.physics import Randomization, compute_physics
 from acsar_gym.physics.model import loop_period, wire_loops
 from acsar_gym.physics.randomization import DrawnRanges, drawn_places, longest_delay
 from acsar_gym.safety import rules
-from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor
+from acsar_gym.sensors import LIDAR, MAP, MOVERS, Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges, stale_after
+from acsar_gym.sensors.map.movers import MOVER_NAMES, MoversSensor
 from acsar_gym.sensors.map.sensor import MAP_NAMES, MapSensor, make_record
 from acsar_gym.sensors.map.way import SCRATCH
 from acsar_gym.tasks.episode import ObservationCheck, Spawn, path_from_start
@@ -33,8 +34,8 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
-from acsar_gym.worlds.crowd import STATE_NUMBERS
-from acsar_gym.worlds.movers import make_motions
+from acsar_gym.worlds.crowd import CLOCK, STATE_NUMBERS
+from acsar_gym.worlds.movers import RADIUS, make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -90,7 +91,8 @@ class Batch:
         self.worlds, self.places = make_worlds(pools, follow=task.follows)
         self._spawns = spawn_arrays(task, self.worlds, pools, self.places)
         sees = LIDAR in sensors
-        self._has_map = MAP in sensors
+        self._has_map, self._has_movers = MAP in sensors, MOVERS in sensors
+        mapped = self._has_map * len(MAP_NAMES) + self._has_movers * len(MOVER_NAMES)
         numbers = len(task.observation)
         self._setup = setup = make_setup(
             fleet,
@@ -101,7 +103,7 @@ class Batch:
             and all(config.body.turn_factor is None for config in fleet),
             sees=sees,
             numbers=numbers,
-            first_ray=numbers + self._has_map * len(MAP_NAMES),
+            first_ray=numbers + mapped,
         )
         self._setups = record_of(setup)
         blocks, rays = layout.make_blocks(robots), max(ray_count(config, sees) for config in fleet)
@@ -161,12 +163,21 @@ class Batch:
             return self.python.kinds
         config = self._fleet[0]
         lidar = LidarSensor(SimulatedLidar(self._lidar_link, config), config)
-        seeing: list[Sensor] = [MapSensor(None, config), lidar] if self._has_map else [lidar]
-        return [*seeing, *self.python.kinds]
+        seeing: list[Sensor] = [MapSensor(None, config)] if self._has_map else []
+        seeing += [MoversSensor(None, config)] if self._has_movers else []
+        return [*seeing, lidar, *self.python.kinds]
 
     def read(self, *names: str) -> NDArray[np.float64]:
         """Copy fields of `layout.Robots`, (numbers, robots); those of wheels are four numbers."""
         return layout.read_fields(self.tables.numbers, names, slice(self.robots))
+
+    def copy_movers(self, robot: int, world: int) -> NDArray[np.float64] | None:
+        """Copy what is seen of the movers around a robot in this world, as `Crowd.copy_states`."""
+        if self._crowds is None:
+            return None
+        radii = self._crowds.motions.movers[world, :, RADIUS]
+        used = radii > 0.0
+        return np.column_stack([self._crowds.states[robot, used, :CLOCK], radii[used]])
 
     def measure_work(self) -> None:
         """Measure the work of the motors from now on, as field `work` [J]; it takes time."""

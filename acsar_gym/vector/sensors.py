@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
 from acsar_gym.jit import overloads
-from acsar_gym.sensors import LIDAR, MAP, Factory, Sensor, Truths, draw_uniform
+from acsar_gym.sensors import LIDAR, MAP, MOVERS, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.sensor import name_memory
 from acsar_gym.sensors.suite import (
@@ -409,11 +409,14 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
 
 
 def python_sensors(sensors: Sequence[str | Sensor | Factory]) -> list[Sensor | Factory]:
-    """Factories of the sensors of a batch that aren't compiled: all but the LiDAR."""
-    compiled = [sensor for sensor in sensors if isinstance(sensor, str) and sensor in (LIDAR, MAP)]
+    """Factories of the sensors of a batch that aren't compiled: not LiDAR, map and movers."""
+    names = LIDAR, MAP, MOVERS
+    compiled = [sensor for sensor in sensors if isinstance(sensor, str) and sensor in names]
     check_names(compiled)
     if MAP in compiled and LIDAR not in compiled:
         raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
+    if MOVERS in compiled and MAP not in compiled:
+        raise ConfigError("sensor 'movers': the robot has no 'map', which it needs")
     others = [sensor for sensor in sensors if sensor not in compiled]
     return sensor_factories(others)
 

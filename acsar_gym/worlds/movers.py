@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ class Mover:
         """Time after which the motion repeats itself [s]; inf where it stops."""
         return (math.inf, 2.0 * self.duration, self.duration)[self.repeat]
 
-    @property
+    @cached_property
     def top_speed(self) -> float:
         """An upper bound of its speed, but for jumps; exact on straight lines [m/s]."""
         lengths = np.diff(np.append(self.pieces[:, 0], self.duration))
@@ -267,10 +268,9 @@ class MoverRow(NamedTuple):
 
     radius: float
     repeat: float
-    first: float
+    first_piece: float
     """Place of its first piece."""
-    count: float
-    """How many pieces it has."""
+    piece_count: float
     duration: float
     cycles: float
     """How often it repeats itself in a second; 0 where it stops."""
@@ -312,7 +312,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 mover.top_speed,
             )
             first += count
-    return Motions(rows, pieces, (rows[:, :, REACTS] > 0.0).any(axis=1))
+    return Motions(rows, pieces, np.any(rows[:, :, REACTS] > 0.0, axis=1))
 
 
 def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
@@ -323,7 +323,8 @@ def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
 @jit
 def draw_offset(movers: Floats, m: int, key: float) -> float:
     """Time in the motion of mover m at which an episode of this key begins [s]."""
-    return movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+    offset: float = movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+    return offset
 
 
 @subroutine
@@ -351,7 +352,7 @@ def locate_mover(
 
 @jit
 def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[int, float, float]:
-    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
+    """The piece that a mover is in, the time since its begin [s], and its direction: 1, -1, 0."""
     duration, direction = movers[m, DURATION], 1.0
     if movers[m, REPEAT] == 1.0:
         clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])

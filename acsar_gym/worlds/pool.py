@@ -134,7 +134,7 @@ class Pool:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether something moves in these worlds; in generated ones, whether it does in the first."""
+        """Whether something moves in these worlds; generated ones are like their first one."""
         numbers = self.numbers[:1] if self.generated else self.numbers
         return any(self[number].movers for number in numbers)
 

@@ -154,7 +154,7 @@ def lower_costs(grid: Grid, stamp: Bytes, i: int, j: int, middle: tuple[int, int
 
 
 @subroutine
-def add_scan(
+def add_scan(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     grid: Grid,
     stamp: Bytes,
     side: float,
@@ -163,6 +163,7 @@ def add_scan(
     ranges: Floats,
     rays: Rays,
     turn: int,
+    moving: Bytes,
 ) -> None:
     """Count the measurements of a scan.
 
@@ -175,6 +176,7 @@ def add_scan(
         ranges: (rays,): the scan [m].
         rays: of the LiDAR.
         turn: which rays clear cells; counts up from scan to scan.
+        moving: (rays,): not 0 where a ray meets what moves, which isn't remembered.
     """
     counts = grid.counts
     first_i, first_j = middle[0] - CELLS // 2, middle[1] - CELLS // 2
@@ -200,7 +202,7 @@ def add_scan(
                 counts[p, q] = left if left == COUNT_FREE else left + count // OCCUPIED * OCCUPIED
                 if count >= OCCUPIED and left == COUNT_FREE:
                     lower_costs(grid, stamp, i, j, middle)
-        if distance < rays.farthest - 1e-3:
+        if distance < rays.farthest - 1e-3 and moving[ray] == 0:
             a, b = u + c * distance / side, v + s * distance / side
             if not (0.0 <= a < CELLS and 0.0 <= b < CELLS):
                 continue

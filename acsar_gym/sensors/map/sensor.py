@@ -8,6 +8,7 @@ policy can drive robots of any size and speed. One robot and a batch call the sa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -38,6 +39,16 @@ from acsar_gym.sensors.map.seen import (
     cell_at,
     make_stamp,
     move_window,
+)
+from acsar_gym.sensors.map.tracks import (
+    AGE,
+    MOST_TRACES,
+    MOST_TRACKS,
+    MOVES,
+    RADIUS,
+    TRACK_NUMBERS,
+    clear_tracks,
+    update_tracks,
 )
 from acsar_gym.sensors.map.way import (
     MOST_POINTS,
@@ -148,9 +159,14 @@ RECORD = np.dtype(
         ("turn", np.float64),  # scans so far
         ("least", np.float64),  # least length of this way so far [m]
         ("waited", np.float64),  # steps since it was reached
+        ("top_speed", np.float64),  # of the robot [m/s]
+        ("tracks", np.float64, (MOST_TRACKS, TRACK_NUMBERS)),  # see `tracks`
+        ("traces", np.int32, (MOST_TRACKS, MOST_TRACES)),  # cells: row * CELLS + column
+        ("now", np.float64),  # time that the tracks refer to [s]
+        ("scanned", np.float64),  # when the newest revolution ended [s]
     ]
 )
-"""Map of a robot: its own numbers, cells, and the way."""
+"""Map of a robot: its own numbers, cells, the way, and what moves."""
 
 
 def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
@@ -159,7 +175,7 @@ def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
     outline = config.outline
     radius, inner = outline_radius(outline), border_distance(outline, 0.0, 0.0)
     made["side"], made["radius"] = CELL_SIDE * radius, radius
-    made["pace"] = config.max_linear * period
+    made["pace"], made["top_speed"] = config.max_linear * period, config.max_linear
     made["body"], made["reach"] = describe_body(config), _reach(outline)
     made["spans"], made["fronts"] = tabulate_arcs(outline)
     made["stamp"] = make_stamp(inner, radius)
@@ -213,15 +229,18 @@ def clear_map(record: Any) -> None:
     record.corners = record.corner = record.left = record.turn = 0.0
     record.least = record.waited = 0.0
     record.age = OLDEST_WAY
+    clear_tracks(record)
 
 
 @subroutine
-def update_map(
+def update_map(  # noqa: PLR0913, PLR0915, PLR0917 - compiled, so no keywords
     record: Any,
+    now: float,
     pose: tuple[float, float, float],
     goal: tuple[float, float],
     ranges: Floats,
     rays: Rays,
+    measured: tuple[Floats, Floats, float],
     scratch: Ints,
     out: Floats,
 ) -> None:
@@ -229,10 +248,13 @@ def update_map(
 
     Args:
         record: `RECORD` of the robot.
+        now: time [s].
         pose: by odometry, x [m], y [m], theta [rad].
         goal: in the odometry frame [m].
         ranges: (rays,): the scan [m].
         rays: of the LiDAR.
+        measured: bearings [rad] and times [s] of the revolution that the scan is made of, and when
+            it ended [s].
         scratch: (SCRATCH,): for the search.
         out: (len(MAP_NAMES),): gets what the map adds to the observation.
     """
@@ -242,7 +264,9 @@ def update_map(
     middle = cell_at(x, side), cell_at(y, side)
     move_window(grid, int(record.middle_i), int(record.middle_j), middle[0], middle[1])
     record.middle_i, record.middle_j = float(middle[0]), float(middle[1])
-    add_scan(grid, record.stamp, side, pose, middle, ranges, rays, int(record.turn))
+    moving = np.empty(len(ranges), np.uint8)
+    update_tracks(record, now, pose, middle, ranges, rays, measured, moving)
+    add_scan(grid, record.stamp, side, pose, middle, ranges, rays, int(record.turn), moving)
     record.turn += 1.0
 
     count, corner, before = int(record.corners), int(record.corner), record.left
@@ -420,17 +444,19 @@ def remembered_clearance(
 
 
 @loop
-def update_alone(
+def update_alone(  # noqa: PLR0913, PLR0917 - as `update_map`
     records: Any,
+    now: float,
     pose: tuple[float, float, float],
     goal: tuple[float, float],
     ranges: Floats,
     rays: Rays,
+    measured: tuple[Floats, Floats, float],
     scratch: Ints,
     out: Floats,
 ) -> None:
     """`update_map` for the robot of a single environment."""
-    update_map(records[0], pose, goal, ranges, rays, scratch, out)
+    update_map(records[0], now, pose, goal, ranges, rays, measured, scratch, out)
 
 
 class MapSensor(Sensor):
@@ -493,17 +519,36 @@ class MapSensor(Sensor):
 
     def read(self, truth: GroundTruth | None, now: float) -> Floats:
         """Return the numbers that `MAP_NAMES` names."""
-        out = np.zeros(self.size)
+        out, (bearings, _, times, stamp) = np.zeros(self.size), self._lidar.revolution
         update_alone(
             self._records,
+            now,
             self._odometry.pose,
             self._goal,
             self._lidar.scan.ranges,
             self._rays,
+            (bearings, times, stamp),
             self._scratch,
             out,
         )
         return out
+
+    @property
+    def records(self) -> NDArray[Any]:
+        """(1,): the `RECORD` of the robot."""
+        return self._records
+
+    @property
+    def time(self) -> float:
+        """Time of the newest scan's reading, which `movers` refers to, on the link's clock [s]."""
+        return float(self._record.now)
+
+    @property
+    def movers(self) -> Floats:
+        """(n, 5): what moves, in the odometry frame: x, y [m], velocity x, y [m/s], radius [m]."""
+        tracks = self._record.tracks
+        moves = (tracks[:, AGE] > 0.0) & (tracks[:, MOVES] > 0.0)
+        return np.array(tracks[moves, : RADIUS + 1])
 
     @property
     def pose(self) -> tuple[float, float, float]:
@@ -579,3 +624,8 @@ class MapSensor(Sensor):
             (n, 2), in the odometry frame [m].
         """
         return (cells.astype(np.float64) + 0.5 - CELL_SHIFT) * self.cell_side
+
+
+def find_map(sensors: Sequence[Sensor]) -> MapSensor | None:
+    """The map among a robot's sensors; None without one."""
+    return next((sensor for sensor in sensors if isinstance(sensor, MapSensor)), None)

@@ -7,6 +7,7 @@ import numpy as np
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import begin_trail, fill_scan
 from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution, see_nobody
+from acsar_gym.sensors.map.movers import MOVER_NAMES, fill_movers
 from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.crowds import begin_trails, passers_of
@@ -60,7 +61,7 @@ def mark_trails(
 
 
 @loop
-def read_scans(
+def read_scans(  # noqa: C901, PLR0912 - as `drive.step`
     tables: Tables,
     scans: Scans,
     crowds: Crowds | None,
@@ -77,6 +78,7 @@ def read_scans(
     setup, trails = setups[0], scans.trails
     nobody = see_nobody()
     beams, mapped = make_beams(tables.ranges.shape[1]), np.zeros(len(MAP_NAMES))
+    first_mover, moved = setup.numbers + len(MAP_NAMES), np.zeros(len(MOVER_NAMES))
     for block in range(first, last):
         robots = tables.blocks[block]
         for i in range(robots_of_block(block, len(tables.over))):
@@ -128,14 +130,21 @@ def read_scans(
             if maps is not None:
                 if begins:
                     clear_map(maps.records[robot])
+                pose = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
                 update_map(
                     maps.records[robot],
-                    (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
+                    robots.loops[i] * setup.dt,
+                    pose,
                     (robots.goal_x[i], robots.goal_y[i]),
                     ranges,
                     rays,
+                    (beams.bearings, beams.times, robots.scan_stamp[i]),
                     maps.scratch[block],
                     mapped,
                 )
                 for k in range(len(mapped)):
                     tables.observations[robot, setup.numbers + k] = mapped[k]
+                if first_mover < setup.first_ray:
+                    fill_movers(maps.records[robot], pose, moved)
+                    for k in range(len(moved)):
+                        tables.observations[robot, first_mover + k] = moved[k]

@@ -62,11 +62,15 @@ class Mapped:
         self._records = made if update is update_alone else made.view(np.recarray)
         self._update, self._goal, self.rays = update, goal, make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
+        self.now = 0.0
         clear_map(self.record)
 
     def see(self, pose: Pose, ranges: Any) -> dict[str, float]:
-        out = np.zeros(len(MAP_NAMES))
-        given = pose, self._goal, np.asarray(ranges, np.float64), self.rays, self._scratch, out
+        out, seen = np.zeros(len(MAP_NAMES)), np.asarray(ranges, np.float64)
+        self.now += 0.1
+        bearings = self.rays.start + np.arange(len(seen)) * self.rays.step
+        measured = bearings, np.full(len(seen), self.now), self.now
+        given = self.now, pose, self._goal, seen, self.rays, measured, self._scratch, out
         records = self._records if self._update is update_alone else self._records[0]
         self._update(records, *given)
         assert (out >= MAP_LOW - 1e-9).all()

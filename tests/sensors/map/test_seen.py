@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,11 +76,17 @@ def test_a_window_that_moves_forgets_what_leaves_it_and_nothing_else(
                 cells[place(cell)] = kept[cell]
 
 
+def see(grid: Grid, pose: Any, middle: Any, ranges: Any, rays: Rays, turn: int) -> None:
+    """Add a scan in which nothing moves."""
+    nothing = np.zeros(len(ranges), np.uint8)
+    add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, turn, nothing)
+
+
 def ahead(distance: float, turn: int, grid: Grid, *, x: float = 0.0) -> tuple[int, int]:
     """Add a scan of one ray ahead, and return the cell in which it ends."""
     rays = Rays(0.0, 0.1, 0.05, FARTHEST, 0.0, 0.0, 0.01)
     middle = cell_at(x, SIDE), cell_at(0.0, SIDE)
-    add_scan(grid, STAMP, SIDE, (x, 0.0, 0.0), middle, np.array([distance]), rays, turn)
+    see(grid, (x, 0.0, 0.0), middle, np.array([distance]), rays, turn)
     return cell_at(x + distance, SIDE), cell_at(0.0, SIDE)
 
 
@@ -121,7 +128,7 @@ def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:
     rays = Rays(-0.5, 0.4, 0.05, FARTHEST, *mount, 0.01)
     ranges = np.array([0.9, 1.4, 1.1])
     middle = cell_at(pose[0], SIDE), cell_at(pose[1], SIDE)
-    add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, 1)
+    see(grid, pose, middle, ranges, rays, 1)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     wanted = set()
     for ray, distance in enumerate(ranges):
@@ -149,7 +156,7 @@ def test_costs_raised_and_lowered_are_those_made_from_scratch(
         rng = np.random.default_rng(seed)
         ranges = np.where(rng.random(24) < 0.3, FARTHEST, rng.uniform(0.1, 3.6, 24))
         pose = (x, y, 0.1 * seed)
-        add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, turn)
+        see(grid, pose, middle, ranges, rays, turn)
     fresh = empty()
     for i in range(middle[0] - HALF, middle[0] + HALF):
         for j in range(middle[1] - HALF, middle[1] + HALF):
