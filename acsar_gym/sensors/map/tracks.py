@@ -66,7 +66,7 @@ SURE, UNSURE = 3.0, 2.0
 DEPARTURE, FAR_DEPARTURE = 0.2, 0.5
 """What moves is faster than so many standard deviations of its speed, and so far from where it
 stood [m]: either the first ones, or the second ones."""
-SETTLING = 0.05
+SETTLING = 0.03
 """Share by which the place where a track stands follows it at each scan, as odometry drifts."""
 FRESH = 2
 """What moves isn't where the map remembers something: at most one of so many of its rays is."""

@@ -72,9 +72,11 @@ def without_rays(env: VecEnv) -> VecEnv:
     else:
         single = env.get_attr("unwrapped", 0)[0]
         task, sensors = single.task, list(single.sensors)
-    if [sensor.name for sensor in sensors[:2]] != [MAP, LIDAR]:
+    names = [sensor.name for sensor in sensors]
+    if names[:1] != [MAP] or LIDAR not in names:
         raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
-    return FirstNumbers(env, len(task.observation) + sensors[0].size)
+    kept = sum(sensor.size for sensor in sensors[: names.index(LIDAR)])
+    return FirstNumbers(env, len(task.observation) + kept)
 
 
 class FirstNumbers(VecEnvWrapper):
