@@ -17,6 +17,8 @@ IDS: dict[str, dict[str, Any]] = {
     "PointGoal-v0": {"max_episode_steps": 200, "reward_threshold": 4.0},
     "ObstacleGoal-v1": {"max_episode_steps": 600, "reward_threshold": 10.0},
     "Barn-v1": {"max_episode_steps": 1000, "reward_threshold": 13.0},
+    "Crowd-v0": {"max_episode_steps": 800, "reward_threshold": 14.0},
+    "DynaBarn-v0": {"max_episode_steps": 1000, "reward_threshold": 20.0},
     "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
 """What `gymnasium.register` gets for each id; the one place that knows their versions."""
@@ -37,7 +39,8 @@ class SceneChoice:
     "completion_time" where the task says its shortest path, otherwise "success"."""
 
 
-THREE_ROBOTS = ("acsar", "jackal", "husky")
+TWO_ROBOTS = ("acsar", "jackal")
+THREE_ROBOTS = (*TWO_ROBOTS, "husky")
 UNSEEN_ROBOTS = tuple(f"drawn:{number}" for number in range(2000, 2005))
 """Robots drawn at random that no policy was trained on."""
 SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
@@ -52,6 +55,11 @@ SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
         "barn-husky": SceneChoice("barn", ("husky",), "barn_score_own"),
         "barn-unseen": SceneChoice("barn", UNSEEN_ROBOTS, "barn_score_own"),
     },
+    "acsar_gym/Crowd-v0": {
+        "crowd": SceneChoice("crowd", TWO_ROBOTS, "completion_time"),
+        "crowd-reacting": SceneChoice("crowd_reacting", TWO_ROBOTS, "completion_time"),
+    },
+    "acsar_gym/DynaBarn-v0": {"dynabarn": SceneChoice("dynabarn", TWO_ROBOTS, "completion_time")},
     "acsar_gym/PathFollow-v0": {"path": SceneChoice("smooth_path", THREE_ROBOTS, "cross_track")},
 }
 """The benchmark's sets of scenes by id and name."""

@@ -12,6 +12,8 @@ IDS = {
     "acsar_gym/PointGoal-v0": {},
     "acsar_gym/ObstacleGoal-v1": {"worlds": "clutter:5"},
     "acsar_gym/Barn-v1": {"worlds": "barn:5"},
+    "acsar_gym/Crowd-v0": {"worlds": "crowd:5"},
+    "acsar_gym/DynaBarn-v0": {"worlds": "dynabarn:5"},
     "acsar_gym/PathFollow-v0": {"worlds": "waypoint_path:5"},
 }
 SEEING = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Barn-v1"]

@@ -133,7 +133,13 @@ def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none
 
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)
 def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    worlds = {"barn": "barn:1", "obstacle_goal": "open:2", "path_follow": "smooth_path:2"}.get(name)
+    worlds = {
+        "barn": "barn:1",
+        "obstacle_goal": "open:2",
+        "crowd": "crowd:2",
+        "dyna_barn": "dynabarn:2",
+        "path_follow": "smooth_path:2",
+    }.get(name)
     options = {"worlds": worlds} if worlds else {}
     done = warm_up.warm_env(name, options=options)
     assert done.worlds == {"point_goal": 0, "barn": 1}.get(name, 2)

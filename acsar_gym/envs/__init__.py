@@ -3,6 +3,10 @@
 from acsar_gym.envs.manuals import (
     BarnEnv,
     BarnVectorEnv,
+    CrowdEnv,
+    CrowdVectorEnv,
+    DynaBarnEnv,
+    DynaBarnVectorEnv,
     ObstacleGoalEnv,
     ObstacleGoalVectorEnv,
     PathFollowEnv,
@@ -14,6 +18,10 @@ from acsar_gym.envs.manuals import (
 __all__ = [
     "BarnEnv",
     "BarnVectorEnv",
+    "CrowdEnv",
+    "CrowdVectorEnv",
+    "DynaBarnEnv",
+    "DynaBarnVectorEnv",
     "ObstacleGoalEnv",
     "ObstacleGoalVectorEnv",
     "PathFollowEnv",

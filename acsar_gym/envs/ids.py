@@ -21,11 +21,15 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 
 def full_id(name: str) -> str:
-    """Expand an env's short name: "barn" is "acsar_gym/Barn-v1", its newest version."""
+    """Expand an env's short name: "barn" is "acsar_gym/Barn-v1", its newest version.
+
+    "dyna_barn" and "dynabarn" are the same.
+    """
     if not name or "/" in name or ":" in name:
         return name
-    kind = name.title().replace("_", "")
-    return f"acsar_gym/{next((env_id for env_id in IDS if env_id.startswith(f'{kind}-')), kind)}"
+    kind = name.replace("_", "").lower()
+    newest = next((env_id for env_id in IDS if env_id.lower().startswith(f"{kind}-")), None)
+    return f"acsar_gym/{newest or name.title().replace('_', '')}"
 
 
 def strip_module(env_id: str) -> str:

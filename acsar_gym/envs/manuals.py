@@ -8,7 +8,7 @@ from acsar_gym.config import RobotSource
 from acsar_gym.config.fleet import FleetSource
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.links import Link
-from acsar_gym.tasks import Barn, ObstacleGoal, PathFollow, PointGoal
+from acsar_gym.tasks import Barn, Crowd, DynaBarn, ObstacleGoal, PathFollow, PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 
 
@@ -284,6 +284,138 @@ class BarnVectorEnv(RobotVectorEnv):
 
     def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
         super().__init__(Barn, num_envs, robot, **options)
+
+
+class CrowdEnv(RobotEnv):
+    """Cross a room that people walk through, who are seen with a LiDAR.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: linear and angular velocity, as in `acsar_gym/PointGoal-v0`.
+
+    ## Observation space
+
+    `Box((133 + rays,), float32)`, with the 64 rays of the ACSAR robot (197,). Numbers 0 to 96 are
+    those of `acsar_gym/ObstacleGoal-v1`, and the rays come last, as there. Between them stand the
+    six nearest of what moves around the robot, the nearest one first, six numbers each:
+
+    | index | observation of the nearest one, and 6 on for each next one | range |
+    |---|---|---|
+    | 97 | 1, or 0 where none is seen: then the other five are 0, too | 0 to 1 |
+    | 98, 99 | where it is from the base: a vector to its middle, ahead and to the left | -1 to 1 |
+    | 100, 101 | its velocity over the floor, ahead and to the left / (4 `max_linear`) | -1 to 1 |
+    | 102 | its radius / (4 R) | 0 to 1 |
+
+    The length of the vector at 98 is log(1 + 4 d / R) / log(1 + 4 * 16), d being the distance from
+    the base's middle. They are tracked in the LiDAR's scans: who is hidden, or stands, isn't told,
+    and the map forgets whoever has moved on.
+
+    ## Reward
+
+    As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
+    personal space of the nearest one that it sees moving: 0 where that one's hull is 0.45 m or more
+    from the circle around the robot, 1 where they touch, by observations 97 to 102.
+    `reward_threshold` 14.
+
+    ## Start and end
+
+    Every episode takes place in one of the env's numbered worlds: a corridor, a crossing, rooms
+    with doors or an open floor, in which people walk. Where they are at its begin is drawn anew for
+    each episode. The robot stands at the world's start, which is the origin of the odometry frame.
+    The episode terminates when odometry says that
+    the robot is within 0.5 m of the goal (success), or when a simulated robot and an obstacle or a
+    person touch (collision, whoever ran into whom). It is truncated after 800 steps.
+    `reset(options={"world": 1017})` chooses the world, `{"goal": (x, y)}` sets the goal, as in
+    `acsar_gym/ObstacleGoal-v1`.
+
+    ## Arguments
+
+    - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
+      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`
+      and `lidar` as in `acsar_gym/ObstacleGoal-v1`.
+    - `worlds`: "crowd:train" by default, the 400 worlds to train in, where people walk as if nobody
+      else were there; "crowd:test" are the 200 that `acsar-gym evaluate` tests in. In
+      "crowd_reacting" some people keep a distance from others, and most of these see the robot. In
+      "clutter+6:train" six walk through the worlds of clutter. More as in
+      `acsar_gym/ObstacleGoal-v1`.
+
+    ## Info
+
+    As in `acsar_gym/ObstacleGoal-v1`, and what only a simulator knows of those who move, NaN on
+    hardware: `closest_person` [m], from the robot's hull to the nearest one's now, 0 to 100;
+    `time_to_collision` [s], until the circle around the robot would touch somebody if all kept
+    their velocities, 0 to 10; `intrusions`, how often the robot has come within 0.45 m of somebody
+    so far; and `person_contact`: 0 none, 1 the robot ran into somebody, 2 somebody ran into the
+    robot. Every env whose worlds move has these.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    def __init__(
+        self, link: str | Link = "bullet", robot: RobotSource = None, **options: Any
+    ) -> None:
+        super().__init__(Crowd, link, robot, **options)
+
+
+class CrowdVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/Crowd-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
+        super().__init__(Crowd, num_envs, robot, **options)
+
+
+class DynaBarnEnv(RobotEnv):
+    """DynaBARN (Nair et al. 2022): across a floor of obstacles that move on polynomial curves.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: linear and angular velocity, as in `acsar_gym/PointGoal-v0`.
+
+    ## Observation space
+
+    As in `acsar_gym/Crowd-v0`.
+
+    ## Reward
+
+    As in `acsar_gym/Crowd-v0`.
+    `reward_threshold` 20.
+
+    ## Start and end
+
+    Start and goal of the world, success within 1 m of the goal by odometry; a contact ends the
+    episode, and so do 100 s, as truncation after 1000 steps (at 10 Hz). The obstacles mind nobody.
+    `reset(options={"world": 1017})` chooses the world, `{"goal": (x, y)}` sets the goal.
+
+    ## Arguments
+
+    - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
+      `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`
+      and `lidar` as in `acsar_gym/ObstacleGoal-v1`.
+    - `worlds`: "dynabarn:train", 400 worlds generated like the published ones, or "dynabarn:test",
+      the 200 that `acsar-gym evaluate` tests in. More as in `acsar_gym/ObstacleGoal-v1`.
+
+    ## Info
+
+    As in `acsar_gym/Crowd-v0`.
+
+    ## Version history
+
+    - v0: first version.
+    """
+
+    def __init__(
+        self, link: str | Link = "bullet", robot: RobotSource = None, **options: Any
+    ) -> None:
+        super().__init__(DynaBarn, link, robot, **options)
+
+
+class DynaBarnVectorEnv(RobotVectorEnv):
+    """Many robots of `acsar_gym/DynaBarn-v0`; see `RobotVectorEnv` for the other arguments."""
+
+    def __init__(self, num_envs: int = 1, robot: FleetSource = None, **options: Any) -> None:
+        super().__init__(DynaBarn, num_envs, robot, **options)
 
 
 class PathFollowEnv(RobotEnv):

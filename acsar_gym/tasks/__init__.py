@@ -1,5 +1,6 @@
 """Tasks: the goal, the observation, the reward and the end of an episode."""
 
+from acsar_gym.tasks.crowd import Crowd, DynaBarn
 from acsar_gym.tasks.episode import Assignment
 from acsar_gym.tasks.goal import PointGoal
 from acsar_gym.tasks.navigation import Barn, ObstacleGoal
@@ -11,6 +12,8 @@ __all__ = [
     "OBSERVATION_LIMIT",
     "Assignment",
     "Barn",
+    "Crowd",
+    "DynaBarn",
     "Goal",
     "Observation",
     "ObstacleGoal",

@@ -21,7 +21,7 @@ from acsar_gym.errors import (
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
-from acsar_gym.tasks.state import INFO, OPTIONAL_INFO, State
+from acsar_gym.tasks.state import CROWD_INFO, INFO, OPTIONAL_INFO, State
 from acsar_gym.tasks.task import Memory, Outcome, Task, info_names, is_compiled, new_memory
 
 NUMBER = (float, int, np.floating, np.integer)
@@ -196,7 +196,7 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
                 f"{name}: memory {key!r} = {show_value(value)}: is told in info, so must be a "
                 "number; list those that are to be told in `told`"
             )
-        if key in (*INFO, *OPTIONAL_INFO) or key.startswith("drawn_"):
+        if key in (*INFO, *CROWD_INFO, *OPTIONAL_INFO) or key.startswith("drawn_"):
             raise ConfigError(f"{name}: memory {key!r}: info has that already; rename it")
 
 

@@ -17,6 +17,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 from acsar_gym import RobotConfig
+from acsar_gym.envs.ids import full_id
 from acsar_gym.envs.robot_env import EnvOptions
 from acsar_gym.errors import (
     AcsarError,
@@ -65,6 +66,21 @@ def test_the_class_is_the_manual(env_id: str) -> None:
     names -= set() if task.sensors else {"lidar"}
     assert [name for name in names if f"`{name}`" not in manual] == []
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "env_id"),
+    [
+        ("barn", "acsar_gym/Barn-v1"),
+        ("point_goal", "acsar_gym/PointGoal-v0"),
+        ("dyna_barn", "acsar_gym/DynaBarn-v0"),
+        ("dynabarn", "acsar_gym/DynaBarn-v0"),
+        ("mine/Task-v0", "mine/Task-v0"),
+        ("no_such", "acsar_gym/NoSuch"),
+    ],
+)
+def test_short_names_are_those_of_the_newest_versions(name: str, env_id: str) -> None:
+    assert full_id(name) == env_id
 
 
 ROLLOUT = """

@@ -60,6 +60,8 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "obstacles": ("ObstacleGoal", {"worlds": "clutter:6"}, {}),
     "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": FORK}, {}),
     "BARN": ("Barn", {"worlds": "barn:4"}, {}),
+    "people": ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
+    "DynaBARN": ("DynaBarn", {"worlds": "dynabarn:4"}, {}),
     "smooth path": ("PathFollow", {"worlds": "smooth_path:6"}, {}),
     "open floor": ("PointGoal", {"goal_distance": (0.3, 1.0)}, {}),
     "a goal": ("PointGoal", {}, {"goal": np.array([[1.0, 0.0], [0.5, 0.5], [np.nan, np.nan]])}),

@@ -21,7 +21,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 
-BENCHMARK_SCHEMA = 3  # version of these files
+BENCHMARK_SCHEMA = 4  # version of these files
 MAX_CELL_BYTES = 20_000_000  # largest accepted file [bytes]; 1,000 episodes have 0.3 MB
 CELLS_FOLDER = "cells"
 COLUMNS = tuple(

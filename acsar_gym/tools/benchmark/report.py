@@ -25,7 +25,9 @@ INTRODUCTION = (
     "al. 2021 define it. The mean score counts every failure, the interquartile mean (IQM) leaves "
     "out the worst and the best quarter. Differences are those to the best baseline, in pairs of "
     "episodes: intervals by the paired bootstrap, p of success by McNemar's exact test. Clearance, "
-    "jerk and drift are means over episodes, time and energy over successful ones."
+    "jerk and drift are means over episodes, time and energy over successful ones. Into people are "
+    "the episodes that ended because the robot ran into somebody, struck those in which somebody "
+    "ran into the robot."
 )
 
 
@@ -35,6 +37,15 @@ def _format_number(key: str, digits: int, factor: float = 1.0) -> Callable[[Row]
     def text(row: Row) -> str:
         value = row.get(key, row["told"].get(key))
         return "" if value is None else f"{value * factor:.{digits}f}"
+
+    return text
+
+
+def _format_rate(key: str) -> Callable[[Row], str]:
+    """Format a share of the episodes; empty where there is none."""
+
+    def text(row: Row) -> str:
+        return f"{row[key]:.1%}" if row[key] else ""
 
     return text
 
@@ -81,6 +92,8 @@ MAIN_COLUMNS: dict[str, Callable[[Row], str]] = {
     "episodes": lambda row: str(row["episodes"]),
     "score": _format_score("score"),
     "success": _format_success,
+    "into people": _format_rate("person_collision_rate"),
+    "struck": _format_rate("struck_rate"),
     "score difference": _format_difference("score"),
     "success difference": _format_difference("success"),
 }
@@ -96,6 +109,9 @@ PAGE_COLUMNS: dict[str, Callable[[Row], str]] = {
     "cross-track [cm]": _format_number("cross_track", 2, 100.0),
     "time [s]": _format_number("time_to_goal", 2),
     "clearance [cm]": _format_number("clearance", 1, 100.0),
+    "closest person [cm]": _format_number("closest_person", 1, 100.0),
+    "time to collision [s]": _format_number("time_to_collision", 2),
+    "intrusions [1/min]": _format_number("intrusion_rate", 2),
     "turning [rad/m]": _format_number("smoothness", 2),
     "jerk [m/s³]": _format_number("jerk", 2),
     "energy [J]": _format_number("energy", 2),

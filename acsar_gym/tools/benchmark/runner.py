@@ -3,9 +3,9 @@
 A job drives the scenes of a cell in a simulation of its process; or over a serial device: the
 emulated board, and its LiDAR, on pseudo-terminals. The emulator runs PyBullet in another process
 and in real time. There the driver knows odometry alone; what only a simulator knows is taken from
-the emulator's log: length driven, distance to obstacles, and whether the robot touched one, which
-ends no episode but makes it a failure. A robot in ROS 2 is put into each scene by its driver, and
-what only a simulator knows stays unknown.
+the emulator's log: length driven, distance to obstacles, and whether the robot touched one or
+somebody, which ends no episode but makes it a failure. A robot in ROS 2 is put into each scene by
+its driver, and what only a simulator knows stays unknown.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.utils import seeding
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CancelledError, PolicyError
-from acsar_gym.tasks.episode import RunningEpisode
+from acsar_gym.tasks.episode import RunningEpisode, draw_in_world
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tasks.navigation import BARN_SCORES
 from acsar_gym.tasks.task import says_shortest_path
@@ -43,11 +44,13 @@ from acsar_gym.tools.evaluation.episode import (
     Episode,
     footprint_clearance,
     odometry_errors,
+    read_person_contact,
     read_true_poses,
 )
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.worlds import Region, files
+from acsar_gym.worlds import Region, World, files
+from acsar_gym.worlds.crowd import NO_HIT, ROBOT_HIT
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
 from acsar_gym.worlds.world import point_in_world
@@ -146,10 +149,11 @@ def _drive_over_port(
         config.save(folder / "robot.yaml")
         if source is not None and "world" in reset:
             pool = Pool.of(source, options.get("difficulty"), footprint_radius(config))
-            world = pool[reset["world"]]
-            if world.obstacles:
+            scene = draw_in_world(pool, seeding.np_random(seed)[0], reset)
+            world = scene.world or World()
+            if world.obstacles or world.movers:
                 files.save_world(world, folder / "world.json")
-                around = ["--world", str(folder / "world.json"), "--lidar"]
+                around = ["--world", str(folder / "world.json"), "--lidar", f"--key={scene.key}"]
         given = ("--body", "bullet", "--robot", str(folder / "robot.yaml"), "--log", str(log))
         with run_emulator(*given, *around) as devices:
             if devices.lidar:
@@ -174,10 +178,15 @@ def add_emulator_truth(
     result = replace(result, driven=length, odometry_error=error)
     assignment = episode.assignment
     world = assignment.world
-    if world is None or not world.obstacles:
+    if world is None or not (world.obstacles or world.movers):
         return result
-    clearance = footprint_clearance(track, config.outline, world)
+    clearance = person_contact = math.nan
+    if world.obstacles:
+        clearance = max(0.0, footprint_clearance(track, config.outline, world))
     touched = clearance < PORT_TOUCH_DISTANCE
+    if world.movers:
+        person_contact = read_person_contact(log, result.started, result.ended)
+    has_ended = touched or person_contact > NO_HIT
     shortest = left = math.nan
     if isinstance(episode.task, GoalTask) and says_shortest_path(episode.task):
         goal = Region(*point_in_world(assignment.start, assignment.goal))
@@ -187,11 +196,12 @@ def add_emulator_truth(
         )
     return replace(
         result,
-        success=result.success and not touched,
-        collision=touched,
-        clearance=max(0.0, clearance),
+        success=result.success and not has_ended,
+        collision=touched or person_contact == ROBOT_HIT,
+        person_contact=person_contact,
+        clearance=clearance,
         shortest=shortest,
         left=left,
         told=result.told
-        | (dict.fromkeys(result.told.keys() & {*BARN_SCORES}, 0.0) if touched else {}),
+        | (dict.fromkeys(result.told.keys() & {*BARN_SCORES}, 0.0) if has_ended else {}),
     )

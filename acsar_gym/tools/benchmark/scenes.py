@@ -42,6 +42,7 @@ from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.worlds import World, registry
 from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
+from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
@@ -354,12 +355,14 @@ def read_pool(source: str, difficulty: float | None, robot: str) -> Pool:
 
 
 def hash_world(world: World) -> bytes:
-    """Hash the numbers that define a world; its path only where it is all that there is."""
+    """Hash the numbers that define a world; its path only where nothing stands or moves in it."""
     start, goal = world.start, world.goal
     theta = -10.0 if start.theta is None else start.theta
-    path = world.path if world.path is not None and not world.obstacles else ()
+    is_empty = not (world.obstacles or world.movers)
+    path = world.path if world.path is not None and is_empty else ()
     ends = (start.x, start.y, start.radius, theta), (goal.x, goal.y, goal.radius)
-    return _hash_numbers([world.circles, world.segments, *ends, path])
+    motions = make_motions([world.movers]) if world.movers else ()
+    return _hash_numbers([world.circles, world.segments, *ends, path, *motions])
 
 
 def _hash_numbers(parts: Sequence[Any]) -> bytes:

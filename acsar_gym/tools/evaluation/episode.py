@@ -23,6 +23,7 @@ from acsar_gym.links.lateness import EpisodeTiming
 from acsar_gym.tasks.episode import Assignment, RunningEpisode
 from acsar_gym.tasks.task import info_names
 from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
 from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
@@ -33,6 +34,8 @@ Resets = Sequence[tuple[int, Mapping[str, Any]]]
 MAX_LOG_BYTES = 1_000_000_000
 """Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
 POSE_KEYS = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
+TRACK_KEYS = (*POSE_KEYS, "closest_person", "time_to_collision")
+"""Keys of info that are noted at the reset and after every env step; NaN where info has none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +49,12 @@ class Episode:
     world: int | None = None
     """Number of the world; -1 for a world or path given by the user, None on an open floor."""
     success: bool
-    collision: bool  # whether a simulated robot touched an obstacle; always False on hardware
+    collision: bool
+    """Whether a simulated robot touched an obstacle, or ran into somebody; always False on
+    hardware."""
+    person_contact: float = math.nan
+    """0 for none, 1 if the robot ran into somebody, which is a collision, 2 if somebody ran into
+    the robot, which is none; NaN where nobody moves."""
     fault: str = ""  # fault of the link or board that ended the episode; empty if there was none
     valid: bool = True  # whether there was no fault, and no more late ticks than allowed
     started: float = 0.0  # time at which the first tick began, on the link's clock [s]
@@ -65,8 +73,15 @@ class Episode:
     jerk: float = math.nan
     """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
     clearance: float = math.nan
-    """Least distance of the footprint to an obstacle [m], by ground truth at every env step; 0 in a
-    collision."""
+    """Least distance of the footprint to an obstacle that stands [m], by ground truth at every env
+    step; 0 if it touched one."""
+    closest_person: float = math.nan
+    """Least distance of the footprint to somebody who moves [m], by ground truth at every env
+    step; 0 if they touched."""
+    time_to_collision: float = math.nan
+    """Least time until the robot would touch somebody if all kept their velocities [s], at every
+    env step."""
+    intrusions: float = math.nan  # how often the robot entered somebody's personal space
     energy: float = math.nan
     """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
     P of `physics.model.motor_power`."""
@@ -103,6 +118,17 @@ class Episode:
         return _divide(self.shortest, max(driven, self.shortest))
 
 
+def describe_end(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of an `Episode` that say how it ended, by the info of its last step."""
+    success, person_contact = info["is_success"] == 1.0, info.get("person_contact", math.nan)
+    touched = info["true_contact"] == 1.0 and person_contact != PERSON_HIT
+    return {
+        "success": bool(success),
+        "collision": bool(touched and not success),
+        "person_contact": float(person_contact),
+    }
+
+
 def _divide(part: float, whole: float) -> float:
     """Divide; 1 if `whole` isn't positive."""
     return part / whole if whole > 0.0 else 1.0
@@ -110,7 +136,7 @@ def _divide(part: float, whole: float) -> float:
 
 def known_pose(poses: Sequence[float]) -> Pose:
     """The pose by ground truth if it is known, else by odometry, of numbers named POSE_KEYS."""
-    x, y, theta = poses[:3] if math.isnan(poses[3]) else poses[3:]
+    x, y, theta = poses[:3] if math.isnan(poses[3]) else poses[3:6]
     return float(x), float(y), float(theta)
 
 
@@ -126,15 +152,16 @@ def measure_episode(
     Args:
         env: with task and robot.
         episode: with its assignment, and the state at its end.
-        track: (steps + 1, 6): POSE_KEYS at the reset and after every env step.
+        track: (steps + 1, 8): TRACK_KEYS at the reset and after every env step.
         info: of the last step.
         way: the task's shortest way from the start.
     """
     assignment, config = episode.assignment, env.robot.config
-    odom, true = track[:, :3], track[:, 3:]
-    is_known, touched = not math.isnan(true[-1, 0]), info["true_contact"] == 1.0
+    odom, true = track[:, :3], track[:, 3:6]
+    end, is_known = describe_end(info), not math.isnan(true[-1, 0])
     first, last = known_pose(track[0]), known_pose(track[-1])
-    success, world = bool(info["is_success"] == 1.0), assignment.world
+    world, touched_person = assignment.world, end["person_contact"] > NO_HIT
+    touched = info["true_contact"] == 1.0 and not touched_person
     clearance = math.nan
     if world is not None and world.obstacles and is_known:
         places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
@@ -142,8 +169,7 @@ def measure_episode(
         clearance = 0.0 if touched else max(0.0, nearest)
     return {
         "world": int(info["world"]) if "world" in info else None,
-        "success": success,
-        "collision": bool(touched and not success),
+        **end,
         "path": path_length(odom[:, :2]),
         "driven": path_length((true if is_known else odom)[:, :2]),
         "shortest": measure_way(assignment, config, first, way, is_known=is_known),
@@ -153,6 +179,9 @@ def measure_episode(
         "turning": total_turning(odom),
         "jerk": mean_jerk(odom, env.ticks_per_step * config.period),
         "clearance": clearance,
+        "closest_person": 0.0 if touched_person else float(np.fmin.reduce(track[:, 6])),
+        "time_to_collision": float(np.fmin.reduce(track[:, 7])),
+        "intrusions": float(info.get("intrusions", math.nan)),
         "odometry_error": float(info["odometry_error"]),
         "cross_track": float(info.get("mean_cross_track_error", math.nan)),
         "pose": tuple(odom[-1].tolist()),
@@ -265,13 +294,31 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     Raises:
         ConfigError: it can't be read, or holds no true poses.
     """
-    lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
+    truths = _read_events(log, "pose")
     try:
-        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
-        truths = [(float(event["t"]), event["pose"]) for event in events if "pose" in event]
         poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
-    except (ValueError, TypeError, LookupError) as error:
-        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'") from error
+    except (ValueError, TypeError) as error:
+        raise _foreign_log(log) from error
     if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
     return [stamp for stamp, _ in truths], poses
+
+
+def read_person_contact(log: Path, started: float, ended: float) -> float:
+    """Read who ran into whom first between two times, as `Episode.person_contact` says it."""
+    contacts = (hit for stamp, hit in _read_events(log, "hit") if started < stamp <= ended)
+    return float(next(contacts, NO_HIT))
+
+
+def _read_events(log: Path, kind: str) -> list[tuple[float, Any]]:
+    """Read the times [s] and values of events from an emulator's log."""
+    lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
+    try:
+        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
+        return [(float(event["t"]), event[kind]) for event in events if kind in event]
+    except (ValueError, TypeError, LookupError) as error:
+        raise _foreign_log(log) from error
+
+
+def _foreign_log(log: Path) -> ConfigError:
+    return ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'")

@@ -21,7 +21,7 @@ from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tasks.state import State
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
-    POSE_KEYS,
+    TRACK_KEYS,
     Episode,
     Resets,
     known_pose,
@@ -131,11 +131,11 @@ def _run_episode(
     observation, info = env.reset(seed=seed, options=options)
     if (begin := getattr(policy, "reset", None)) is not None:
         begin()
-    poses, rewards, done = [[info[key] for key in POSE_KEYS]], 0.0, False
-    way = inner.episode.shortest_path(known_pose(poses[0]))  # measured later: a robot doesn't wait
+    rows, rewards, done = [[info.get(key, math.nan) for key in TRACK_KEYS]], 0.0, False
+    way = inner.episode.shortest_path(known_pose(rows[0]))  # measured later: a robot doesn't wait
     while not done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
-        poses.append([info[key] for key in POSE_KEYS])
+        rows.append([info.get(key, math.nan) for key in TRACK_KEYS])
         rewards += float(reward)
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
@@ -143,7 +143,7 @@ def _run_episode(
     timing, meter = robot.timing, meter_of(robot.link)
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
-    length, track = len(poses) - 1, np.array(poses, np.float64)
+    length, track = len(rows) - 1, np.array(rows, np.float64)
     return Episode(
         seed=seed,
         fault=fault,
@@ -233,8 +233,8 @@ class _BatchRun:
         self._begun = 0
         self._steps = np.zeros(robots, np.int64)
         self._returns = np.zeros(robots)
-        self._tracks = np.zeros((robots, 256, len(POSE_KEYS)))
-        """POSE_KEYS of each robot at the reset and after every step."""
+        self._tracks = np.zeros((robots, 256, len(TRACK_KEYS)))
+        """TRACK_KEYS of each robot at the reset and after every step."""
         self._first_ticks = np.zeros(robots, np.int64)
         """Ticks of each robot's reset."""
 
@@ -292,12 +292,13 @@ class _BatchRun:
         return number if isinstance(numbers, range) else numbers.index(number)
 
     def _note(self, info: dict[str, Any], mask: NDArray[np.bool_]) -> None:
-        """Note the poses of robots."""
+        """Note the row of each robot's track."""
         if self._steps.max() >= self._tracks.shape[1]:
             self._tracks = np.concatenate([self._tracks, np.zeros_like(self._tracks)], axis=1)
         robots = np.flatnonzero(mask)
-        poses = np.column_stack([info[key][robots] for key in POSE_KEYS])
-        self._tracks[robots, self._steps[robots]] = poses
+        for column, key in enumerate(TRACK_KEYS):
+            values = info[key][robots] if key in info else math.nan
+            self._tracks[robots, self._steps[robots], column] = values
 
     def _finish(self, robot: int, infos: dict[str, Any]) -> Episode:
         """Compute the result of a robot's episode."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from acsar_gym.errors import require_extra
 from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.worlds.crowd import PERSON_HIT, ROBOT_HIT
 
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_SAMPLES = 2000
@@ -32,10 +33,12 @@ class Summary:
 
     episodes: int
     success_rate: float
-    collision_rate: float
+    collision_rate: float  # touched an obstacle, or ran into somebody
+    struck_rate: float  # somebody ran into the robot, which is no collision of its own
     timeout_rate: float
-    """None of the others: time-out or out of bounds. The four rates add up to 1."""
+    """None of the others: time-out or out of bounds. These five rates add up to 1."""
     fault_rate: float  # ended by a fault of link, board or wheels
+    person_collision_rate: float  # ran into somebody: the part of the collisions with people
     episode_return: float
     """Sum of rewards; comparable to the `reward_threshold` of a registered env."""
     length: float  # policy steps per episode
@@ -46,7 +49,16 @@ class Summary:
     smoothness: float  # heading change per metre driven [rad/m]; smaller is smoother
     jerk: float  # mean absolute jerk of the speed driven, by odometry [m/s^3]; smaller is smoother
     clearance: float
-    """Least distance of the footprint to an obstacle in an episode, 0 in a collision [m]."""
+    """Least distance of the footprint to an obstacle that stands in an episode, 0 where it touched
+    one [m]."""
+    closest_person: float
+    """Least distance of the footprint to somebody who moves in an episode, 0 where they touched
+    [m]; NaN where nobody moves, as the next two."""
+    time_to_collision: float
+    """Least time in an episode until the robot would touch somebody if all kept their velocities
+    [s]; at most 10."""
+    intrusion_rate: float
+    """How often the robot entered somebody's personal space, of all episodes together [1/min]."""
     energy: float  # mechanical work of a simulated robot's motors, over successful episodes [J]
     odometry_error: float  # distance between odometry and ground truth at the end of an episode [m]
     odometry_drift: float  # odometry error divided by the length of the path driven
@@ -91,13 +103,21 @@ def replace_nonfinite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-EPISODE_RATES: dict[str, Callable[[Episode], bool]] = {
+EPISODE_ENDS: dict[str, Callable[[Episode], bool]] = {
     "success_rate": lambda e: e.success,
     "collision_rate": lambda e: e.collision,
-    "timeout_rate": lambda e: not (e.success or e.collision or e.fault),
+    "struck_rate": lambda e: e.person_contact == PERSON_HIT,
+    "timeout_rate": lambda e: (
+        not (e.success or e.collision or e.person_contact == PERSON_HIT or e.fault)
+    ),
     "fault_rate": lambda e: bool(e.fault),
 }
 """How an episode ended."""
+EPISODE_RATES: dict[str, Callable[[Episode], bool]] = {
+    **EPISODE_ENDS,
+    "person_collision_rate": lambda e: e.person_contact == ROBOT_HIT,
+}
+"""What is true of an episode or not."""
 EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
     "episode_return": lambda e: e.episode_return,
     "length": lambda e: e.length,
@@ -108,6 +128,8 @@ EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
     "smoothness": lambda e: e.turning / max(e.path, 1e-9),
     "jerk": lambda e: e.jerk,
     "clearance": lambda e: e.clearance,
+    "closest_person": lambda e: e.closest_person,
+    "time_to_collision": lambda e: e.time_to_collision,
     "energy": lambda e: e.energy if e.success else math.nan,
     "odometry_error": lambda e: e.odometry_error,
     "odometry_drift": lambda e: (
@@ -121,10 +143,19 @@ EPISODE_FIGURES: dict[str, Callable[[Episode], float]] = {
 def average_figures(episodes: Sequence[Episode]) -> dict[str, float]:
     """Return the mean of every rate and figure over the episodes that have it; NaN for none."""
     figures: dict[str, Callable[[Episode], float]] = {**EPISODE_RATES, **EPISODE_FIGURES}
-    return {
+    means = {
         name: finite_mean(float(figure(episode)) for episode in episodes)
         for name, figure in figures.items()
     }
+    intrusions, minutes = count_intrusions(episodes)
+    means["intrusion_rate"] = math.fsum(intrusions) / math.fsum(minutes) if minutes else math.nan
+    return means
+
+
+def count_intrusions(episodes: Sequence[Episode]) -> tuple[list[float], list[float]]:
+    """Return the intrusions and the duration [min] of each episode that knows its own."""
+    known = [episode for episode in episodes if math.isfinite(episode.intrusions)]
+    return [episode.intrusions for episode in known], [episode.time / 60.0 for episode in known]
 
 
 def average_told(episodes: Sequence[Episode]) -> dict[str, float]:
@@ -141,6 +172,7 @@ def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
     }
     for name, figure in EPISODE_FIGURES.items():
         intervals[name] = bootstrap_interval([float(figure(episode)) for episode in episodes])
+    intervals["intrusion_rate"] = bootstrap_interval(*count_intrusions(episodes))
     told = average_told(episodes)
     for name in told:
         values = [episode.told[name] for episode in episodes]
@@ -188,11 +220,14 @@ def wilson_interval(hits: int, count: int) -> Interval:
     return float(interval.low), float(interval.high)
 
 
-def bootstrap_interval(values: Sequence[float]) -> Interval:
-    """Return the 95 % percentile bootstrap interval of a mean.
+def bootstrap_interval(
+    values: Sequence[float], durations: Sequence[float] | None = None
+) -> Interval:
+    """Return the 95 % percentile bootstrap interval of a mean, or of a rate.
 
     Args:
         values: samples; those that aren't finite are left out.
+        durations: of each sample; the interval is that of sum(values) / sum(durations).
 
     Returns:
         Low and high end; NaN if there are fewer than two samples.
@@ -200,12 +235,15 @@ def bootstrap_interval(values: Sequence[float]) -> Interval:
     with require_extra("an evaluation", "scipy"):
         from scipy.stats import bootstrap  # noqa: PLC0415 - slow to import
 
-    finite = np.array([value for value in values if math.isfinite(value)])
+    rows = zip(values, durations or [1.0] * len(values), strict=True)
+    finite = np.array([row for row in rows if math.isfinite(row[0])]).reshape(-1, 2)
     if len(finite) < 2:
         return (math.nan, math.nan)
+    is_rate = durations is not None
     interval = bootstrap(
-        (finite,),
-        np.mean,
+        (*finite.T,) if is_rate else (finite[:, 0],),
+        _divide_means if is_rate else np.mean,
+        paired=is_rate,
         confidence_level=CONFIDENCE_LEVEL,
         n_resamples=BOOTSTRAP_SAMPLES,
         batch=max(1, MAX_RESAMPLED // len(finite)),
@@ -213,3 +251,7 @@ def bootstrap_interval(values: Sequence[float]) -> Interval:
         random_state=np.random.default_rng(0),
     ).confidence_interval
     return float(interval.low), float(interval.high)
+
+
+def _divide_means(values: Any, durations: Any, axis: int = -1) -> Any:
+    return values.mean(axis=axis) / durations.mean(axis=axis)

@@ -20,7 +20,7 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.metrics import EPISODE_RATES, TOLD_PREFIX, Summary
+from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, TOLD_PREFIX, Summary
 
 Item = TypeVar("Item")
 ODOMETRY_ALARM = 0.15
@@ -96,21 +96,27 @@ def fill_columns(
     return {name: [c or "-" for c in column] for name, column in cells.items() if any(column)}
 
 
-def _summary_cells(rows: Sequence[tuple[str, Summary]]) -> dict[str, list[str]]:
-    columns = fill_columns([summary for _, summary in rows], SUMMARY_COLUMNS)
-    return {"behind the wire": [link for link, _ in rows], **columns}
+def _fill_rows(
+    rows: Sequence[tuple[str, Summary]], columns: Mapping[str, Callable[[Summary], str]]
+) -> dict[str, list[str]]:
+    cells = fill_columns([summary for _, summary in rows], columns)
+    return {"behind the wire": [link for link, _ in rows], **cells}
+
+
+def _make_table(title: str, cells: Mapping[str, Sequence[str]]) -> Table:
+    table = Table(title=escape_text(title), title_justify="left")
+    for name in cells:
+        table.add_column(name, justify="right" if table.columns else "left")
+    for row in zip(*cells.values(), strict=True):
+        table.add_row(*map(escape_text, row))
+    return table
 
 
 def summary_table(
     title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
 ) -> Table:
     """Format the summary of the runs on each link as a table, with lines below it."""
-    table = Table(title=escape_text(title), title_justify="left")
-    cells = _summary_cells(rows)
-    for name in cells:
-        table.add_column(name, justify="right" if table.columns else "left")
-    for row in zip(*cells.values(), strict=True):
-        table.add_row(*map(escape_text, row))
+    table = _make_table(title, _fill_rows(rows, SUMMARY_COLUMNS))
     errors = [s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)]
     worst = max(errors, default=0.0)
     captions = [escape_text(note) for note in notes]
@@ -127,6 +133,11 @@ def summary_table(
     return table
 
 
+def people_table(rows: Sequence[tuple[str, Summary]]) -> Table:
+    """Format what the runs on each link tell about those who move as a table."""
+    return _make_table("among people", _fill_rows(rows, PEOPLE_COLUMNS))
+
+
 def write_evaluation_page(
     path: Path, title: str, link: str, summary: Summary, episodes: Sequence[Episode]
 ) -> None:
@@ -134,7 +145,6 @@ def write_evaluation_page(
     page.check_report_extra()
     from plotly import graph_objects  # noqa: PLC0415 - optional
 
-    cells = _summary_cells([(link, summary)])
     told = {f"{TOLD_PREFIX}{name}": value for name, value in summary.told.items()}
     values = {**asdict(summary), **told}
     intervals = [
@@ -145,7 +155,7 @@ def write_evaluation_page(
     figure = graph_objects.Figure(
         layout={"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
     )
-    for name, is_ended_so in EPISODE_RATES.items():
+    for name, is_ended_so in EPISODE_ENDS.items():
         chosen = [episode for episode in episodes if is_ended_so(episode)]
         figure.add_scatter(
             x=[episode.seed for episode in chosen],
@@ -153,8 +163,15 @@ def write_evaluation_page(
             mode="markers",
             name=name.removesuffix("_rate"),
         )
-    sections = [
-        page.Section("Means", "", page.Table(list(cells), [*zip(*cells.values(), strict=True)])),
+    parts = [("Means", "", SUMMARY_COLUMNS)]
+    if not math.isnan(summary.closest_person):
+        parts.append(("Among people", PEOPLE_NOTE, PEOPLE_COLUMNS))
+    sections = []
+    for heading, note, columns in parts:
+        cells = _fill_rows([(link, summary)], columns)
+        table = page.Table(list(cells), [*zip(*cells.values(), strict=True)])
+        sections.append(page.Section(heading, note, table))
+    sections += [
         page.Section(
             "95 % intervals",
             "Wilson's of rates, bootstrapped ones of means.",
@@ -205,6 +222,7 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
         f"({summary.success_rate:.1%})"
     ),
     "collision": lambda summary: _format_rate(summary.collision_rate),
+    "struck": lambda summary: _format_rate(summary.struck_rate),
     "time-out": lambda summary: _format_rate(summary.timeout_rate),
     "fault": lambda summary: _format_rate(summary.fault_rate),
     "SPL": lambda summary: _format_number(summary.spl),
@@ -222,3 +240,16 @@ SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
     "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
 }
 """Functions that format the cells of each column; empty text means no value."""
+PEOPLE_COLUMNS: dict[str, Callable[[Summary], str]] = {
+    "ran into people": lambda summary: _format_rate(summary.person_collision_rate),
+    "struck by people": lambda summary: _format_rate(summary.struck_rate),
+    "closest person": lambda summary: _format_number(summary.closest_person * 100.0, "cm"),
+    "time to collision": lambda summary: _format_number(summary.time_to_collision, "s"),
+    "intrusions": lambda summary: _format_number(summary.intrusion_rate, "a minute"),
+}
+"""The same of what is told where somebody moves."""
+PEOPLE_NOTE = (
+    "Whoever moved into the other ran into them: a robot that was struck is no success, and no "
+    "collision. Distances from hull to hull, and times until both would have touched, are the "
+    "least of an episode. An intrusion is to come within 0.45 m of somebody."
+)

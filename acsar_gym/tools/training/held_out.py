@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import reading
-from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.episode import Episode, describe_end
 from acsar_gym.tools.evaluation.metrics import Summary, summarise_episodes
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import registry
@@ -58,12 +58,11 @@ def evaluate_held_out(batch: RobotVectorEnv, decide: Decide) -> Summary:
         lengths += running
         ended = running & (terminated | truncated)
         for robot in np.flatnonzero(ended):
-            success = bool(info["is_success"][robot] == 1.0)
+            own = {key: row[robot] for key, row in info.items() if not key.startswith("_")}
             episodes.append(
                 Episode(
                     seed=FIRST_HELD_OUT_SEED + int(robot),
-                    success=success,
-                    collision=bool(info["true_contact"][robot] == 1.0) and not success,
+                    **describe_end(own),
                     length=int(lengths[robot]),
                     episode_return=float(returns[robot]),
                 )

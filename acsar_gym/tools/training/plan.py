@@ -49,7 +49,8 @@ class TrainingOptions(Section):
 
     section = "train"
     env: Annotated[str, tyro.conf.arg(metavar="NAME|ID")] = "point_goal"
-    """point_goal, path_follow, obstacle_goal, barn, or an id as in mine.module:mine/Task-v0."""
+    """point_goal, path_follow, obstacle_goal, barn, crowd, dyna_barn, or an id as in
+    mine.module:mine/Task-v0."""
     algo: Annotated[str, tyro.conf.arg(metavar="ppo|sac|tqc|ppo_lstm")] = "ppo"
     """Algorithm, by RL Zoo's names."""
     conf_file: Path | None = None

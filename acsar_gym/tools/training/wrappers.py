@@ -63,8 +63,8 @@ def batch(env: VecEnv, *, randomize: bool = True, threads: int | None = None) ->
 def without_rays(env: VecEnv) -> VecEnv:
     """Leave the LiDAR's own numbers, and what follows them, out of observations.
 
-    What the map says about them is in units of the robot: a policy that sees no more than that can
-    drive robots whose LiDAR has other rays.
+    What the map, and the sensor of movers, say about them is in units of the robot: a policy that
+    sees no more than that can drive robots whose LiDAR has other rays.
     """
     inner = env.unwrapped
     if isinstance(inner, BatchVecEnv):
@@ -73,10 +73,17 @@ def without_rays(env: VecEnv) -> VecEnv:
         single = env.get_attr("unwrapped", 0)[0]
         task, sensors = single.task, list(single.sensors)
     names = [sensor.name for sensor in sensors]
+<<<<<<< HEAD
     if names[:1] != [MAP] or LIDAR not in names:
         raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
     kept = sum(sensor.size for sensor in sensors[: names.index(LIDAR)])
     return FirstNumbers(env, len(task.observation) + kept)
+=======
+    if MAP not in names or LIDAR not in names:
+        raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
+    before = sensors[: names.index(LIDAR)]
+    return FirstNumbers(env, len(task.observation) + sum(sensor.size for sensor in before))
+>>>>>>> lead
 
 
 class FirstNumbers(VecEnvWrapper):

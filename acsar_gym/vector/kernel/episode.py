@@ -90,7 +90,7 @@ def draw_start(
 
 
 @loop
-def reset(  # noqa: C901, PLR0912 - as `drive.step`
+def reset(  # noqa: C901, PLR0912, PLR0913, PLR0917 - as `drive.step`
     tables: Tables,
     commands: Commands | None,
     lines: Lines | None,

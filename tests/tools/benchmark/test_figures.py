@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmark_tools import SET, cell, driven, plan
+from benchmark_tools import SET, cell, driven, episode, plan
 from rich.console import Console
 from scipy import stats
 
@@ -26,6 +26,7 @@ from acsar_gym.tools.benchmark.figures import (
 )
 from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.report import fill_columns
 
 
 def test_the_interquartile_mean_as_rliable_has_it() -> None:
@@ -155,6 +156,28 @@ def test_the_table_says_it_all(result: dict[str, Any]) -> None:
         assert words in text
     assert "nan" not in text.lower()
     assert report.list_refusals(result) == ["other: needs a LiDAR"]
+
+
+def test_who_ran_into_whom_is_told_apart_where_somebody_moves(result: dict[str, Any]) -> None:
+    ends = [
+        episode(0, person_contact=0.0, closest_person=0.4, time_to_collision=2.0, intrusions=1.0),
+        episode(1, 0.0, person_contact=1.0, collision=True, closest_person=0.0),
+        episode(2, 0.0, person_contact=2.0, closest_person=0.0),
+        episode(3, person_contact=2.0, success=False, closest_person=0.2),
+    ]
+    crowded = figures.make_result(plan(ours="learned"), [CellResult(cell("ours"), ends)])
+    ours = row(crowded, "ours")
+    assert (ours["collision_rate"], ours["person_collision_rate"]) == (0.25, 0.25)
+    assert (ours["struck_rate"], ours["timeout_rate"]) == (0.5, 0.0)
+    assert ours["closest_person"] == pytest.approx(0.15)
+    assert ours["intrusion_rate"] == pytest.approx(15.0)  # once in 4 s, of the one that knows it
+    ((_, (shown,)),) = report.group_rows(crowded).items()
+    assert report.MAIN_COLUMNS["into people"](shown) == "25.0%"
+    assert report.MAIN_COLUMNS["struck"](shown) == "50.0%"
+    assert report.PAGE_COLUMNS["closest person [cm]"](shown) == "15.0"
+    ((_, standing),) = report.group_rows(result).items()
+    names = fill_columns(standing, report.PAGE_COLUMNS)
+    assert not {"into people", "struck", "closest person [cm]", "intrusions [1/min]"} & set(names)
 
 
 def test_the_page_has_tables_plots_and_where_it_comes_from(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.tools.benchmark import SCENES, SceneSet, scenes
 from acsar_gym.worlds import Region, World, files
+from acsar_gym.worlds.movers import walk
 
 
 @pytest.mark.parametrize("env_id", list(SCENES))
@@ -59,7 +61,9 @@ def test_the_sets_that_are_driven() -> None:
     """Robots in the names of sets that have several; their scores; easy worlds for wide robots."""
     found = {some.name: some for some in EVERY_SET}
     names = ["open", "clutter", "clutter-unseen", "barn", "barn-fast", "barn-husky", "barn-unseen"]
-    assert list(dict.fromkeys(name.partition("/")[0] for name in found)) == [*names, "path"]
+    names += ["crowd", "crowd-reacting", "dynabarn", "path"]
+    assert list(dict.fromkeys(name.partition("/")[0] for name in found)) == names
+    assert {found[f"{name}/jackal"].score for name in names[-4:-1]} == {"completion_time"}
     assert len([name for name in found if name.startswith("clutter-unseen/drawn:")]) == 5
     fast, husky = found["barn-fast"], found["barn-husky"]
     assert (fast.robot, fast.score, fast.config.max_linear) == ("jackal", "barn_score", 2.0)
@@ -115,6 +119,8 @@ def test_the_hash_is_of_geometry_start_and_goal() -> None:
         World(np.array([[1.0, 0.5, 0.1]]), start=Region(0.0, 0.0), goal=Region(3.0, 0.0)),
         World(segments=np.array([[1.0, 0.5, 0.1, 0.0]]), goal=Region(3.0, 0.0)),
     ]
+    others += [replace(world, movers=[walk([[0.0, y], [4.0, y]])]) for y in (1.0, 1.0001)]
+    assert len({scenes.hash_world(other) for other in others}) == len(others)
     own = scenes.hash_world(world)
     assert all(scenes.hash_world(other) != own for other in others)
     same = World(np.array([[1.0 + 1e-12, 0.5, 0.1]]), goal=Region(3.0, -1e-12), name="other")

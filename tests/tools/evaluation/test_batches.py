@@ -13,10 +13,12 @@ from acsar_gym.tools.evaluation import episodes, runs
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes, run_resets
 from acsar_gym.tools.policies import FilePolicy, OnnxPolicy
+from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import walk
 
 NEARLY = (
     *("episode_return", "path", "driven", "left", "turning", "jerk", "clearance", "energy"),
-    *("odometry_error", "cross_track", "pose", "told"),
+    *("odometry_error", "cross_track", "pose", "told", "closest_person", "time_to_collision"),
 )
 """Fields in which both may differ by rounding; all others are equal."""
 
@@ -65,6 +67,19 @@ def test_a_batch_gives_the_results_of_one_robot_after_the_other(
     batched, single = both(OnnxPolicy(name), monkeypatch, **options)
     assert_equal(batched, single)
     assert len({episode.length for episode in batched}) > 3 or "max_episode_steps" in options
+
+
+def test_a_batch_among_people_tells_what_one_robot_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some walk into the robot's way, some react to it."""
+    ends = {"start": Region(0.0, 0.0, 0.0, 0.0), "goal": Region(5.0, 0.0)}
+    crossing = [walk([[x, -2.0], [x, 2.0]], 1.0, spread=8.0) for x in (1.5, 3.0)]
+    meeting = walk([[5.0, 0.1], [-1.0, 0.1]], 0.8, spread=4.0, reacts=True)
+    worlds = [World(**ends, movers=crossing), World(**ends, movers=[*crossing, meeting])]
+    batched, single = both(OnnxPolicy("obstacle_goal"), monkeypatch, worlds=worlds)
+    assert_equal(batched, single)
+    assert len({episode.person_contact for episode in batched}) > 1
+    assert all(episode.closest_person < 10.0 for episode in batched)
+    assert any(episode.intrusions for episode in batched)
 
 
 def test_named_worlds_alone_are_made(monkeypatch: pytest.MonkeyPatch) -> None:

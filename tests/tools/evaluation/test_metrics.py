@@ -23,14 +23,16 @@ from acsar_gym.tools.evaluation.episode import (
 )
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import (
+    EPISODE_ENDS,
     bootstrap_interval,
     summarise_episodes,
     wilson_interval,
 )
-from acsar_gym.tools.evaluation.report import SUMMARY_COLUMNS
+from acsar_gym.tools.evaluation.report import PEOPLE_COLUMNS, SUMMARY_COLUMNS
 from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import Mover, walk
 
-FORWARD = np.array([1.0, 0.0], np.float32)
+FORWARD, STAND = np.array([1.0, 0.0], np.float32), np.zeros(2, np.float32)
 
 
 def result(**known: Any) -> Episode:
@@ -79,6 +81,16 @@ def test_a_bootstrap_interval_holds_the_mean_and_repeats() -> None:
     assert bootstrap_interval([1.0, math.nan, 3.0]) == bootstrap_interval([1.0, 3.0])
 
 
+def test_a_rate_weighs_episodes_by_their_duration() -> None:
+    short = result(intrusions=1.0, ended=11.0)  # 1 s
+    summary = summarise_episodes([short, result(intrusions=1.0, ended=69.0), result()])
+    assert summary.intrusion_rate == pytest.approx(2.0)
+    low, high = summary.intervals["intrusion_rate"]
+    assert low == pytest.approx(60.0 / 59.0)
+    assert high == pytest.approx(60.0)
+    assert math.isnan(summarise_episodes([result()]).intrusion_rate)
+
+
 def test_means_have_intervals_and_json_is_clean() -> None:
     summary = summarise_episodes([result(), result(path=6.0, cross_track=math.nan), result(**LOST)])
     assert summary.path == pytest.approx(5.5)
@@ -108,8 +120,9 @@ def test_round_trips_are_a_distribution() -> None:
     assert not SUMMARY_COLUMNS["round trip"](summarise_episodes([result()]))
 
 
-def drive(world: World, action: Any = FORWARD, link: str = "planar") -> Episode:
-    env = gymnasium.make("acsar_gym/ObstacleGoal-v1", link=link, worlds=world)
+def drive(world: World, action: Any = FORWARD, link: str = "planar", steps: int = 200) -> Episode:
+    env_id = "acsar_gym/ObstacleGoal-v1"
+    env = gymnasium.make(env_id, link=link, worlds=world, max_episode_steps=steps)
     (episode,) = run_episodes(env, lambda _: action, 1, seed=0)
     env.close()
     return episode
@@ -127,6 +140,61 @@ def test_a_crash_is_a_collision_with_its_progress(link: str) -> None:
     assert 1.4 < episode.left < 1.9
     assert 0.15 < episode.soft_spl < 0.4
     assert episode.clearance == 0.0
+
+
+def among(*movers: Mover) -> World:
+    return World(start=Region(0, 0, 0, 0), goal=Region(4.0, 0.0), movers=movers)
+
+
+def test_running_into_somebody_is_a_collision() -> None:
+    episode = drive(among(walk([[1.0, 0.0]])))
+    assert (episode.collision, episode.person_contact) == (True, 1.0)
+    assert (episode.closest_person, episode.time_to_collision, episode.intrusions) == (0.0, 0.0, 1)
+    assert math.isnan(episode.clearance)  # of what stands
+    summary = summarise_episodes([episode])
+    assert (summary.collision_rate, summary.person_collision_rate) == (1.0, 1.0)
+    assert (summary.struck_rate, summary.timeout_rate) == (0.0, 0.0)
+
+
+def test_somebody_who_runs_into_a_robot_that_stands_is_no_collision_of_its_own() -> None:
+    episode = drive(among(walk([[2.0, 0.0], [-2.0, 0.0]], 1.0)), STAND)
+    assert (episode.success, episode.collision, episode.person_contact) == (False, False, 2.0)
+    assert episode.closest_person == 0.0
+    summary = summarise_episodes([episode])
+    assert (summary.struck_rate, summary.collision_rate, summary.timeout_rate) == (1.0, 0.0, 0.0)
+
+
+def test_people_who_pass_are_measured_from_hull_to_hull() -> None:
+    """One walks past the robot's side, twice into its personal space; the other stays away."""
+    width, radius = max(y for _, y in RobotConfig().outline), 0.25
+    passing = walk([[-2.0, 0.8], [2.0, 0.8]], 1.0, radius=radius)
+    episode = drive(among(passing, walk([[0.0, -3.0]])), STAND, steps=80)
+    assert (episode.collision, episode.person_contact) == (False, 0.0)
+    assert episode.closest_person == pytest.approx(0.8 - width - radius, abs=1e-3)
+    assert episode.intrusions == 2.0
+    assert episode.time_to_collision == 10.0  # it never aims at the robot
+    assert summarise_episodes([episode]).intrusion_rate == pytest.approx(15.0)
+
+
+def test_where_nobody_moves_there_are_no_figures_of_people() -> None:
+    summary = summarise_episodes([drive(ahead((1.0, 0.0, 0.2)))])
+    data = summary.as_dict()
+    assert data["closest_person"] is data["time_to_collision"] is data["intrusion_rate"] is None
+    assert not any(cell(summary) for cell in [*PEOPLE_COLUMNS.values(), SUMMARY_COLUMNS["struck"]])
+
+
+def test_an_episode_ends_in_one_way() -> None:
+    ends = [
+        result(),
+        result(**CRASH),
+        result(**CRASH, person_contact=1.0),
+        result(**LOST, person_contact=2.0),
+        result(**LOST),
+        result(**LOST, fault="lost"),
+    ]
+    summary = summarise_episodes(ends)
+    assert [getattr(summary, name) * len(ends) for name in EPISODE_ENDS] == [1, 2, 1, 1, 1]
+    assert summary.person_collision_rate * len(ends) == 1
 
 
 class Patrol(Task):

@@ -12,6 +12,8 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import Region, World
+from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.pool import Pool
 
 WORLDS = "clutter:900-903"
@@ -24,12 +26,20 @@ def towards(seen: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return np.stack([np.ones(len(seen)), np.clip(2.0 * seen[:, 2], -1.0, 1.0)], axis=1)
 
 
-def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
-    batch = ObstacleGoalVectorEnv(ROBOTS, worlds=WORLDS, max_episode_steps=STEPS, threads=1)
+PEOPLE = World(
+    start=Region(0.0, 0.0, 0.0, 0.0),
+    goal=Region(4.0, 0.0),
+    movers=[walk([[x, -1.0], [x, 1.0]], 1.0, spread=4.0) for x in (0.8, 1.6)],
+)
+
+
+@pytest.mark.parametrize("worlds", [WORLDS, PEOPLE], ids=["standing", "people"])
+def test_a_score_is_what_evaluation_says_of_the_same_episodes(worlds: Any) -> None:
+    batch = ObstacleGoalVectorEnv(ROBOTS, worlds=worlds, max_episode_steps=STEPS, threads=1)
     score = held_out.evaluate_held_out(batch, towards)
     batch.close()
     env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v1", link="planar", worlds=WORLDS, max_episode_steps=STEPS
+        "acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds, max_episode_steps=STEPS
     )
     one = evaluation.run_episodes(
         env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_HELD_OUT_SEED
@@ -40,6 +50,8 @@ def test_a_score_is_what_evaluation_says_of_the_same_episodes() -> None:
     assert score.success_rate == pytest.approx(np.mean([r.success for r in results]))
     assert score.collision_rate == pytest.approx(np.mean([r.collision for r in results]))
     assert 0.0 < score.collision_rate < 1.0
+    assert score.struck_rate == pytest.approx(np.mean([r.person_contact == 2.0 for r in results]))
+    assert (score.struck_rate > 0.0) == (worlds is PEOPLE)
     ticks = np.mean([r.ticks for r in results])
     assert score.length == pytest.approx(ticks / 10.0)
 

@@ -11,6 +11,7 @@ import pytest
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
+from acsar_gym.sensors.map.movers import MOST_MOVERS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal
 from acsar_gym.tools.policies import OnnxPolicy
@@ -23,12 +24,14 @@ NAMES = (*ObstacleGoal.observation, *MAP_NAMES)
 WIDTH = len(NAMES)
 MIRRORED = ("goal_sin", "angular_velocity", "last_angular", "way_sin_0", "way_sin_1", "way_sin_2")
 """Numbers that change their sign in the mirror."""
+MOVED = tuple(f"mover_{part}_{n}" for n in range(MOST_MOVERS) for part in ("y", "speed_y"))
+AMONG_PEOPLE = ((*NAMES, *MOVER_NAMES), (*MIRRORED, *MOVED))
 
 
-def mirrored(width: int = WIDTH, **options: Any) -> Any:
+def mirrored(width: int = WIDTH, env_id: str = "ObstacleGoal-v1", **options: Any) -> Any:
     import torch
 
-    given = recipes.read_recipe(recipes.find_algorithm("ppo"), "acsar_gym/ObstacleGoal-v1")
+    given = recipes.read_recipe(recipes.find_algorithm("ppo"), f"acsar_gym/{env_id}")
     kwargs = {**given.arguments["policy_kwargs"], "net_arch": [32, 32], **options}
     torch.manual_seed(0)
     box = gymnasium.spaces.Box(-2.0, 2.0, (width,))
@@ -38,16 +41,27 @@ def mirrored(width: int = WIDTH, **options: Any) -> Any:
     return policy
 
 
-def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value() -> None:
+@pytest.mark.parametrize(
+    ("env_id", "names", "odd"),
+    [
+        ("ObstacleGoal-v1", NAMES, MIRRORED),
+        ("Barn-v1", NAMES, MIRRORED),
+        ("Crowd-v0", *AMONG_PEOPLE),
+        ("DynaBarn-v0", *AMONG_PEOPLE),
+    ],
+)
+def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value(
+    env_id: str, names: tuple[str, ...], odd: tuple[str, ...]
+) -> None:
     """By the recipe's own indices, for a mirror image made from the numbers' names."""
     import torch
 
-    policy, rng = mirrored(), np.random.default_rng(0)
-    seen = torch.from_numpy(rng.uniform(0.1, 1.0, (20, WIDTH)).astype(np.float32))
+    policy, rng = mirrored(len(names), env_id), np.random.default_rng(0)
+    seen = torch.from_numpy(rng.uniform(0.1, 1.0, (20, len(names))).astype(np.float32))
     image = seen.clone()
-    image[:, [NAMES.index(name) for name in MIRRORED]] *= -1.0
+    image[:, [names.index(name) for name in odd]] *= -1.0
     for stem in ("clearance", "arc", "wide_arc"):  # to the right becomes to the left
-        group = [k for k, name in enumerate(NAMES) if name.rpartition("_")[0] == stem]
+        group = [k for k, name in enumerate(names) if name.rpartition("_")[0] == stem]
         image[:, group] = seen[:, group[::-1]]
     with torch.no_grad():
         actions, images = (policy.get_distribution(one).mode() for one in (seen, image))

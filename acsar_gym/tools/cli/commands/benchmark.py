@@ -22,8 +22,8 @@ class BenchmarkChoice:
     """What is compared."""
 
     env: Annotated[Names, tyro.conf.arg(aliases=["--ids"])] = ()
-    """Ids: point_goal, obstacle_goal, barn, path_follow, mine.module:mine/Task-v0; default: all of
-    acsar_gym's."""
+    """Ids: point_goal, obstacle_goal, barn, crowd, dyna_barn, path_follow,
+    mine.module:mine/Task-v0; default: all of acsar_gym's."""
     sets: Names = ()
     """Sets of scenes: open, clutter, clutter/husky, clutter-unseen, barn, barn-fast, ...; default:
     all of these ids."""

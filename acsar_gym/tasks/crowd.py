@@ -1,0 +1,78 @@
+"""Tasks among people: a hall that others walk through, and the moving obstacles of DynaBARN.
+
+They are tasks with a goal behind obstacles, see `navigation`, in worlds whose movers a robot sees
+with its LiDAR alone. Coming close to somebody costs reward, by what the robot observes of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from acsar_gym.errors import TaskError
+from acsar_gym.jit import compilable
+from acsar_gym.sensors import MOVERS
+from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
+from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, NEAR_SHARE
+from acsar_gym.tasks.goal import goal_distance
+from acsar_gym.tasks.navigation import BARN_TOLERANCE, NavigationTask, navigation_reward
+from acsar_gym.tasks.state import State
+from acsar_gym.tasks.task import Outcome
+from acsar_gym.worlds.crowd import PERSONAL_SPACE
+
+SEEN, AHEAD, LEFT, RADIUS = (
+    len(MAP_NAMES) + MOVER_NAMES.index(f"mover_{name}_0") for name in ("seen", "x", "y", "radius")
+)
+"""Places of the numbers of the nearest mover in `State.sensed`."""
+TOP_SPEED = MAP_NAMES.index("top_speed")
+"""Place of the robot's top speed there, in ten radii of its footprint a second."""
+CROWDING_COST = 0.1
+"""What a step costs in which the robot touches somebody's hull."""
+
+
+class Crowd(NavigationTask):
+    """Reach a point in a hall that people walk through, with a LiDAR."""
+
+    id = "acsar_gym/Crowd-v0"
+    worlds = "crowd:train"
+    sensors: tuple[Any, ...] = ("map", "movers", "lidar")
+    goal_tolerance = 0.5
+    compiled = True
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Check that the robot senses movers, whose numbers the reward reads. TaskError if not."""
+        super().__init_subclass__(**options)
+        if MOVERS not in cls.sensors:
+            raise TaskError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MOVERS!r}")
+
+    def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
+        """Reward of the step: `navigation_reward` less CROWDING_COST times `crowding`."""
+        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        return navigation_reward(state, outcome, self.end, self.crash) - CROWDING_COST * crowding(
+            state
+        )
+
+
+class DynaBarn(Crowd):
+    """Drive 20 m through cylinders that move (DynaBARN), with a LiDAR."""
+
+    id = "acsar_gym/DynaBarn-v0"
+    worlds = "dynabarn:train"
+    goal_tolerance = BARN_TOLERANCE
+
+
+@compilable
+def crowding(state: State) -> float:
+    """How deep the robot is in the personal space of the nearest mover that it observes, 0 to 1.
+
+    0 where the mover's hull is PERSONAL_SPACE or more away from the circle around the robot, or
+    none is observed, and 1 where they touch.
+    """
+    if state.sensed[SEEN] == 0.0:
+        return 0.0
+    ahead, left = float(state.sensed[AHEAD]), float(state.sensed[LEFT])
+    share = math.sqrt(ahead * ahead + left * left)
+    apart = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
+    gap = apart - 1.0 - MOST_RADIUS * float(state.sensed[RADIUS])
+    radius = state.max_twist[0] / (10.0 * float(state.sensed[TOP_SPEED]))
+    return 1.0 - min(max(gap * radius / PERSONAL_SPACE, 0.0), 1.0)
