@@ -268,10 +268,9 @@ class MoverRow(NamedTuple):
 
     radius: float
     repeat: float
-    first: float
+    first_piece: float
     """Place of its first piece."""
-    count: float
-    """How many pieces it has."""
+    piece_count: float
     duration: float
     cycles: float
     """How often it repeats itself in a second; 0 where it stops."""
@@ -313,7 +312,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 mover.top_speed,
             )
             first += count
-    return Motions(rows, pieces, (rows[:, :, REACTS] > 0.0).any(axis=1))
+    return Motions(rows, pieces, np.any(rows[:, :, REACTS] > 0.0, axis=1))
 
 
 def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
@@ -324,7 +323,8 @@ def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
 @jit
 def draw_offset(movers: Floats, m: int, key: float) -> float:
     """Time in the motion of mover m at which an episode of this key begins [s]."""
-    return movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+    offset: float = movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+    return offset
 
 
 @subroutine

@@ -1,6 +1,7 @@
 """Optimal reciprocal collision avoidance: half planes of velocities with which nobody is met.
 
-Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover forbids
+Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover
+forbids
 the velocities with which the robot would meet it within a horizon if it kept its own. The robot
 keeps to a half plane without them, and chooses the velocity within all half planes that is nearest
 to the one along the way of its map. What stands forbids velocities with which the nearest place of

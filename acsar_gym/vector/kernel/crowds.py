@@ -67,7 +67,8 @@ def bound_speed(robots: Robots, i: int) -> float:
     for k in range(4):
         turning = max(turning, abs(robots.wheel_speed[k, i]), physics.gain[k, i] * wanted / least)
     turning = min(turning, physics.max_speed[i])
-    return 1.1 * turning * max(physics.left_radius[i], physics.right_radius[i])
+    speed: float = 1.1 * turning * max(physics.left_radius[i], physics.right_radius[i])
+    return speed
 
 
 @subroutine
