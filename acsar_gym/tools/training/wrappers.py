@@ -73,17 +73,10 @@ def without_rays(env: VecEnv) -> VecEnv:
         single = env.get_attr("unwrapped", 0)[0]
         task, sensors = single.task, list(single.sensors)
     names = [sensor.name for sensor in sensors]
-<<<<<<< HEAD
-    if names[:1] != [MAP] or LIDAR not in names:
-        raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
-    kept = sum(sensor.size for sensor in sensors[: names.index(LIDAR)])
-    return FirstNumbers(env, len(task.observation) + kept)
-=======
     if MAP not in names or LIDAR not in names:
         raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
     before = sensors[: names.index(LIDAR)]
     return FirstNumbers(env, len(task.observation) + sum(sensor.size for sensor in before))
->>>>>>> lead
 
 
 class FirstNumbers(VecEnvWrapper):
