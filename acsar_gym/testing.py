@@ -138,8 +138,9 @@ class EmulatedBoard:
         """Return the log until now; "t" is the machine's monotonic clock [s].
 
         An event has "rx", what clients have written; "pose", where the robot really is, once a loop
-        of the firmware; "lost", time that wasn't simulated, as the computer was too busy [s]; or
-        "device", the path after the cable was pulled or plugged.
+        of the firmware, with "hit" where it touches somebody, see `worlds.crowd`; "lost", time that
+        wasn't simulated, as the computer was too busy [s]; or "device", the path after the cable
+        was pulled or plugged.
         """
         with self._log.open("rb") as log:
             log.seek(self._read_bytes)

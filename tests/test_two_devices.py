@@ -17,12 +17,14 @@ from acsar_gym.errors import LateTicksError
 from acsar_gym.guard.shutdown import install_handlers
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.suite import open_lidar
+from acsar_gym.tasks.state import CROWD_INFO
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
 ENV_ID = "acsar_gym/ObstacleGoal-v1"
 WORLD = "clutter:3-3"
+WALKERS = "walkers:walkers:3-3"
 FORWARD = np.array([0.4, 0.0], np.float32)
 STILL = np.zeros(2, np.float32)
 
@@ -36,6 +38,11 @@ def emulated(start_emulator: StartEmulator) -> Emulated:
 @pytest.fixture
 def devices(emulated: Emulated) -> tuple[str, str]:
     """The robot's device and the LiDAR's."""
+    return read_devices(emulated)
+
+
+def read_devices(emulated: Emulated) -> tuple[str, str]:
+    """The names that an emulator prints."""
     assert emulated.process.stdout is not None
     line = emulated.process.stdout.readline().strip()
     assert line.startswith("serving a LiDAR on /dev/")
@@ -91,6 +98,28 @@ def test_hardware_sees_what_the_simulation_sees(
     assert_seen(last, config, pose)
     assert 0.0 <= info["scan_age"] < 5.0
     assert np.isnan(info["true_x"])
+
+
+def test_movers_are_on_hardware_what_they_are_in_a_room(
+    start_emulator: StartEmulator, config: RobotConfig
+) -> None:
+    """Rays see them walk by; how near they came only the emulator knows."""
+    emulated = start_emulator("--world", WALKERS, "--key", "0.3", "--lidar")
+    port, lidar = read_devices(emulated)
+    config = config.with_(lidar={"noise": 0.0, "timeout": 5.0})
+    env = gymnasium.make(
+        ENV_ID, link=port, lidar=f"rplidar://{lidar}", worlds=WALKERS, robot=config
+    )
+    observation, info = env.reset(seed=0)
+    ranges = []
+    for _ in range(20):
+        ranges.append(observation[-config.lidar.rays :] * config.lidar.max_range)
+        observation, *_, info = env.step(STILL)
+    env.close()
+    assert all(np.isnan(info[key]) for key in CROWD_INFO)
+    assert np.ptp(ranges, axis=0).max() > 1.0
+    assert np.min(ranges) < 2.0  # people are nearer than the walls
+    assert not any("hit" in event for event in emulated.events())
 
 
 def test_a_recording_of_both_replays_bit_for_bit(

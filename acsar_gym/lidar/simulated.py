@@ -139,10 +139,10 @@ def begin_passing(passers: Passers, trail: Floats) -> None:
 def find_passer(
     passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
 ) -> tuple[float, float]:
-    """Where a mover was at a time [s], in the frame of the world; people's ways are interpolated."""
+    """Where a mover was at a time [s], in the world's frame; people's ways are interpolated."""
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
-        x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
+        x, y, _, _ = locate_mover(passers.movers, m, passers.pieces, clock)
         return x, y
     slots, places = len(trail), passers.places
     ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
@@ -156,7 +156,7 @@ def find_passer(
 
 
 @subroutine
-def see_passers(
+def see_passers(  # noqa: C901, PLR0912 - one loop over rays, as `see_circle`
     passers: Passers,
     trail: Floats,
     newest: int,
@@ -168,7 +168,7 @@ def see_passers(
     """Shorten the distances of beams that meet movers where they were when each was measured.
 
     `place` is the LiDAR's now, x, y, and cosine and sine of the robot's heading, in the frame of
-    the world. The rays that may meet a mover are those around where it is now.
+    the world. The rays that may meet a mover are those around where it is, or was on the way.
     """
     x, y, cos, sin = place
     count, turn = len(beams.times), FULL_TURN / rays.step
@@ -177,35 +177,35 @@ def see_passers(
         begun = min(begun, beams.times[k])
         margin = max(margin, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
     margin, ago = math.sqrt(margin) + 1e-3, now - begun
-    for m in range(len(passers.movers)):
-        mover, state = passers.movers[m], passers.states[m]
-        radius = mover[RADIUS]
+    movers, states = passers.movers, passers.states
+    for m in range(len(movers)):
+        radius = movers[m, RADIUS]
         if radius < 0.0:
             break
-        wide = radius + margin + SPEED_SHARE * mover[SPEED] * ago
-        dx, dy = state[X] - x, state[Y] - y
-        apart = math.sqrt(dx * dx + dy * dy)
-        jumps = may_jump(mover, begun + state[CLOCK], ago)
-        if apart > rays.farthest + wide and not jumps:
+        wide = radius + margin + SPEED_SHARE * movers[m, SPEED] * ago
+        dx, dy = states[m, X] - x, states[m, Y] - y
+        jumps, far = may_jump(movers, m, begun + states[m, CLOCK], ago), rays.farthest + wide
+        if dx * dx + dy * dy > far * far and not jumps:
             continue
+        is_straight = goes_straight(movers, m, passers.pieces, now + states[m, CLOCK], ago)
+        if is_straight:
+            wide = radius + margin + 0.5 * movers[m, SPEED] * ago
+            dx, dy = dx - 0.5 * ago * states[m, VX], dy - 0.5 * ago * states[m, VY]
+        apart = math.sqrt(dx * dx + dy * dy)
         nearest, half = apart - wide, widest_angle(wide, apart) / rays.step
         if jumps:
             nearest, half = 0.0, turn
         middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
-        is_known, is_straight = False, False
         for shift in (-turn, 0.0, turn):
             low = max(math.ceil(middle + shift - half), 0)
             high = min(math.floor(middle + shift + half), count - 1)
             for k in range(low, high + 1):
                 if beams.distances[k] <= nearest:
                     continue
-                if not is_known:
-                    is_known = True
-                    is_straight = goes_straight(mover, passers.pieces, now + state[CLOCK], ago)
                 time = beams.times[k]
                 if is_straight:
-                    to_x = state[X] + (time - now) * state[VX]
-                    to_y = state[Y] + (time - now) * state[VY]
+                    to_x = states[m, X] + (time - now) * states[m, VX]
+                    to_y = states[m, Y] + (time - now) * states[m, VY]
                 else:
                     to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
                 dx, dy = to_x - x, to_y - y

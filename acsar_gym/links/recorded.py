@@ -10,7 +10,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.guard import shutdown
 from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of, is_stamped
-from acsar_gym.recording.encoder import Event, Exchange, Written
+from acsar_gym.recording.encoder import Event, Exchange, Moved, Written
 from acsar_gym.recording.recorder import Recorder, close_recorders
 from acsar_gym.recording.types import WireLog
 from acsar_gym.worlds import Scene
@@ -77,9 +77,11 @@ class RecordedLink(ForwardingLink):
         pieces = tuple(arrivals_of(link))
         if b"".join([piece for _, piece in pieces]) != got:
             pieces = ((stamp, got),)
-        self._recorder.add_exchange(
-            Exchange(self._recorder.number, stamp, sent, pieces, link.lateness, link.truth)
-        )
+        number, truth = self._recorder.number, link.truth
+        self._recorder.add_exchange(Exchange(number, stamp, sent, pieces, link.lateness, truth))
+        if truth is not None and (crowd := truth.crowd) is not None:
+            movers = crowd.copy_states()
+            self._recorder.add(Moved(number, stamp, crowd.hit, crowd.intrusions, movers))
         return got
 
     def now(self) -> float:

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.types import Episode, Floats, Recording
+from acsar_gym.recording.types import Episode, Floats, Movers, Recording
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.crowd import CLOCK, Crowd
+from acsar_gym.worlds.movers import walk
 
 LEAD_PERIODS = 2  # periods at rest that precede a part of an episode: so many end a reset (`wire`)
 
@@ -49,6 +53,11 @@ class Tape:
         """Where the tape is, for messages."""
         tick = self._next - int(np.searchsorted(self._periods.stamps, self._first_tick))
         return f"tick {tick}" if tick > 0 else f"period {self._next} of the reset"
+
+    @property
+    def exchange(self) -> int:
+        """Number of the newest period; 0 before the first one."""
+        return max(self._next - 1, 0)
 
     @property
     def is_over(self) -> bool:
@@ -91,7 +100,7 @@ class Tape:
         """Ground truth at the end of the newest period; None where it wasn't recorded."""
         if not len(self._periods.truth):
             return None
-        x, y, theta, linear, angular, contact = self._periods.truth[max(self._next - 1, 0)].tolist()
+        x, y, theta, linear, angular, contact = self._periods.truth[self.exchange].tolist()
         if math.isnan(x):
             return None
         return GroundTruth((x, y, theta), (linear, angular), bool(contact))
@@ -101,7 +110,7 @@ class Tape:
         """Lateness of the newest period [s]; None where time was simulated."""
         if not len(self._periods.lateness):
             return None
-        late = float(self._periods.lateness[max(self._next - 1, 0)])
+        late = float(self._periods.lateness[self.exchange])
         return None if math.isnan(late) else late
 
     @property
@@ -133,6 +142,24 @@ class Tape:
         return max(end - float(measured[2].min(initial=end)) for end, measured in ages)
 
 
+class RecordedCrowd(Crowd):
+    """Movers that are where they were recorded."""
+
+    def __init__(self, movers: Movers, config: RobotConfig) -> None:
+        standing = [walk([[0.0, 0.0]], radius=radius) for radius in movers.states[0, :, -1]]
+        super().__init__(World(movers=tuple(standing)), config, 0.0)
+        self._movers = movers
+        self.play(0)
+
+    def play(self, exchange: int) -> None:
+        """Show what was recorded at the end of an exchange; of one that is missing, before it."""
+        place = int(np.searchsorted(self._movers.exchanges, exchange, side="right")) - 1
+        place = max(place, 0)
+        self.states[:, :CLOCK] = self._movers.states[place, :, :CLOCK]
+        self.hit = float(self._movers.hits[place])
+        self.intrusions = float(self._movers.intrusions[place])
+
+
 class ReplayLink:
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
@@ -148,6 +175,7 @@ class ReplayLink:
         self._recording: Recording | None = None
         self._next_episode = 0
         self._tape: Tape | None = None
+        self._crowd: RecordedCrowd | None = None
         self._sent = b""
         self._lead = 0
         self._is_open = False
@@ -171,6 +199,9 @@ class ReplayLink:
             )
         episode = episodes[self._next_episode]
         self._tape = Tape(episode)
+        self._crowd = None
+        if self._recording is not None and len(episode.movers.stamps):
+            self._crowd = RecordedCrowd(episode.movers, self._recording.config)
         self._lead = LEAD_PERIODS if "part" in episode.info else 0
         self._next_episode += 1
         self._sent = b""
@@ -216,6 +247,8 @@ class ReplayLink:
                 f"{why}: it can't be replayed from here on",
             )
         recorded, got = tape.next()
+        if self._crowd is not None:
+            self._crowd.play(tape.exchange)
         self._sent = b""
         if self._compare and sent != recorded:
             one, other = (data[-40:].strip().decode("latin-1") for data in (sent, recorded))
@@ -238,7 +271,8 @@ class ReplayLink:
     @property
     def truth(self) -> GroundTruth | None:
         """Recorded ground truth; None for the recording of a real robot, and before `open`."""
-        return self._tape.truth if self._tape else None
+        truth = self._tape.truth if self._tape else None
+        return truth if truth is None or not self._crowd else replace(truth, crowd=self._crowd)
 
     @property
     def echoes(self) -> bool | None:

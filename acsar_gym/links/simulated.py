@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
@@ -14,6 +13,10 @@ from acsar_gym.physics.firmware import Firmware
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import Crowd
+
+WHOLE = 0.999
+"""Share of a control period that passes for a whole one: times are sums of periods, and an emulated
+board is advanced by shorter ones."""
 
 
 class SimulatedLink:
@@ -66,10 +69,11 @@ class SimulatedLink:
             raise _closed_error()
         self._now += period
         got = self._firmware.advance(period)
-        if self._crowd is not None:
+        crowd = self._crowd
+        while crowd is not None and self._now - crowd.now > WHOLE * self._config.period:
             truth = self.body.truth
-            self._crowd.advance(truth.pose, truth.twist)
-            self.body.place_movers(self._crowd)
+            crowd.advance(truth.pose, truth.twist)
+            self.body.place_movers(crowd)
         self.body.feel()
         if self.metered:
             self.work += self.body.power * period
@@ -90,7 +94,7 @@ class SimulatedLink:
         truth, crowd = self.body.truth if self.body else GroundTruth(), self._crowd
         if crowd is None:
             return truth
-        return replace(truth, contact=truth.contact or crowd.hit > 0.0, crowd=crowd)
+        return GroundTruth(truth.pose, truth.twist, truth.contact or crowd.hit > 0.0, crowd)
 
     @property
     def camera(self) -> Camera | None:

@@ -22,12 +22,15 @@ from acsar_gym.worlds.crowd import Crowd
 Image = NDArray[np.uint8]
 """(height, width, 3): an RGB picture."""
 OBSTACLE_HEIGHT = 0.6
-"""Height of every obstacle [m]."""
+"""Height of every obstacle that stands [m]."""
+MOVER_HEIGHT = 1.7
+"""Height of what moves [m]: a person's."""
 WALL_THICKNESS = 0.002
 """Thickness of a segment's wall [m]."""
 CHASSIS_CLEARANCE = 0.02
 """Height of the chassis above the floor [m]."""
 OBSTACLE_PAINT = (0.42, 0.45, 0.5, 1.0)
+MOVER_PAINT = (0.86, 0.42, 0.18, 1.0)
 GOAL_PAINT = (0.15, 0.68, 0.38, 0.85)
 
 

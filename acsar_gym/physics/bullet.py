@@ -12,7 +12,7 @@ import math
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,13 +26,16 @@ from acsar_gym.config.footprint import (
     border_distance,
     contains_point,
     convex_pieces,
+    outline_radius,
 )
 from acsar_gym.errors import MissingExtraError, RenderError
-from acsar_gym.jit import record_of
+from acsar_gym.jit import loop, record_of
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
     CHASSIS_CLEARANCE,
     GOAL_PAINT,
+    MOVER_HEIGHT,
+    MOVER_PAINT,
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
@@ -43,6 +46,8 @@ from acsar_gym.physics.body import (
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.crowd import Crowd, X, Y
+from acsar_gym.worlds.movers import MAX_MOVER_SPEED
 
 
 @contextlib.contextmanager
@@ -78,6 +83,12 @@ FRAME_KEYS = ("Positions", "Orientations")
 """Keys to which PyBullet adds a prefix, another for collision shapes than for visual ones."""
 FOOT_PLACES = 100  # places between a hub and the middle of the robot that are tried for a foot
 LEAST_FOOT = 1e-3  # radius of the smallest foot [m]
+PUSH_STIFFNESS, PUSH_DAMPING = 1e4, 2e3
+"""Of the contact between a mover and the robot [N/m, N s/m]: the robot is pushed at the mover's
+speed, and one that is squeezed between a mover and a wall isn't flung away."""
+BELOW = (0.0, 0.0, -5.0)  # where movers wait that are far away from the robot [m]
+UPRIGHT, STANDSTILL = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+NEAR_MARGIN = 0.5  # movers that may come so near to the robot in a tick are in the simulation [m]
 CHASSIS_COLOUR = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR = (0.85, 0.87, 0.9, 1.0)
 WHEEL_COLOUR = (0.12, 0.12, 0.13, 1.0)
@@ -109,6 +120,8 @@ class BulletBody:
                 pybullet.COV_ENABLE_GUI, 0, physicsClientId=self._client
             )
         self._seen = window
+        outer = outline_radius(config.outline)
+        self._near = outer + MAX_MOVER_SPEED * config.period + NEAR_MARGIN
         self._motion: Motion | None = None
         self._build(None)
         self.reset(Scene())
@@ -126,6 +139,7 @@ class BulletBody:
         pybullet.changeDynamics(floor, -1, lateralFriction=0.0, physicsClientId=client)
         self._robot = make_robot(self._config, client)
         self._statics = StaticObstacles(client, world)
+        self._movers = MovingObstacles(client, world)
         self._goal = -1
         if self._seen:
             self._statics.paint()
@@ -135,6 +149,8 @@ class BulletBody:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         if scene.world is not self._statics.world:
             self._build(scene.world)
+        self._movers.park()
+        self._crowd: Crowd | None = None
         physics, client = scene.physics or self._configured, self._client
         x, y, theta = scene.start
         inertia = (physics.yaw_inertia, physics.yaw_inertia, physics.yaw_inertia)
@@ -192,8 +208,14 @@ class BulletBody:
         self._motion = motion = (*_pose_of(robot, client), *_velocity_of(robot, client))
         return motion
 
+    def place_movers(self, crowd: Crowd) -> None:
+        """Put movers where they are, at their velocities; without pictures only those near by."""
+        self._crowd = crowd
+        (x, y, _), *_ = self._motion or self._read_motion()
+        self._movers.place(crowd, x, y, math.inf if self._seen else self._near)
+
     def feel(self) -> None:
-        """Check whether the robot touches an obstacle now: overlaps it, or is pushed by it."""
+        """Check whether the robot touches a standing obstacle: overlaps it, or is pushed by it."""
         obstacles = self._statics.bodies
         if obstacles and not self._touched:
             points = pybullet.getContactPoints(bodyA=self._robot, physicsClientId=self._client)
@@ -236,6 +258,8 @@ class BulletBody:
         """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
         self._seen = True
         self._statics.paint()
+        if self._crowd is not None:
+            self.place_movers(self._crowd)
         x, y, theta = self.truth.pose
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             cameraTargetPosition=(x, y, 0.0),
@@ -459,6 +483,74 @@ class StaticObstacles:
             )
             pybullet.createMultiBody(0.0, -1, shape, physicsClientId=self._client)
         self._painted = True
+
+
+class MovingObstacles:
+    """The movers of one world, or none: fixed bodies with a velocity.
+
+    PyBullet moves such a body on by itself, lets nothing stop it, and pushes the robot at its
+    speed. Those far away from the robot wait below the floor: to place a body takes time.
+    """
+
+    def __init__(self, client: int, world: World | None) -> None:
+        self._client = client
+        self._bodies = [] if world is None else [self._make(one.radius) for one in world.movers]
+        self._placed: list[int] = []
+        """Numbers of those above the floor."""
+
+    def _make(self, radius: float) -> int:
+        client = self._client
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=radius, height=MOVER_HEIGHT, physicsClientId=client
+        )
+        visible = pybullet.createVisualShape(
+            pybullet.GEOM_CYLINDER,
+            radius=radius,
+            length=MOVER_HEIGHT,
+            rgbaColor=MOVER_PAINT,
+            physicsClientId=client,
+        )
+        body = int(pybullet.createMultiBody(0.0, shape, visible, BELOW, physicsClientId=client))
+        pybullet.changeDynamics(
+            body,
+            -1,
+            lateralFriction=0.0,
+            contactStiffness=PUSH_STIFFNESS,
+            contactDamping=PUSH_DAMPING,
+            physicsClientId=client,
+        )
+        return body
+
+    def place(self, crowd: Crowd, x: float, y: float, reach: float) -> None:
+        """Put those where they are whose hulls are within reach of a place [m], away the others."""
+        near = list_near(crowd.states, crowd.radii, x, y, reach)
+        self.park(near)
+        for number in near:
+            x, y, vx, vy = crowd.states[number, :4].tolist()
+            self._move(number, (x, y, MOVER_HEIGHT / 2.0), (vx, vy, 0.0))
+        self._placed = near
+
+    def park(self, kept: Sequence[int] = ()) -> None:
+        """Put those away that are above the floor, but for some."""
+        for number in self._placed:
+            if number not in kept:
+                self._move(number, BELOW, STANDSTILL)
+        self._placed = []
+
+    def _move(self, number: int, position: Point3, velocity: Point3) -> None:
+        body, client = self._bodies[number], self._client
+        pybullet.resetBasePositionAndOrientation(body, position, UPRIGHT, client)
+        pybullet.resetBaseVelocity(body, velocity, STANDSTILL, client)
+
+
+@loop
+def list_near(states: Floats, radii: Floats, x: float, y: float, reach: float) -> list[int]:
+    """Numbers of the movers whose hulls are within reach of a place [m]."""
+    return [
+        m
+        for m in range(len(radii))
+        if math.hypot(states[m, X] - x, states[m, Y] - y) < radii[m] + reach
+    ]
 
 
 def _compounds(world: World) -> list[dict[str, Any]]:

@@ -25,6 +25,8 @@ from acsar_gym.physics import model
 from acsar_gym.physics.body import (
     CHASSIS_CLEARANCE,
     GOAL_PAINT,
+    MOVER_HEIGHT,
+    MOVER_PAINT,
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
@@ -38,6 +40,7 @@ from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.crowd import VX, VY, Crowd, Y
 from acsar_gym.worlds.world import MAX_COORDINATE
 
 if not has_display():  # MuJoCo chooses how to draw when it is imported, and fails without EGL
@@ -58,6 +61,11 @@ SETTLING_TIME = 0.3  # after which a robot that was put on the floor stands stil
 ANGLE_DECIMALS = 6
 """Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
 FLOOR, OBSTACLES = 1, 2  # bits of what a shape may touch
+PUSH = (-1000.0, -200.0)
+"""Stiffness [1/s^2] and damping [1/s] of the contact between a mover and the robot, negated as
+MuJoCo has them: the robot is pushed at the mover's speed, and one that is squeezed between a mover
+and a wall isn't flung away."""
+MOVER_MASS = 1e5  # so heavy that the robot doesn't slow it down [kg]
 HIDDEN = 3
 """A group of shapes that MuJoCo doesn't draw by default."""
 FLOOR_COLOUR = (0.8, 0.82, 0.84, 1.0)
@@ -103,6 +111,7 @@ class MujocoBody:
         spec = make_robot(self._config, own)
         spec.option.timestep = model.loop_period(self._config) / self._substeps
         add_obstacles(spec, world)
+        add_movers(spec, world)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         joints = [self._model.joint(f"{wheel}_joint") for wheel in WHEELS]
@@ -133,8 +142,14 @@ class MujocoBody:
         a, b, c, d = data.qpos[self._angles].round(ANGLE_DECIMALS).tolist()
         self.wheel_angles = (a, b, c, d)
 
+    def place_movers(self, crowd: Crowd) -> None:
+        """Put the movers where they are; at their velocities they go on until the next tick."""
+        count = 2 * len(crowd.states)
+        self._data.qpos[-count:] = crowd.states[:, : Y + 1].ravel()
+        self._data.qvel[-count:] = crowd.states[:, VX : VY + 1].ravel()
+
     def feel(self) -> None:
-        """Check whether the robot touches an obstacle now; obstacles also stop it."""
+        """Check whether the robot touches a standing obstacle now; obstacles also stop it."""
         world = self._world
         if world is not None and world.obstacles and not self._touched:
             contact = self._data.contact
@@ -172,6 +187,7 @@ class MujocoBody:
                 self._model.vis.global_.offheight = height
                 self._renderer = mujoco.Renderer(self._model, height, width)
                 self._pictured = (width, height)
+            mujoco.mj_kinematics(self._model, self._data)
             camera = mujoco.MjvCamera()
             x, y, theta = self.truth.pose
             camera.lookat[:] = (x, y, 0.0)
@@ -306,4 +322,25 @@ def add_obstacles(spec: Any, world: World | None) -> None:
             pos=((x1 + x2) / 2.0, (y1 + y2) / 2.0, middle),
             quat=(math.cos(angle / 2.0), 0.0, 0.0, math.sin(angle / 2.0)),
             **common,
+        )
+
+
+def add_movers(spec: Any, world: World | None) -> None:
+    """Add the movers of a world, after the robot: heavy cylinders that slide over the floor."""
+    shape, slide = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtJoint.mjJNT_SLIDE
+    for mover in () if world is None else world.movers:
+        x, y = mover.position(0.0)
+        body = spec.worldbody.add_body(pos=(x, y, MOVER_HEIGHT / 2.0))
+        body.add_joint(type=slide, axis=(1.0, 0.0, 0.0), ref=x)
+        body.add_joint(type=slide, axis=(0.0, 1.0, 0.0), ref=y)
+        body.add_geom(
+            type=shape,
+            size=(mover.radius, MOVER_HEIGHT / 2.0, 0.0),
+            mass=MOVER_MASS,
+            contype=0,
+            conaffinity=OBSTACLES,
+            condim=1,
+            priority=1,
+            solref=PUSH,
+            rgba=MOVER_PAINT,
         )

@@ -21,6 +21,7 @@ from acsar_gym.recording.messages import (
     ACTION,
     EPISODE,
     EXCHANGES,
+    MOVERS,
     REVOLUTIONS,
     SCANS,
     STEPS,
@@ -193,7 +194,7 @@ class Cutter:
 
     def _copy_message(self, topic: Topic, time: int, data: bytes) -> None:
         """Copy a message of the part; rows tell the new numbers of exchange and step."""
-        if topic in (TICKS, SCANS, REVOLUTIONS):
+        if topic in (TICKS, SCANS, REVOLUTIONS, MOVERS):
             number = read_numbers(data, 1)[0] - self._first_exchange
             if number >= 0:
                 self._put(topic, time, write_number(data, number))

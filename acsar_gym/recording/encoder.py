@@ -37,6 +37,7 @@ Pieces = tuple[tuple[float, bytes], ...]  # with the times at which they were se
 
 EPISODE_GAP = 1_000_000  # time between two episodes whose clocks both begin at zero [ns]
 DIAGNOSTICS_PERIOD = 1.0  # time between two messages of /diagnostics [s]
+MARKERS_PERIOD = 0.1  # time between two messages of /movers [s]
 SPLIT_TOLERANCE = 1e-6  # rounding of times when a file ends [s]
 SPLIT_PATIENCE = 10.0  # how long a file waits for the end of an env's step [s]
 DIAGNOSTIC_OK, DIAGNOSTIC_WARN, DIAGNOSTIC_ERROR = 0, 1, 2
@@ -111,6 +112,17 @@ class Scanned(NamedTuple):
     """The `Revolution` of which it was made."""
 
 
+class Moved(NamedTuple):
+    """What moved around a simulated robot, at the end of an exchange."""
+
+    exchange: int
+    stamp: float
+    hit: float
+    intrusions: float
+    movers: Floats
+    """(movers, 5), see `Crowd.copy_states`."""
+
+
 class Stepped(NamedTuple):
     """A step of the env, or its reset, which has no action."""
 
@@ -138,7 +150,7 @@ class Clock(NamedTuple):
     wall: int
 
 
-Event = Began | Exchange | Written | Tick | Scanned | Stepped | Fault | Clock
+Event = Began | Exchange | Written | Tick | Scanned | Moved | Stepped | Fault | Clock
 """What the control loop hands over; making one takes less than a microsecond."""
 
 
@@ -358,6 +370,8 @@ class Encoder:
         self._newest = self._episode = self._rays = -1
         self._scanned: float | None = None
         self._revolution: Any = None
+        self._start: Sequence[float] = (0.0, 0.0, 0.0)
+        self._markers_due = 0.0
         odom, twist = config.odom_frame, messages.Packer(*messages.TWIST)
         self._packers = {
             messages.ODOM: messages.odometry_packer(odom, BASE_FOOTPRINT),
@@ -373,6 +387,7 @@ class Encoder:
             Written: self._encode_writes,
             Tick: self._encode_ticks,
             Scanned: self._encode_scans,
+            Moved: self._encode_movers,
             Stepped: self._encode_steps,
             Fault: self._encode_faults,
             Clock: self._encode_clocks,
@@ -441,6 +456,8 @@ class Encoder:
         self._scanned = self._revolution = None
         self._covariance.reset()
         self._diagnostics.reset(event.stamp)
+        self._start = event.info.get("start", (0.0, 0.0, 0.0))
+        self._markers_due = event.stamp
         yield from self._open_episode(self._episode, event)
 
     def _open_episode(self, number: int, event: Began) -> Iterator[Message]:
@@ -565,6 +582,22 @@ class Encoder:
             row = np.concatenate([[number, ended], *measured])
             stamps = np.array([event.stamp])
             yield from self._encode_table(messages.REVOLUTIONS, stamps, row[None])
+
+    def _encode_movers(self, events: Sequence[Moved]) -> Iterator[Message]:
+        """Movers exactly, and some times a second for viewers, in the frame of the odometry."""
+        for event in events:
+            stamps, number = np.array([event.stamp]), event.exchange - self._first_exchange
+            row = np.concatenate([[number, *event[1:4]], event.movers.ravel()])
+            yield from self._encode_table(messages.MOVERS, stamps, row[None])
+            if event.stamp >= self._markers_due - 1e-9:
+                self._markers_due = event.stamp + MARKERS_PERIOD
+                time, shown = self._file_time(event.stamp), event.movers.copy()
+                cos, sin = math.cos(self._start[2]), math.sin(self._start[2])
+                turn = np.array([[cos, -sin], [sin, cos]])
+                shown[:, :2] = (shown[:, :2] - self._start[:2]) @ turn
+                shown[:, 2:4] = shown[:, 2:4] @ turn
+                data = messages.pack_markers(time, self._config.odom_frame, shown)
+                yield Message(messages.MARKERS, time, data)
 
     def _encode_steps(self, events: Sequence[Stepped]) -> Iterator[Message]:
         for event in events:

@@ -25,6 +25,8 @@ from acsar_gym.recording.messages import (
     EPISODE,
     EXCHANGES,
     HEADER_RECORD,
+    MOVER_COLUMNS,
+    MOVERS,
     OBSERVATION,
     OCTETS_TYPE,
     RECORDING_FORMAT,
@@ -44,17 +46,21 @@ from acsar_gym.recording.types import (
     Episode,
     Exchanges,
     Floats,
+    Movers,
     Pieces,
     Revolutions,
     Scans,
     WireLog,
 )
+from acsar_gym.worlds.crowd import SEEN_NUMBERS
+from acsar_gym.worlds.movers import MAX_MOVERS
 
 MAX_BEARING = 100.0  # largest bearing of a LiDAR's measurement, either sign [rad]
 MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns]; its times then fit 64 bits
+MOVER_HEAD = len(MOVER_COLUMNS) - 1  # numbers of a row before those of its movers
 COMPACT_PIECES = 100_000  # from so many on, pieces of bytes stay in one buffer
 TABLE_TOPICS = EXCHANGES, TICKS, STEPS
-LIST_TOPICS = WIRE_SENT, WIRE_RECEIVED, SCANS, OBSERVATION, ACTION
+LIST_TOPICS = WIRE_SENT, WIRE_RECEIVED, SCANS, MOVERS, OBSERVATION, ACTION
 ELEMENT_SIZES = {DOUBLES_TYPE: 8, SINGLES_TYPE: 4, OCTETS_TYPE: 1}
 _NUMBER_AND_STAMP = struct.Struct("<dd")
 _TRUE_X = struct.Struct("<d")
@@ -112,7 +118,9 @@ class PieceBuffer:
         lengths = np.diff(np.frombuffer(self.ends, np.uint64), prepend=np.uint64(0))
         itemsize = np.dtype(kind).itemsize
         if (lengths != lengths[0]).any() or lengths[0] < least * itemsize:
-            raise ConfigError("is damaged: scans, observations or actions of several lengths")
+            raise ConfigError(
+                "is damaged: scans, movers, observations or actions of several lengths"
+            )
         return np.frombuffer(self.data, kind).reshape(len(lengths), -1)
 
 
@@ -425,6 +433,23 @@ def make_scans(parts: EpisodeParts) -> dict[str, Any]:
     return {"scans": Scans(check_stamps(scans[:, 1]), scans[:, 2:], to_integers(scans[:, 0]))}
 
 
+def make_movers(parts: EpisodeParts) -> dict[str, Any]:
+    """What moved around the robot."""
+    return {"movers": parse_movers(parts.buffers[MOVERS.name].rows("<f8", MOVER_HEAD))}
+
+
+def parse_movers(rows: NDArray[Any]) -> Movers:
+    """The movers of rows of `messages.MOVER_COLUMNS`; ConfigError for what can't be."""
+    count, left = divmod(rows.shape[1] - MOVER_HEAD, SEEN_NUMBERS)
+    if left or count > MAX_MOVERS or not np.isfinite(rows).all():
+        raise ConfigError("is damaged: movers that can't be")
+    states = rows[:, MOVER_HEAD:].astype(np.float64).reshape(len(rows), count, SEEN_NUMBERS)
+    if not (states[:, :, -1] > 0.0).all():
+        raise ConfigError("is damaged: a mover without a radius")
+    numbers, stamps, hits, intrusions = rows[:, :MOVER_HEAD].T.astype(np.float64)
+    return Movers(to_integers(numbers), check_stamps(stamps), hits, intrusions, states)
+
+
 def make_revolutions(parts: EpisodeParts) -> dict[str, Any]:
     """What a LiDAR measured."""
     rows = [parse_revolution(data) for data in parts.buffers[REVOLUTIONS.name].pieces()]
@@ -461,6 +486,7 @@ FIELD_GROUPS = (
     FieldGroup(make_wire, (WIRE_SENT, WIRE_RECEIVED)),
     FieldGroup(make_steps, (STEPS, OBSERVATION, ACTION)),
     FieldGroup(make_scans, (SCANS,)),
+    FieldGroup(make_movers, (MOVERS,)),
     FieldGroup(make_revolutions, (REVOLUTIONS,)),
 )
 GROUP_OF_FIELD = {name: group for group in FIELD_GROUPS for name in group.make(EpisodeParts())}

@@ -17,7 +17,7 @@ from acsar_gym.reading import explain_error, replace_file
 from acsar_gym.recording.reader import iterate_blocks, read
 from acsar_gym.recording.types import Episode, Recording, WireLog
 
-TABLES = ("ticks", "wire", "steps", "scans")
+TABLES = ("ticks", "wire", "steps", "scans", "movers")
 BLOCK_ROWS = 5_000  # rows of steps and scans that are written at once
 DISORDER = 1.0  # bytes are recorded at most so long after others that came later [s]
 TableColumns = dict[str, Any]  # arrays of one length by name
@@ -59,7 +59,7 @@ def is_incomplete(recording: Recording) -> bool:
 
 
 def make_tables(recording: Recording) -> dict[str, TableColumns]:
-    """Return the tables of a recording by name: ticks, wire, steps, scans.
+    """Return the tables of a recording by name: ticks, wire, steps, scans, movers.
 
     All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
     clock of the first reset [ns since 1970]. ConfigError where episodes have different columns.
@@ -91,6 +91,7 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
         for block in iterate_blocks(episode):
             yield "ticks", _add_times(number, episode, _list_ticks(block))
             yield "wire", _add_times(number, episode, late.add(block.wire))
+            yield "movers", _add_times(number, episode, _list_movers(block))
         yield "wire", _add_times(number, episode, late.finish())
         for name, columns in (("steps", _list_steps(episode)), ("scans", _list_scans(episode))):
             for first in range(0, max(len(columns["stamp"]), 1), BLOCK_ROWS):
@@ -169,6 +170,18 @@ def _list_steps(episode: Episode) -> TableColumns:
 def _list_scans(episode: Episode) -> TableColumns:
     scans = episode.scans
     return {"stamp": scans.stamps, **_name_columns("range_", scans.ranges)}
+
+
+def _list_movers(episode: Episode) -> TableColumns:
+    """One row for each mover and control period."""
+    movers = episode.movers
+    periods, count, numbers = movers.states.shape
+    rows = movers.states.reshape(-1, numbers)
+    return {
+        "stamp": np.repeat(movers.stamps, count),
+        "mover": np.tile(np.arange(count), periods),
+        **_name_columns("", rows, "x y x_rate y_rate radius"),
+    }
 
 
 def _name_columns(prefix: str, rows: NDArray[Any], names: str = "") -> TableColumns:

@@ -82,6 +82,7 @@ def seal_text(name: str, data: Mapping[str, Any]) -> dict[str, str]:
     return {name: text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
+Axes = tuple[float, float, float]  # x, y, z
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
 BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
@@ -122,6 +123,9 @@ REVOLUTION_COLUMNS = ("exchange", "stamp", "bearings", "distances", "times")
 """One row for each revolution that scans are made of: the exchange after which it was read, its end
 [s], and of its n measurements all bearings [rad], then all distances [m], 0 where nothing was
 measured, then all times [s]."""
+MOVER_COLUMNS = ("exchange", "stamp", "hit", "intrusions", "movers")
+"""One row for each control period of the wire where something moves around a simulated robot: the
+exchange, its end [s], and what `Crowd` tells of it, of each mover x, y, their rates, and radius."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +137,8 @@ class Topic:
     """Type, such as "nav_msgs/msg/Odometry"."""
     columns: tuple[str, ...] = ()
     latched: bool = False
+    optional: bool = False
+    """Whether only a file that has a message of it knows it."""
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -165,11 +171,13 @@ TICKS = Topic("/acsar/ticks", DOUBLES_TYPE, TICK_COLUMNS)
 STEPS = Topic("/acsar/steps", DOUBLES_TYPE, STEP_COLUMNS)
 SCANS = Topic("/acsar/scans", DOUBLES_TYPE, SCAN_COLUMNS)
 REVOLUTIONS = Topic("/acsar/revolutions", DOUBLES_TYPE, REVOLUTION_COLUMNS)
+MARKERS = Topic("/movers", "visualization_msgs/msg/MarkerArray", optional=True)
+MOVERS = Topic("/acsar/movers", DOUBLES_TYPE, MOVER_COLUMNS, optional=True)
 
 TOPICS = (
     *(ODOM, TF, TF_STATIC, JOINT_STATES, CMD_VEL, CMD_VEL_SENT, SCAN, DIAGNOSTICS, TRUTH),
     *(TIME_REFERENCE, WIRE_SENT, WIRE_RECEIVED, OBSERVATION, ACTION),
-    *(EPISODE, EXCHANGES, TICKS, STEPS, SCANS, REVOLUTIONS),
+    *(EPISODE, EXCHANGES, TICKS, STEPS, SCANS, REVOLUTIONS, MARKERS, MOVERS),
 )
 """All of them; those under /acsar are what this project reads back, bit for bit."""
 
@@ -207,6 +215,67 @@ def make_time(nanoseconds: int) -> Any:
 def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
     """Return a std_msgs/Header."""
     return make_message("std_msgs/msg/Header", stamp=make_time(nanoseconds), frame_id=frame)
+
+
+MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
+MARKER_COLOUR = {"r": 0.56, "g": 0.27, "b": 0.68, "a": 0.8}
+CYLINDER, LINE_LIST = 3, 5  # types of markers
+
+
+def pack_markers(nanoseconds: int, frame: str, movers: NDArray[np.float64]) -> bytes:
+    """Pack visualization_msgs/MarkerArray: a cylinder for each mover, and lines of velocities.
+
+    Args:
+        nanoseconds: time of the file.
+        frame: of the places.
+        movers: (movers, 5): x, y [m], their rates [m/s], radius [m].
+    """
+    header, top = make_ros_header(nanoseconds, frame), MARKER_HEIGHT
+    markers, ends = [], []
+    for number, (x, y, vx, vy, radius) in enumerate(movers.tolist()):
+        size = 2.0 * radius, 2.0 * radius, top
+        markers.append(_make_marker(header, number, CYLINDER, (x, y, top / 2.0), size, []))
+        ends += [_make_axes("Point", x, y, top), _make_axes("Point", x + vx, y + vy, top)]
+    lines = LINE_LIST, (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), ends
+    markers.append(_make_marker(header, len(movers), *lines))
+    return pack_message(MARKERS.kind, markers=markers)
+
+
+def _make_marker(
+    header: Any, number: int, kind: int, place: Axes, size: Axes, points: list[Any]
+) -> Any:
+    turned = make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    octets = np.zeros(0, np.uint8)
+    return make_message(
+        "visualization_msgs/msg/Marker",
+        header=header,
+        ns="movers",
+        id=number,
+        type=kind,
+        action=0,
+        pose=make_message(
+            "geometry_msgs/msg/Pose", position=_make_axes("Point", *place), orientation=turned
+        ),
+        scale=_make_axes("Vector3", *size),
+        color=make_message("std_msgs/msg/ColorRGBA", **MARKER_COLOUR),
+        lifetime=make_message("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+        frame_locked=False,
+        points=points,
+        colors=[],
+        texture_resource="",
+        texture=make_message(
+            "sensor_msgs/msg/CompressedImage", header=header, format="", data=octets
+        ),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=make_message("visualization_msgs/msg/MeshFile", filename="", data=octets),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def _make_axes(kind: str, x: float, y: float, z: float) -> Any:
+    return make_message(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
 
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # begins a CDR message; alignment counts from behind it

@@ -27,6 +27,7 @@ from acsar_gym.recording.episodes import (
     describe_parts,
     join_truth,
     make_episode,
+    make_movers,
     make_scans,
     make_steps,
     make_ticks,
@@ -39,6 +40,7 @@ from acsar_gym.recording.episodes import (
 from acsar_gym.recording.messages import (
     ACTION,
     EXCHANGES,
+    MOVERS,
     REVOLUTIONS,
     SCANS,
     TICKS,
@@ -157,7 +159,7 @@ class RecordedEpisode(Episode):
         return f"<episode from {self.start:g} s on, read when it is asked for>"
 
     def iterate_blocks(self) -> Iterator[Episode]:
-        """Yield ticks, truth and wire in blocks."""
+        """Yield ticks, truth, movers and wire in blocks."""
         return self._source.iterate_blocks(self._parts)
 
 
@@ -187,6 +189,8 @@ class EpisodeSource:
         if REVOLUTIONS in group.topics and size > BLOCK_BYTES:
             fields: dict[str, Any] = {"revolutions": self._list_revolutions(parts)}
             size = 0
+        elif not size:
+            fields = group.make(parts.make_blank())
         else:
             fields = group.make(self._read_parts(parts, group.topics, parts.places))
         if group.make is make_truth:  # the tables that it is made of aren't kept
@@ -223,9 +227,9 @@ class EpisodeSource:
                 yield size
 
     def iterate_blocks(self, parts: EpisodeParts) -> Iterator[Episode]:
-        """Yield ticks, truth and wire of an episode in blocks."""
+        """Yield ticks, truth, movers and wire of an episode in blocks."""
         block, carried = parts.make_blank(), np.zeros((0, len(EXCHANGES.columns)))
-        topics, size = (TICKS, EXCHANGES, WIRE_SENT, WIRE_RECEIVED), 0
+        topics, size = (TICKS, EXCHANGES, MOVERS, WIRE_SENT, WIRE_RECEIVED), 0
         fields = describe_parts(parts) | make_steps(block) | make_scans(block)
         for number, read_bytes in enumerate(self._fill_parts(block, topics, parts.places), 1):
             size += read_bytes
@@ -234,7 +238,8 @@ class EpisodeSource:
             exchanges = np.concatenate([carried, block.table(EXCHANGES)])
             carried = exchanges[-CARRIED_ROWS:].copy()
             truth = join_truth(block.table(TICKS), exchanges)
-            yield Episode(**fields | make_ticks(block) | make_wire(block) | {"truth": truth})
+            fields |= make_ticks(block) | make_movers(block) | make_wire(block)
+            yield Episode(**fields | {"truth": truth})
             block.buffers.clear()
             size = 0
 
@@ -292,9 +297,10 @@ class StoredRevolutions(Sequence[Floats]):
 
 
 def iterate_blocks(episode: Episode) -> Iterator[Episode]:
-    """Yield ticks, truth and wire of an episode in blocks of moderate size, one after the other.
+    """Yield ticks, truth, movers and wire of an episode in blocks, one after the other.
 
-    Steps and scans are those of the whole episode where there is one block only, and else empty.
+    They are of moderate size. Steps and scans are those of the whole episode where there is one
+    block only, and else empty.
     """
     if isinstance(episode, RecordedEpisode):
         yield from episode.iterate_blocks()

@@ -13,7 +13,13 @@ from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import explain_error, open_nonblocking
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Message
-from acsar_gym.recording.messages import MCAP_MAGIC, MESSAGE_ENCODING, SCHEMA_ENCODING, TOPICS
+from acsar_gym.recording.messages import (
+    MCAP_MAGIC,
+    MESSAGE_ENCODING,
+    SCHEMA_ENCODING,
+    TOPICS,
+    Topic,
+)
 
 try:
     import fcntl
@@ -117,26 +123,36 @@ class McapFile:
             self._header = messages.seal_text("header", header)
             self._episode = 0
             self._writer.add_metadata(messages.HEADER_RECORD, self._header)
-            schemas = {
-                kind: self._writer.register_schema(
-                    kind, SCHEMA_ENCODING, messages.type_definition(kind)
-                )
-                for kind in dict.fromkeys(topic.kind for topic in TOPICS)
-            }
-            self._channels = {
-                topic.name: self._writer.register_channel(
-                    topic.name, MESSAGE_ENCODING, schemas[topic.kind], topic.metadata
-                )
-                for topic in TOPICS
-            }
+            usual = [topic for topic in TOPICS if not topic.optional]
+            self._schemas: dict[str, int] = {}
+            self._channels: dict[str, int] = {}
+            for kind in dict.fromkeys(topic.kind for topic in usual):
+                self._register_schema(kind)
+            for topic in usual:
+                self._register_channel(topic)
             self.flush()
         except (OSError, ValueError) as error:
             self.abandon()
             raise ConfigError(f"{path}: can't be written: {explain_error(error)}") from error
 
+    def _register_schema(self, kind: str) -> None:
+        definition = messages.type_definition(kind)
+        self._schemas[kind] = self._writer.register_schema(kind, SCHEMA_ENCODING, definition)
+
+    def _register_channel(self, topic: Topic) -> None:
+        if topic.kind not in self._schemas:
+            self._register_schema(topic.kind)
+        schema = self._schemas[topic.kind]
+        channel = self._writer.register_channel(
+            topic.name, MESSAGE_ENCODING, schema, topic.metadata
+        )
+        self._channels[topic.name] = channel
+
     def add(self, message: Message) -> None:
         """Add a message; it is in the file after the next `flush`."""
         self._episode += message.topic is messages.EPISODE
+        if message.topic.name not in self._channels:
+            self._register_channel(message.topic)
         channel = self._channels[message.topic.name]
         time = message.time
         self._writer.add_message(channel, time, message.data, time, self._episode)

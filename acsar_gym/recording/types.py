@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WheelLetters
 from acsar_gym.protocol import ECHO_ZERO, ZERO, Decoder, EchoDecoder, Reading, Speeds, encode
+from acsar_gym.worlds.crowd import SEEN_NUMBERS
 
 Floats = NDArray[np.float64]
 
@@ -157,6 +158,28 @@ class Revolutions:
 
 
 @dataclass(frozen=True, eq=False)
+class Movers:
+    """What moved around a simulated robot during an episode, at the end of k control periods."""
+
+    exchanges: NDArray[np.int64]
+    """(k,): number of the exchange of each."""
+    stamps: Floats
+    """(k,): its end, on the link's clock [s]."""
+    hits: Floats
+    """(k,): who has run into whom until then, such as `worlds.crowd.ROBOT_HIT`."""
+    intrusions: Floats
+    """(k,): how often the robot had entered somebody's personal space."""
+    states: Floats
+    """(k, movers, 5): x, y [m], their rates [m/s], and radius [m], in the frame of the world."""
+
+    @classmethod
+    def none(cls) -> Movers:
+        """Return no movers."""
+        none = np.zeros(0)
+        return cls(np.zeros(0, np.int64), none, none, none, np.zeros((0, 0, SEEN_NUMBERS)))
+
+
+@dataclass(frozen=True, eq=False)
 class Exchanges:
     """The control periods of an episode's wire, those of the reset included; m of them."""
 
@@ -235,6 +258,8 @@ class Episode:
     """The control periods of the wire, for replay."""
     revolutions: Revolutions = field(default_factory=Revolutions.none)
     """What the LiDAR measured; empty unless they were asked for."""
+    movers: Movers = field(default_factory=Movers.none)
+    """What moved around the robot; empty on hardware, and where nothing did."""
     success: bool | None = None
     """Whether the task was solved; None where no env was recorded."""
 

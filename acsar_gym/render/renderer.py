@@ -44,6 +44,7 @@ class Screen:
         self._true_path: list[tuple[float, float]] = []
         self._state: State | None = None
         self._truth: GroundTruth | None = None
+        self._movers: NDArray[np.float64] | None = None
         self._scan: Scan | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -64,8 +65,10 @@ class Screen:
             return
         self._state, self._truth, self._scan = state, truth, scan
         self._odom_path.append(self._pose_in_world(state)[:2])
+        self._movers = None
         if truth is not None:
             self._true_path.append(truth.pose[:2])
+            self._movers = truth.crowd.copy_states() if truth.crowd is not None else None
         if self._mode == "human":
             image = self._draw_top()
             if self._window is None:
@@ -109,6 +112,7 @@ class Screen:
             true_path=self._true_path,
             rays=None if self._scan is None else (self._angles, self._scan.ranges),
             reach=self._config.lidar.max_range,
+            movers=self._movers,
             caption=f"step {len(self._odom_path) - 1}",
         )
         image: Image = np.asarray(self._top.draw(frame), np.uint8)

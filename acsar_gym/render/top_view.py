@@ -27,6 +27,7 @@ from acsar_gym.render.canvas import (
     round_length,
 )
 from acsar_gym.worlds import Pose, Region, World
+from acsar_gym.worlds.movers import Mover
 
 RgbImage = NDArray[np.uint8]
 """Shape (height, width, 3), RGB."""
@@ -48,6 +49,7 @@ HIT_COLOUR: Colour = (214, 20, 30)
 CHASSIS_COLOUR: Colour = (41, 89, 148)
 DECK_COLOUR: Colour = (217, 224, 233)
 TYRE_COLOUR: Colour = (30, 31, 34)
+MOVER_COLOUR: Colour = (142, 68, 173)
 WORLD_MARGIN = 0.35
 """Width of the floor shown around a world [m]."""
 OPEN_MARGIN = 1.0
@@ -56,6 +58,10 @@ PICTURE_INSET = 10.0
 """Smallest distance of world and robot from the edges of the picture [pixels]."""
 SMALL_ROBOT = 10.0
 """Robots shorter than this get a ring, to be visible [pixels]."""
+VELOCITY_TIME = 0.6
+"""The line of a mover's velocity ends where it will be in this time [s]."""
+WAY_POINTS = 9
+"""Points of each piece of a mover's way."""
 MAX_PATH_POINTS = 1000
 """Paths with more points are thinned out."""
 
@@ -78,6 +84,8 @@ class TopViewFrame:
     """Scan of the LiDAR: evenly increasing angles in the base frame (N,) [rad], ranges (N,) [m]."""
     reach: float = math.inf
     """Range of a ray that hits nothing [m]."""
+    movers: Floats | None = None
+    """What moves: x, y [m], their rates [m/s], and radius [m] of each, (movers, 5)."""
     caption: str = ""
     hit: Point | None = None
     """Where the robot collided."""
@@ -116,6 +124,8 @@ class TopView:
         pose = frame.truth or frame.odom
         if frame.rays is not None:
             self._draw_scan(canvas, pose, *frame.rays, frame.reach)
+        if frame.movers is not None:
+            draw_movers(canvas, frame.movers)
         if frame.goal is not None:
             draw_goal(canvas, frame.goal, frame.goal_radius)
         canvas.line(thin_path(frame.true_path), TRUTH_COLOUR, 3.5)
@@ -214,6 +224,31 @@ def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> 
     return canvas
 
 
+def draw_movers(canvas: Canvas, movers: Floats) -> None:
+    """Draw movers (movers, 5) as discs, with a line to where each will be in VELOCITY_TIME."""
+    for x, y, vx, vy, radius in movers.tolist():
+        canvas.disc((x, y), radius, (*MOVER_COLOUR, 120), MOVER_COLOUR, width=1.5, least=2.0)
+        ahead = x + VELOCITY_TIME * vx, y + VELOCITY_TIME * vy
+        canvas.line(np.array([(x, y), ahead]), MOVER_COLOUR, 2.0)
+
+
+def draw_motions(canvas: Canvas, world: World) -> None:
+    """Draw a world's movers where an episode begins, and thin lines where they go."""
+    for mover in world.movers:
+        canvas.line(trace_way(mover), (*MOVER_COLOUR, 130), 1.0)
+    begins = [(*mover.position(0.0), *mover.velocity(0.0), mover.radius) for mover in world.movers]
+    draw_movers(canvas, np.array(begins).reshape(-1, 5))
+
+
+def trace_way(mover: Mover) -> Floats:
+    """Return points (N, 2) of where a motion leads [m]."""
+    pieces = mover.pieces
+    lengths = np.diff(np.append(pieces[:, 0], mover.duration))
+    times = (lengths[:, None] * np.linspace(0.0, 1.0, WAY_POINTS))[:, :, None] ** np.arange(4)
+    axes = [(times @ pieces[:, first : first + 4, None])[:, :, 0] for first in (1, 5)]
+    return np.stack(axes, axis=2).reshape(-1, 2)
+
+
 def draw_goal(canvas: Canvas, place: Point, radius: float) -> None:
     """Draw a goal of `radius` [m], large enough to be visible."""
     canvas.disc(place, radius, (*GOAL_COLOUR, 70), GOAL_COLOUR, width=1.5, least=4.0)
@@ -240,13 +275,24 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
     It contains world and goal, or, without a world, origin and goal.
     """
     if world is not None:
-        bounds = _join_bounds(world.bounds, (*goal, *goal)) if goal else world.bounds
+        bounds = world_bounds(world)
+        bounds = _join_bounds(bounds, (*goal, *goal)) if goal else bounds
         return widen_bounds(bounds, WORLD_MARGIN)
     points = np.array([(0.0, 0.0), goal or (0.0, 0.0)])
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     longest = max(right - left, high - low)
     x, y, side = (left + right) / 2.0, (low + high) / 2.0, max(OPEN_MARGIN, 0.25 * longest)
     return widen_bounds((x, y, x, y), longest / 2.0 + side)
+
+
+def world_bounds(world: World) -> Bounds:
+    """Return the area of everything in a world, where its movers go included [m]."""
+    bounds = world.bounds
+    for mover in world.movers:
+        way = trace_way(mover)
+        (left, low), (right, high) = way.min(axis=0).tolist(), way.max(axis=0).tolist()
+        bounds = _join_bounds(bounds, widen_bounds((left, low, right, high), mover.radius))
+    return bounds
 
 
 def widen_bounds(bounds: Bounds, margin: float) -> Bounds:

@@ -22,6 +22,7 @@ from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
 from acsar_gym.tools.evaluation import report
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
+from acsar_gym.worlds.moving import can_be_crossed
 from acsar_gym.worlds.pool import Pool, read_worlds
 from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
 
@@ -95,11 +96,12 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
 
 def draw_tile(world: World, size: int) -> RgbImage:
     """Draw one world as a map with its name, a square of `size` pixels."""
-    bounds = top_view.widen_bounds(world.bounds, top_view.WORLD_MARGIN / 2.0)
+    bounds = top_view.widen_bounds(top_view.world_bounds(world), top_view.WORLD_MARGIN / 2.0)
     view = View.fitted(bounds, (size, size - TITLE_HEIGHT), "y", PICTURE_INSET / 2.0)
     below = (view.centre[0], view.centre[1] + TITLE_HEIGHT / 2.0 / view.scale)
     view = replace(view, centre=below, size=(size, size))
     canvas = top_view.draw_world(world, view, *top_view.UNSEEN_COLOURS)
+    top_view.draw_motions(canvas, world)
     top_view.draw_start(canvas, world.start)
     top_view.draw_goal(canvas, (world.goal.x, world.goal.y), world.goal.radius)
     canvas.band(TITLE_HEIGHT, top_view.GRID_COLOUR)
@@ -107,6 +109,23 @@ def draw_tile(world: World, size: int) -> RgbImage:
     name = shorten_text(world.name, size - bar - 3.0 * PICTURE_INSET)
     canvas.text((PICTURE_INSET, TITLE_HEIGHT / 2.0), name, anchor="lm")
     return canvas.picture()
+
+
+def describe_movers(worlds: Sequence[World]) -> str:
+    """Describe what moves in worlds, on one line; empty where nothing does."""
+    movers = [mover for world in worlds for mover in world.movers]
+    if not movers:
+        return ""
+    counts = sorted({len(world.movers) for world in worlds})
+    numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
+    speeds = [mover.top_speed for mover in movers]
+    reacting = [mover for mover in movers if mover.reacts]
+    blind = sum(not mover.sees_robot for mover in reacting)
+    how = f"{len(reacting)} of {len(movers)} react, {blind} of these don't see the robot"
+    return (
+        f"movers: {numbers} in a world, top speeds {min(speeds):.2f} to {max(speeds):.2f} m/s; "
+        f"{how if reacting else 'none reacts'}"
+    )
 
 
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, Any]]:
@@ -124,6 +143,8 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, A
         try:
             path = shortest_path(world, radius)
             shortest, difficulty = path_length(path), measure_difficulty(world, path)
+            if world.movers and not can_be_crossed(replace(world, path=path), radius):
+                fault = "nobody can cross it, even knowing all motions"
         except WorldError as error:
             fault = str(error).removeprefix(f"{world.name}: ")
         lengths = {"path": world.length, "shortest": shortest}

@@ -34,8 +34,8 @@ from acsar_gym.vector.sensors import BatchSensors, BatchView, RobotLink, python_
 from acsar_gym.vector.task import make_loops
 from acsar_gym.wire import STANDSTILL_TIMEOUT
 from acsar_gym.worlds import World, geometry
-from acsar_gym.worlds.crowd import STATE_NUMBERS
-from acsar_gym.worlds.movers import make_motions
+from acsar_gym.worlds.crowd import CLOCK, STATE_NUMBERS
+from acsar_gym.worlds.movers import RADIUS, make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -170,6 +170,14 @@ class Batch:
     def read(self, *names: str) -> NDArray[np.float64]:
         """Copy fields of `layout.Robots`, (numbers, robots); those of wheels are four numbers."""
         return layout.read_fields(self.tables.numbers, names, slice(self.robots))
+
+    def copy_movers(self, robot: int, world: int) -> NDArray[np.float64] | None:
+        """Copy what is seen of the movers around a robot in this world, as `Crowd.copy_states`."""
+        if self._crowds is None:
+            return None
+        radii = self._crowds.motions.movers[world, :, RADIUS]
+        used = radii > 0.0
+        return np.column_stack([self._crowds.states[robot, used, :CLOCK], radii[used]])
 
     def measure_work(self) -> None:
         """Measure the work of the motors from now on, as field `work` [J]; it takes time."""

@@ -53,6 +53,7 @@ class BatchScreen:
         self._views: list[Any] = []
         self._paths: list[tuple[list[Point], list[Point]]] = [([], []) for _ in range(self._drawn)]
         self._state: NDArray[np.float64] = np.zeros((len(FIELDS), self._drawn))
+        self._movers: list[NDArray[np.float64] | None] = [None] * self._drawn
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the settings only: a copy has no recorded paths."""
@@ -69,6 +70,7 @@ class BatchScreen:
             start = state["start_x"], state["start_y"], state["start_theta"]
             odom_path.append(to_world(start, (state["odom_x"], state["odom_y"], 0.0))[:2])
             true_path.append(to_world(start, (state["x"], state["y"], 0.0))[:2])
+            self._movers[robot] = batch.copy_movers(robot, int(state["world"]))
 
     def pictures(self, batch: Batch) -> tuple[Image, ...]:
         """Draw the newest states, a picture (height, width, 3) for each robot of the batch."""
@@ -100,6 +102,7 @@ class BatchScreen:
             true_path=self._paths[robot][1],
             rays=(spec.angles(), ranges[: len(spec.angles())]) if len(ranges) else None,
             reach=config.lidar.max_range,
+            movers=self._movers[robot],
             caption=f"{robot}: step {state['steps']:.0f}",
         )
         image: Image = np.array(self._views[robot].draw(frame), np.uint8)

@@ -49,7 +49,8 @@ def cached_world(kind: str, number: int, difficulty: generators.Level, radius: f
     if isinstance(difficulty, SupportsFloat):
         level = float(difficulty)
     world: World = find_world(sources, kind, int(number), level, float(radius))
-    return replace(world)  # validated, and read-only again
+    movers = tuple(map(replace, world.movers))
+    return replace(world, movers=movers)  # validated, and read-only again
 
 
 @cache

@@ -4,9 +4,9 @@ Once a control period `advance_crowd` puts those that follow their motion where 
 people who react walk on. These are driven by the social force model of D. Helbing and P. Molnar,
 "Social force model for pedestrian dynamics", Physical Review E 51 (1995): each adapts its velocity
 to the way that it wants to go, and is pushed away from others by an exponential potential, whose
-equipotential lines are ellipses along the other's next steps. Walls push as in D. Helbing, I. Farkas
-and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407 (2000), whose range lets
-people through doors. A person decides anew every REACTION_TIME, and walks on in between.
+equipotential lines are ellipses along the other's next steps. Walls push as in D. Helbing,
+I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407 (2000), whose
+range lets people through doors. A person decides anew every REACTION_TIME, and walks on in between.
 
 One robot (`Crowd`) and a batch call the same functions.
 """
@@ -52,6 +52,7 @@ PUSH_RANGE = 0.3  # range of that push [m]
 STRIDE_TIME = 2.0  # the push's ellipse reaches along the other's way of so long [s]
 WALL_PUSH = 25.0  # push of a wall that a person touches [m/s^2]
 WALL_RANGE = 0.08  # range of that push [m]
+FARTHEST_WALL = 8.0 * WALL_RANGE  # walls that are farther away don't push [m]
 SIGHT_COSINE = math.cos(math.radians(100.0))  # others beyond this bearing are behind a person
 BEHIND_SHARE = 0.5  # share of the push of others that are behind
 SPEED_SHARE = 1.3  # greatest speed, in parts of that of the motion
@@ -68,11 +69,14 @@ STANDING_SPEED = 0.05
 FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
 
-X, Y, VX, VY, CLOCK, AX, AY, NEAR, LOOK = range(9)
-STATE_NUMBERS = 9
+X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(10)
+STATE_NUMBERS = 10
 """Columns of the state of a mover: place [m], velocity [m/s], the time of its motion, at the
-episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], whether the
-robot is within its personal space, and the next tick in which it can be."""
+episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], how fast
+the motion's time passes for that person, whether the robot is within its personal space, and the
+next tick in which that can change."""
+SEEN_NUMBERS = 5
+"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 TRAITS, TRAIT_NUMBERS = 1000, 2
 """Samples of a person's own numbers begin there, so many for each."""
 NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
@@ -94,6 +98,34 @@ class RobotMotion(NamedTuple):
     rate: float
 
 
+class Hall(NamedTuple):
+    """What surrounds the movers of an episode."""
+
+    movers: Floats
+    """(movers, numbers): of the world, see `Motions`."""
+    pieces: Floats
+    """(pieces, 9): of the world."""
+    is_reacting: bool
+    """Whether anybody reacts."""
+    key: float
+    """The episode's draw, 0 to 1."""
+    period: float
+    """Of a tick [s]."""
+    which: int
+    """The world's place in `around`."""
+    around: Surroundings
+    """Obstacles, and footprints."""
+    kind: int
+    """Of the robot, whose footprint it is."""
+
+
+@jit
+def disc_radius(hall: Hall) -> float:
+    """Radius of the disc around the robot's footprint [m]."""
+    kinds, kind = hall.around.kinds, hall.kind
+    return math.sqrt(kinds[kind, 5] * kinds[kind, 5] + kinds[kind, 6] * kinds[kind, 6])
+
+
 @subroutine
 def begin_crowd(movers: Floats, pieces: Floats, states: Floats, key: float) -> None:
     """Put all movers where an episode begins."""
@@ -102,93 +134,15 @@ def begin_crowd(movers: Floats, pieces: Floats, states: Floats, key: float) -> N
             break
         for k in range(STATE_NUMBERS):
             states[m, k] = 0.0
-        states[m, CLOCK] = draw_offset(movers[m], m, key)
-        place_mover(movers[m], pieces, states[m], 0.0)
+        states[m, CLOCK] = draw_offset(movers, m, key)
+        place_mover(movers, m, pieces, states, 0.0)
 
 
 @jit
-def place_mover(mover: Floats, pieces: Floats, state: Floats, time: float) -> None:
+def place_mover(movers: Floats, m: int, pieces: Floats, states: Floats, time: float) -> None:
     """Put a mover that doesn't react where its motion is at a time since the episode's begin."""
-    state[X], state[Y], state[VX], state[VY] = locate_mover(mover, pieces, time + state[CLOCK])
-
-
-@subroutine
-def advance_crowd(
-    movers: Floats,
-    pieces: Floats,
-    states: Floats,
-    tick: int,
-    period: float,
-    key: float,
-    robot: RobotMotion,
-    top_speed: float,
-    which: int,
-    around: Surroundings,
-    kind: int,
-) -> tuple[float, float, float]:
-    """Advance all movers of a robot's world to the end of a tick, and look for contacts.
-
-    Args:
-        movers: (movers, numbers): of the world, see `Motions`.
-        pieces: of the world.
-        states: (movers, STATE_NUMBERS): they change.
-        tick: its number since the episode's begin, from 1.
-        period: of a tick [s].
-        key: the episode's, 0 to 1.
-        robot: at the end of the tick.
-        top_speed: the robot won't move faster [m/s]. Where nobody reacts, movers that are too far
-            away to touch it in the next ticks stay where they are, until `place_crowd`. inf: all
-            are moved.
-        which: the world's place in `around`.
-        around: obstacles, and footprints.
-        kind: of the robot.
-
-    Returns:
-        Whether somebody ran into somebody, such as ROBOT_HIT, how often the robot has entered
-        somebody's personal space, and the next tick in which it can, or nobody reacts.
-    """
-    now, every = tick * period, max(int(np.floor(REACTION_TIME / period + 0.5)), 1)
-    outer = math.sqrt(around.kinds[kind, 5] ** 2 + around.kinds[kind, 6] ** 2)
-    hit, entered, next_look = NO_HIT, 0.0, np.inf
-    for m in range(len(movers)):
-        radius = movers[m, RADIUS]
-        if radius < 0.0:
-            break
-        if tick < states[m, LOOK]:
-            next_look = min(next_look, states[m, LOOK])
-            continue
-        states[m, LOOK] = tick + 1.0
-        if movers[m, REACTS] == 0.0:
-            place_mover(movers[m], pieces, states[m], now)
-        else:
-            if (tick + m) % every == 0:
-                decide_step(movers, pieces, states, m, key, robot, outer, which, around)
-            walk_on(movers[m], pieces, states[m], period)
-        dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
-        near, square = outer + radius + PERSONAL_SPACE, dx * dx + dy * dy
-        if square > near * near:
-            states[m, NEAR] = 0.0
-            if top_speed < np.inf and not jumps_soon(movers[m], states[m], now):
-                ticks = (math.sqrt(square) - near) / ((top_speed + movers[m, SPEED]) * period)
-                states[m, LOOK] += min(np.floor(ticks), np.floor(LONGEST_LOOK / period) - 1.0)
-            next_look = min(next_look, states[m, LOOK])
-            continue
-        next_look = tick + 1.0
-        ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
-        gap, at_x, at_y = footprint_gap(ahead, left, around, kind)
-        gap -= radius
-        is_near = 1.0 if gap < PERSONAL_SPACE else 0.0
-        entered += 1.0 if is_near > states[m, NEAR] else 0.0
-        states[m, NEAR] = is_near
-        if gap <= 0.0 and hit == NO_HIT:
-            hit = ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
-    return hit, entered, next_look
-
-
-@jit
-def jumps_soon(mover: Floats, state: Floats, now: float) -> bool:
-    """Whether a mover may jump while nobody looks."""
-    return may_jump(mover, now + state[CLOCK], LONGEST_LOOK)
+    x, y, vx, vy = locate_mover(movers, m, pieces, time + states[m, CLOCK])
+    states[m, X], states[m, Y], states[m, VX], states[m, VY] = x, y, vx, vy
 
 
 @subroutine
@@ -198,7 +152,73 @@ def place_crowd(movers: Floats, pieces: Floats, states: Floats, time: float) -> 
         if movers[m, RADIUS] < 0.0:
             break
         if movers[m, REACTS] == 0.0:
-            place_mover(movers[m], pieces, states[m], time)
+            place_mover(movers, m, pieces, states, time)
+
+
+@subroutine
+def advance_crowd(
+    hall: Hall, states: Floats, tick: int, robot: RobotMotion, top_speed: float
+) -> tuple[float, float, float]:
+    """Advance all movers of a robot's world to the end of a tick, and look for contacts.
+
+    Args:
+        hall: of the episode.
+        states: (movers, STATE_NUMBERS): they change.
+        tick: its number since the episode's begin, from 1.
+        robot: at the end of the tick.
+        top_speed: no part of the robot will move faster [m/s]. Movers that follow their motion and
+            can't touch it, or come near, in the next ticks stay where they are until
+            `place_crowd`. inf: all are moved.
+
+    Returns:
+        Whether somebody ran into somebody, such as ROBOT_HIT, how often the robot has entered
+        somebody's personal space, and the next tick in which this has to be called.
+    """
+    if hall.is_reacting:
+        walk_crowd(hall, states, tick, robot)
+    outer, longest = disc_radius(hall), LONGEST_LOOK / hall.period
+    hit, entered, next_look = NO_HIT, 0.0, tick + 1.0 if hall.is_reacting else np.inf
+    for m in range(len(hall.movers)):
+        if hall.movers[m, RADIUS] < 0.0:
+            break
+        if tick >= states[m, LOOK]:
+            if hall.movers[m, REACTS] == 0.0:
+                place_mover(hall.movers, m, hall.pieces, states, tick * hall.period)
+            was_near = states[m, NEAR]
+            free, touches = look_at_mover(hall, states, m, robot, outer)
+            entered += 1.0 if states[m, NEAR] > was_near else 0.0
+            hit = touches if hit == NO_HIT else hit
+            fastest = (top_speed + SPEED_SHARE * hall.movers[m, SPEED]) * hall.period
+            now = tick * hall.period + states[m, CLOCK]
+            jumps = may_jump(hall.movers, m, now, LONGEST_LOOK)
+            ticks = 1.0 if jumps else min(np.floor(free / fastest), longest)
+            states[m, LOOK] = tick + max(ticks, 1.0)
+        next_look = min(next_look, states[m, LOOK])
+    return hit, entered, next_look
+
+
+@jit
+def look_at_mover(
+    hall: Hall, states: Floats, m: int, robot: RobotMotion, outer: float
+) -> tuple[float, float]:
+    """Set whether the robot is in a mover's personal space.
+
+    Returns:
+        By how much the two hulls can change their distance until that, or a contact, begins or ends
+        [m], and whether they touch, such as ROBOT_HIT.
+    """
+    dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
+    near, square = outer + hall.movers[m, RADIUS] + PERSONAL_SPACE, dx * dx + dy * dy
+    if square > near * near:
+        states[m, NEAR] = 0.0
+        return math.sqrt(square) - near, NO_HIT
+    ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
+    gap, at_x, at_y = footprint_gap(ahead, left, hall.around, hall.kind)
+    gap -= hall.movers[m, RADIUS]
+    states[m, NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
+    if gap > 0.0:
+        return min(gap, abs(gap - PERSONAL_SPACE)), NO_HIT
+    return 0.0, ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
 
 
 @jit
@@ -221,57 +241,84 @@ def draw_trait(key: float, mover: int, number: int, low: float, high: float) -> 
 
 
 @subroutine
-def decide_step(
-    movers: Floats,
-    pieces: Floats,
-    states: Floats,
-    m: int,
-    key: float,
-    robot: RobotMotion,
-    outer: float,
-    which: int,
-    around: Surroundings,
-) -> None:
-    """Set the acceleration of person m until the next decision."""
-    x, y, radius = states[m, X], states[m, Y], movers[m, RADIUS]
-    relaxation = draw_trait(key, m, 0, RELAXATION_TIMES[0], RELAXATION_TIMES[1])
-    strength = draw_trait(key, m, 1, STRENGTHS[0], STRENGTHS[1])
+def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> None:
+    """Let people who react walk for a tick; every REACTION_TIME all decide anew how."""
+    every = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
+    if (tick - 1) % every == 0:
+        place_crowd(hall.movers, hall.pieces, states, tick * hall.period)
+        for m in range(len(hall.movers)):
+            if hall.movers[m, REACTS] > 0.0:
+                decide_step(hall, states, m, robot)
+    for m in range(len(hall.movers)):
+        if hall.movers[m, REACTS] > 0.0:
+            walk_on(hall.movers, m, states, hall.period)
+
+
+@subroutine
+def decide_step(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> None:
+    """Set the acceleration of person m, and the pace of its motion, until the next decision."""
+    movers, x, y = hall.movers, states[m, X], states[m, Y]
+    now_x, now_y, _, _ = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
+    behind = math.sqrt((now_x - x) ** 2 + (now_y - y) ** 2)
+    states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
-    to_x, to_y, _, _ = locate_mover(movers[m], pieces, clock)
+    to_x, to_y, _, _ = locate_mover(movers, m, hall.pieces, clock)
     want_x, want_y = (to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME
     speed, most = math.sqrt(want_x * want_x + want_y * want_y), SPEED_SHARE * movers[m, SPEED]
     share = most / speed if speed > most else 1.0
-    want_x, want_y, speed = share * want_x, share * want_y, share * speed
-    ax, ay = (want_x - states[m, VX]) / relaxation, (want_y - states[m, VY]) / relaxation
-    for n in range(len(movers) + 1):
-        if n < len(movers):
-            if n == m or movers[n, RADIUS] < 0.0:
-                continue
-            dx, dy = x - states[n, X], y - states[n, Y]
-            vx, vy, both = states[n, VX], states[n, VY], radius + movers[n, RADIUS]
+    want_x, want_y = share * want_x, share * want_y
+    relaxation = draw_trait(hall.key, m, 0, RELAXATION_TIMES[0], RELAXATION_TIMES[1])
+    others_x, others_y = push_from_others(hall, states, m, robot, want_x, want_y)
+    walls_x, walls_y = push_from_walls(hall, x, y, movers[m, RADIUS])
+    ax = (want_x - states[m, VX]) / relaxation + others_x + walls_x
+    ay = (want_y - states[m, VY]) / relaxation + others_y + walls_y
+    push = math.sqrt(ax * ax + ay * ay)
+    share = MOST_PUSH / push if push > MOST_PUSH else 1.0
+    states[m, AX], states[m, AY] = share * ax, share * ay
+
+
+@jit
+def push_from_others(
+    hall: Hall, states: Floats, m: int, robot: RobotMotion, want_x: float, want_y: float
+) -> tuple[float, float]:
+    """Push on person m from other movers, and from the robot where it is seen [m/s^2].
+
+    `want_x`, `want_y` is the velocity that the person wants [m/s], and the direction of its look.
+    """
+    movers, count = hall.movers, len(hall.movers)
+    speed = math.sqrt(want_x * want_x + want_y * want_y)
+    strength = draw_trait(hall.key, m, 1, STRENGTHS[0], STRENGTHS[1])
+    total_x = total_y = 0.0
+    for n in range(count + 1):
+        if n == count:
+            is_pushing, x, y = movers[m, SEES_ROBOT] > 0.0, robot.x, robot.y
+            vx, vy, radius = robot.forward * robot.cos, robot.forward * robot.sin, disc_radius(hall)
         else:
-            if movers[m, SEES_ROBOT] == 0.0:
-                continue
-            dx, dy = x - robot.x, y - robot.y
-            vx, vy = robot.forward * robot.cos, robot.forward * robot.sin
-            both = radius + outer
+            is_pushing, x, y = n != m and movers[n, RADIUS] > 0.0, states[n, X], states[n, Y]
+            vx, vy, radius = states[n, VX], states[n, VY], movers[n, RADIUS]
+        dx, dy = states[m, X] - x, states[m, Y] - y
         square = dx * dx + dy * dy
-        if square > FARTHEST_PUSH * FARTHEST_PUSH:
+        if not is_pushing or square > FARTHEST_PUSH * FARTHEST_PUSH:
             continue
-        push_x, push_y = push_away(dx, dy, vx, vy, both, strength)
+        push_x, push_y = push_away(dx, dy, vx, vy, movers[m, RADIUS] + radius, strength)
         seen = -(want_x * dx + want_y * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
         share = 1.0 if seen else BEHIND_SHARE
-        ax, ay = ax + share * push_x, ay + share * push_y
-    far = radius + 8.0 * WALL_RANGE
-    circles, segments = around.circles, around.segments
+        total_x, total_y = total_x + share * push_x, total_y + share * push_y
+    return total_x, total_y
+
+
+@jit
+def push_from_walls(hall: Hall, x: float, y: float, radius: float) -> tuple[float, float]:
+    """Push on a person at (x, y) from standing obstacles [m/s^2]."""
+    circles, segments, which = hall.around.circles, hall.around.segments, hall.which
+    far, total_x, total_y = radius + FARTHEST_WALL, 0.0, 0.0
     for n in range(circles.shape[1]):
         dx, dy = x - circles[which, n, 0], y - circles[which, n, 1]
-        reach = far + circles[which, n, 2]
-        square = dx * dx + dy * dy
+        reach, square = far + circles[which, n, 2], dx * dx + dy * dy
         if square < reach * reach:
             apart = math.sqrt(square) + 1e-9
             push = WALL_PUSH * math.exp((radius + circles[which, n, 2] - apart) / WALL_RANGE)
-            ax, ay = ax + push * dx / apart, ay + push * dy / apart
+            total_x, total_y = total_x + push * dx / apart, total_y + push * dy / apart
     for n in range(segments.shape[1]):
         from_x, from_y = segments[which, n, 0], segments[which, n, 1]
         ex, ey = segments[which, n, 2] - from_x, segments[which, n, 3] - from_y
@@ -282,10 +329,8 @@ def decide_step(
         if square < far * far:
             apart = math.sqrt(square) + 1e-9
             push = WALL_PUSH * math.exp((radius - apart) / WALL_RANGE)
-            ax, ay = ax + push * dx / apart, ay + push * dy / apart
-    push = math.sqrt(ax * ax + ay * ay)
-    share = MOST_PUSH / push if push > MOST_PUSH else 1.0
-    states[m, AX], states[m, AY] = share * ax, share * ay
+            total_x, total_y = total_x + push * dx / apart, total_y + push * dy / apart
+    return total_x, total_y
 
 
 @jit
@@ -309,23 +354,19 @@ def push_away(
 
 
 @subroutine
-def walk_on(mover: Floats, pieces: Floats, state: Floats, period: float) -> None:
-    """Let a person who reacts walk for a tick."""
-    vx, vy = state[VX] + state[AX] * period, state[VY] + state[AY] * period
-    speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * mover[SPEED]
+def walk_on(movers: Floats, m: int, states: Floats, period: float) -> None:
+    """Let a person who reacts walk for a tick as decided."""
+    vx, vy = states[m, VX] + states[m, AX] * period, states[m, VY] + states[m, AY] * period
+    speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * movers[m, SPEED]
     share = most / speed if speed > most else 1.0
-    state[VX], state[VY] = share * vx, share * vy
-    state[X] += state[VX] * period
-    state[Y] += state[VY] * period
-    x, y, _, _ = locate_mover(mover, pieces, state[CLOCK])
-    dx, dy = x - state[X], y - state[Y]
-    state[CLOCK] += period * max(1.0 - math.sqrt(dx * dx + dy * dy) / LEASH, 0.0)
+    states[m, VX], states[m, VY] = share * vx, share * vy
+    states[m, X] += states[m, VX] * period
+    states[m, Y] += states[m, VY] * period
+    states[m, CLOCK] += states[m, PACE] * period
 
 
 @subroutine
-def survey_crowd(
-    movers: Floats, states: Floats, robot: RobotMotion, around: Surroundings, kind: int
-) -> tuple[float, float]:
+def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> tuple[float, float]:
     """Measure how near the robot is to movers.
 
     Returns:
@@ -333,16 +374,16 @@ def survey_crowd(
         its disc would touch one if all kept their velocities [s], at most FARTHEST_COLLISION.
     """
     nearest, soonest = FARTHEST_PERSON, FARTHEST_COLLISION
-    outer = math.sqrt(around.kinds[kind, 5] ** 2 + around.kinds[kind, 6] ** 2)
-    for m in range(len(movers)):
-        radius = movers[m, RADIUS]
+    outer = disc_radius(hall)
+    for m in range(len(hall.movers)):
+        radius = hall.movers[m, RADIUS]
         if radius < 0.0:
             break
         dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
-        apart = math.sqrt(dx * dx + dy * dy)
-        if apart - outer - radius < nearest:
+        reach = nearest + outer + radius
+        if dx * dx + dy * dy < reach * reach:
             ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
-            gap, _, _ = footprint_gap(ahead, left, around, kind)
+            gap, _, _ = footprint_gap(ahead, left, hall.around, hall.kind)
             nearest = min(nearest, max(gap - radius, 0.0))
         vx = states[m, VX] - robot.forward * robot.cos
         vy = states[m, VY] - robot.forward * robot.sin
@@ -372,37 +413,45 @@ def begin_alone(motions: Motions, states: Floats, key: float) -> None:
     begin_crowd(motions.movers[0], motions.pieces[0], states, key)
 
 
+@jit
+def hall_alone(motions: Motions, key: float, period: float, around: Surroundings) -> Hall:
+    """The hall of one robot."""
+    world = motions.movers[0], motions.pieces[0], motions.reacting[0]
+    return Hall(world[0], world[1], world[2], key, period, 0, around, 0)
+
+
 @loop
 def advance_alone(
     motions: Motions,
+    around: Surroundings,
+    key: float,
+    period: float,
     states: Floats,
     tick: int,
-    period: float,
-    key: float,
     pose: Pose,
     twist: Twist,
-    around: Surroundings,
 ) -> tuple[float, float, float]:
     """`advance_crowd` for one robot."""
     robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
-    movers, pieces = motions.movers[0], motions.pieces[0]
-    return advance_crowd(movers, pieces, states, tick, period, key, robot, np.inf, 0, around, 0)
+    hall = hall_alone(motions, key, period, around)
+    return advance_crowd(hall, states, tick, robot, np.inf)
 
 
 @loop
 def survey_alone(
-    motions: Motions, states: Floats, pose: Pose, twist: Twist, around: Surroundings
+    motions: Motions, around: Surroundings, states: Floats, pose: Pose, twist: Twist
 ) -> tuple[float, float]:
     """`survey_crowd` for one robot."""
     robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
-    return survey_crowd(motions.movers[0], states, robot, around, 0)
+    return survey_crowd(hall_alone(motions, 0.0, 0.0, around), states, robot)
 
 
 class Crowd:
     """The movers around one simulated robot, in one episode.
 
-    Attributes: `motions`, of this world alone; `radii`, (movers,) [m]; `states`, (movers, STATE_NUMBERS); `hit`, the first contact,
-    such as ROBOT_HIT; `intrusions`, how often the robot has entered somebody's personal space.
+    Attributes: `motions`, of this world alone; `radii`, (movers,) [m]; `states`, (movers,
+    STATE_NUMBERS); `hit`, the first contact, such as ROBOT_HIT; `intrusions`, how often the robot
+    has entered somebody's personal space.
     """
 
     def __init__(self, world: World, config: RobotConfig, key: float) -> None:
@@ -416,22 +465,23 @@ class Crowd:
         self.hit, self.intrusions, self._tick = NO_HIT, 0.0, 0
         begin_alone(self.motions, self.states, key)
 
+    @property
+    def now(self) -> float:
+        """Time since the episode's begin [s]."""
+        return self._tick * self._period
+
     def advance(self, pose: Pose, twist: Twist) -> None:
         """Advance by a control period, at whose end the robot is there and moves so."""
         self._tick += 1
-        hit, entered, _ = advance_alone(
-            self.motions,
-            self.states,
-            self._tick,
-            self._period,
-            self._key,
-            pose,
-            twist,
-            self._around,
-        )
+        episode = self.motions, self._around, self._key, self._period, self.states
+        hit, entered, _ = advance_alone(*episode, self._tick, pose, twist)
         self.hit = self.hit or hit
         self.intrusions += entered
 
     def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
         """Distance of the nearest mover [m] and time to collision [s], see `survey_crowd`."""
-        return survey_alone(self.motions, self.states, pose, twist, self._around)
+        return survey_alone(self.motions, self._around, self.states, pose, twist)
+
+    def copy_states(self) -> Floats:
+        """Copy what is seen of the movers now, (movers, SEEN_NUMBERS), in the world's frame."""
+        return np.column_stack([self.states[:, :CLOCK], self.radii])

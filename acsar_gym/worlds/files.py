@@ -8,6 +8,7 @@ The project's own format has the fields of `World` [m, rad]:
     start: {x: 0.0, y: 0.0, theta: 0.0}             # and radius; without theta any heading
     goal: {x: 4.0, y: 0.0}                          # and radius
     path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
+    movers: [{points: [[2.0, -2.0], [2.0, 2.0]], speed: 1.0}]    # optional, see `mover_files`
 
 A YAML with an `image` is a ROS map. Neither a map nor a Gazebo world says where to start and where
 to go: `start` and `goal` may be added to a map, or are given beside the file (`Placement`). Only
@@ -40,6 +41,8 @@ from acsar_gym.worlds.generators import (
     CYLINDER_RADIUS,
     place_cylinders,
 )
+from acsar_gym.worlds.mover_files import format_mover, parse_movers
+from acsar_gym.worlds.movers import MAX_MOVERS
 from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
 from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats, Region, World
 
@@ -91,6 +94,7 @@ class WorldFile(Section):
     circles: list[tuple[Coordinate, Coordinate, Radius]] = Rows
     segments: list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]] = Rows
     path: list[tuple[Coordinate, Coordinate]] | None = Field(None, max_length=MAX_OBSTACLES)
+    movers: list[Any] = Field(default_factory=list, max_length=MAX_MOVERS)
 
 
 class MapFile(WorldFile):
@@ -187,14 +191,14 @@ def load_world(path: Path | str, placement: Placement | None = None) -> World:
 
 
 def _read_gazebo(path: Path, placement: Placement) -> World:
-    """Read a Gazebo world; warn of what moves in it."""
+    """Read a Gazebo world; warn of what moves there, but not here."""
     content = reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
     obstacles = sdf.read_obstacles(
         content, path.parent, placement.list_model_folders(path.parent), placement.height
     )
-    if moving := obstacles.describe_movers():
+    if unmoved := obstacles.describe_unmoved():
         warnings.warn(
-            f"{path}: what moves in Gazebo doesn't move here: {moving}", WorldWarning, stacklevel=3
+            f"{path}: what moves in Gazebo doesn't move here: {unmoved}", WorldWarning, stacklevel=3
         )
     start, goal, way = placement.start_region, placement.goal_region, None
     if is_barn(obstacles.circles):
@@ -203,7 +207,9 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     if start is None or goal is None:
         missing = MISSING_ENDS[start is None, goal is None]
         raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(obstacles)}")
-    return World(obstacles.circles, obstacles.segments, start, goal, way, path.stem)
+    return World(
+        obstacles.circles, obstacles.segments, start, goal, way, path.stem, obstacles.movers
+    )
 
 
 def _describe_extent(obstacles: sdf.SdfObstacles) -> str:
@@ -272,6 +278,8 @@ def format_world(world: World, suffix: str) -> bytes:
     }
     if world.path is not None:
         fields["path"] = world.path.tolist()
+    if world.movers:
+        fields["movers"] = list(map(format_mover, world.movers))
     if suffix.lower() not in (".json", ".yaml", ".yml"):
         raise WorldError("a world is saved as .json, .yaml or .yml")
     try:
@@ -323,6 +331,7 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
         Region(goal.x, goal.y, goal.radius or 0.0),
         None if file.path is None else np.array(file.path, np.float64),
         file.name,
+        parse_movers(file.movers),
     )
 
 

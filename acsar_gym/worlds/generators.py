@@ -1,7 +1,9 @@
 """Numbered worlds: each generator makes the same world from the same number and difficulty.
 
 `generate_world("clutter", 17)` is the same world on every machine, so a benchmark can name its
-worlds. Every world is solvable: it has a shortest path for the footprint, with a margin.
+worlds. Every world is solvable: it has a shortest path for the footprint, with a margin, and where
+something moves, a robot that knows all motions can cross it. `generate_world("clutter+6", 17)` is
+the same world with six walkers.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import WorldError, require_extra, show_value
-from acsar_gym.worlds import registry
+from acsar_gym.worlds import moving, registry
 from acsar_gym.worlds.grid import Grid, search_cells
 from acsar_gym.worlds.registry import GeneratorError, Maker
 from acsar_gym.worlds.search import PATH_SPACING, check_path, shortest_path, world_along
@@ -69,7 +71,7 @@ def generate_world(
     """Make a world.
 
     Args:
-        kind: open, clutter, rooms, barn, smooth_path, waypoint_path, or a registered one.
+        kind: one of `registry.list_kinds`, or one like "clutter+6", in which so many walk.
         number: of the world, from 0.
         difficulty: from 0 to 1; None or a range varies it from world to world.
         radius: of the disc around the robot's footprint [m].
@@ -88,35 +90,49 @@ def generate_world(
     if not isinstance(number, int | np.integer) or number < 0:
         raise WorldError(f"world number {number!r}: must be a whole number from 0")
     low, high = difficulty_limits(difficulty)
-    rng = _random_generator(kind, number)
+    base, walkers = registry.split_walkers(kind)
+    rng = _random_generator(base, number)
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASING_FACTOR if high > low else 1.0
     own_generator = registry.find_own(kind)
-    maker = MAKERS[kind] if own_generator is None else own_generator.world
+    maker = MAKERS[base] if own_generator is None else own_generator.world
     problem = ""
     for attempt in range(MAX_ATTEMPTS):
         try:
             world = maker(rng, max(hard * ease**attempt, low), radius)
-            if world.path is None:
-                world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
-            elif own_generator is not None:
-                check_path(world, radius)
+            world = _check_solvable(world, radius, is_own=own_generator is not None)
         except GeneratorError:
             raise
         except WorldError as error:
             problem = str(error)
         else:
-            return replace(world, name=f"{kind} {number}")
+            world = replace(world, name=f"{kind} {number}")
+            if walkers:
+                steps = _random_generator(kind, number)
+                world = moving.add_walkers(world, walkers, steps, hard, radius)
+            return world
     raise WorldError(
         f"{kind}: no world of this difficulty lets a footprint of radius {radius:g} m through; "
         f"use a lower difficulty (the last of {MAX_ATTEMPTS} attempts: {problem})"
     )
 
 
+def _check_solvable(world: World, radius: float, *, is_own: bool) -> World:
+    """The world with a path; WorldError where a footprint can't cross it."""
+    if world.path is None:
+        world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
+    elif is_own:
+        check_path(world, radius)
+    if world.movers and not moving.can_be_crossed(world, radius):
+        raise WorldError("nobody can cross it, even knowing all motions")
+    return world
+
+
 def draw_difficulty(kind: str, number: int, difficulty: Level = None) -> float:
     """The difficulty from which `generate_world` starts for this world, 0 to 1."""
     low, high = difficulty_limits(difficulty)
-    return low + (high - low) * _random_generator(kind, number).uniform()
+    base, _ = registry.split_walkers(kind)
+    return low + (high - low) * _random_generator(base, number).uniform()
 
 
 def _random_generator(kind: str, number: int) -> np.random.Generator:
@@ -391,4 +407,7 @@ MAKERS: dict[str, Maker] = {
     "barn": make_barn,
     "smooth_path": make_smooth_path,
     "waypoint_path": make_waypoint_path,
+    "crowd": moving.make_crowd,
+    "crowd_reacting": moving.make_reacting_crowd,
+    "dynabarn": moving.make_dynabarn,
 }

@@ -316,17 +316,27 @@ def cast_rays(
 
 
 def measure_ranges(
-    place: tuple[float | Floats, float | Floats], bearings: Floats, world: World | None
+    place: tuple[float | Floats, float | Floats],
+    bearings: Floats,
+    world: World | None,
+    moved: Floats | None = None,
 ) -> Floats:
     """Compute ranges (rays,) [m] at any bearings [rad] by NumPy; inf where nothing is met.
 
-    `place` is x, y of all rays, or (rays,) each.
+    `place` is x, y of all rays, or (rays,) each; `moved` is where the world's movers were when each
+    ray was measured, (rays, movers, 2) [m], None for rays that don't meet them.
     """
     if world is None:
         return np.full(len(bearings), np.inf)
     cos, sin = np.cos(bearings)[:, None], np.sin(bearings)[:, None]
     from_x, from_y = (np.reshape(values, (-1, 1)) for values in place)
     circle_x, circle_y, radius = world.circles.T
+    if moved is not None:
+        circle_x, circle_y = (
+            np.concatenate([np.broadcast_to(of, (len(bearings), len(of))), movers], axis=1)
+            for of, movers in zip((circle_x, circle_y), np.moveaxis(moved, -1, 0), strict=True)
+        )
+        radius = np.concatenate([radius, [mover.radius for mover in world.movers]])
     x, y = circle_x - from_x, circle_y - from_y
     along = cos * x + sin * y
     inside = along * along - (x * x + y * y - radius * radius)

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,7 +105,7 @@ class Mover:
         """Time after which the motion repeats itself [s]; inf where it stops."""
         return (math.inf, 2.0 * self.duration, self.duration)[self.repeat]
 
-    @property
+    @cached_property
     def top_speed(self) -> float:
         """An upper bound of its speed, but for jumps; exact on straight lines [m/s]."""
         lengths = np.diff(np.append(self.pieces[:, 0], self.duration))
@@ -267,11 +268,12 @@ class MoverRow(NamedTuple):
 
     radius: float
     repeat: float
-    first: float
+    first_piece: float
     """Place of its first piece."""
-    count: float
-    """How many pieces it has."""
+    piece_count: float
     duration: float
+    cycles: float
+    """How often it repeats itself in a second; 0 where it stops."""
     phase: float
     spread: float
     reacts: float
@@ -280,7 +282,7 @@ class MoverRow(NamedTuple):
     """Its top speed [m/s]."""
 
 
-RADIUS, REPEAT, FIRST, COUNT, DURATION, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
+RADIUS, REPEAT, FIRST, COUNT, DURATION, CYCLES, PHASE, SPREAD, REACTS, SEES_ROBOT, SPEED = range(
     len(MoverRow._fields)
 )
 
@@ -302,6 +304,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 first,
                 count,
                 mover.duration,
+                1.0 / mover.cycle,
                 mover.phase,
                 mover.spread,
                 mover.reacts,
@@ -309,33 +312,37 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
                 mover.top_speed,
             )
             first += count
-    return Motions(rows, pieces, (rows[:, :, REACTS] > 0.0).any(axis=1))
+    return Motions(rows, pieces, np.any(rows[:, :, REACTS] > 0.0, axis=1))
 
 
 def _arrays_of(mover: Mover) -> tuple[Floats, Floats]:
     motions = make_motions([[mover]])
-    return motions.movers[0, 0], motions.pieces[0]
+    return motions.movers[0], motions.pieces[0]
 
 
 @jit
-def draw_offset(mover: Floats, m: int, key: float) -> float:
+def draw_offset(movers: Floats, m: int, key: float) -> float:
     """Time in the motion of mover m at which an episode of this key begins [s]."""
-    return mover[PHASE] + mover[SPREAD] * hash_sample(key, m)
+    offset: float = movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+    return offset
 
 
 @subroutine
-def locate_mover(mover: Floats, pieces: Floats, clock: float) -> tuple[float, float, float, float]:
+def locate_mover(
+    movers: Floats, m: int, pieces: Floats, clock: float
+) -> tuple[float, float, float, float]:
     """Where a mover's motion is, and its velocity.
 
     Args:
-        mover: its row of `Motions.movers`.
+        movers: of a world, as in `Motions`.
+        m: which of them.
         pieces: of its world.
         clock: time since the episode's begin, and the offset of `draw_offset` [s].
 
     Returns:
         x, y [m] and their rates [m/s], in the frame of the world.
     """
-    piece, s, direction = find_piece(mover, pieces, clock)
+    piece, s, direction = find_piece(movers, m, pieces, clock)
     x = pieces[piece, 1] + s * (pieces[piece, 2] + s * (pieces[piece, 3] + s * pieces[piece, 4]))
     y = pieces[piece, 5] + s * (pieces[piece, 6] + s * (pieces[piece, 7] + s * pieces[piece, 8]))
     vx = pieces[piece, 2] + s * (2.0 * pieces[piece, 3] + s * 3.0 * pieces[piece, 4])
@@ -344,20 +351,20 @@ def locate_mover(mover: Floats, pieces: Floats, clock: float) -> tuple[float, fl
 
 
 @jit
-def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float, float]:
-    """The piece that a mover is in, the time since its begin [s], and in which direction: 1, -1, 0."""
-    duration, direction = mover[DURATION], 1.0
-    if mover[REPEAT] == 1.0:
-        clock -= 2.0 * duration * np.floor(clock / (2.0 * duration))
+def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[int, float, float]:
+    """The piece that a mover is in, the time since its begin [s], and its direction: 1, -1, 0."""
+    duration, direction = movers[m, DURATION], 1.0
+    if movers[m, REPEAT] == 1.0:
+        clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])
         if clock > duration:
             clock, direction = 2.0 * duration - clock, -1.0
-    elif mover[REPEAT] == 2.0:
-        clock -= duration * np.floor(clock / duration)
+    elif movers[m, REPEAT] == 2.0:
+        clock -= duration * np.floor(clock * movers[m, CYCLES])
     else:
         direction = 1.0 if 0.0 <= clock < duration else 0.0
         clock = min(max(clock, 0.0), duration)
-    low = int(mover[FIRST])
-    high = low + int(mover[COUNT]) - 1
+    low = int(movers[m, FIRST])
+    high = low + int(movers[m, COUNT]) - 1
     while low < high:
         middle = (low + high + 1) // 2
         if pieces[middle, 0] <= clock:
@@ -368,31 +375,31 @@ def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float,
 
 
 @subroutine
-def goes_straight(mover: Floats, pieces: Floats, clock: float, ago: float) -> bool:
+def goes_straight(movers: Floats, m: int, pieces: Floats, clock: float, ago: float) -> bool:
     """Whether a mover that doesn't react has kept its velocity for so long until a time [s]."""
-    piece, s, direction = find_piece(mover, pieces, clock)
+    piece, s, direction = find_piece(movers, m, pieces, clock)
     for k in (3, 4, 7, 8):
         if pieces[piece, k] != 0.0:
             return False
-    last = piece + 1 == int(mover[FIRST] + mover[COUNT])
-    end = mover[DURATION] if last else pieces[piece + 1, 0]
+    last = piece + 1 == int(movers[m, FIRST] + movers[m, COUNT])
+    end = movers[m, DURATION] if last else pieces[piece + 1, 0]
     since = s if direction > 0.0 else end - pieces[piece, 0] - s
-    return mover[REACTS] == 0.0 and direction != 0.0 and since >= ago
+    return movers[m, REACTS] == 0.0 and direction != 0.0 and since >= ago
 
 
 @jit
-def may_jump(mover: Floats, clock: float, duration: float) -> bool:
+def may_jump(movers: Floats, m: int, clock: float, duration: float) -> bool:
     """Whether a motion that repeats itself begins anew within a duration from a time on [s]."""
-    if mover[REPEAT] != 2.0:
+    if movers[m, REPEAT] != 2.0:
         return False
-    begun = np.floor(clock / mover[DURATION])
-    anew: bool = np.floor((clock + duration) / mover[DURATION]) > begun
+    begun = np.floor(clock * movers[m, CYCLES])
+    anew: bool = np.floor((clock + duration) * movers[m, CYCLES]) > begun
     return anew
 
 
 @loop
 def locate_alone(
-    mover: Floats, pieces: Floats, time: float, share: float
+    movers: Floats, pieces: Floats, time: float, share: float
 ) -> tuple[float, float, float, float]:
-    """`locate_mover` for Python."""
-    return locate_mover(mover, pieces, time + mover[PHASE] + share * mover[SPREAD])
+    """`locate_mover` of the only mover, for Python."""
+    return locate_mover(movers, 0, pieces, time + movers[0, PHASE] + share * movers[0, SPREAD])

@@ -72,7 +72,8 @@ class Pool:
 
         "clutter:train" and "clutter:test" are the worlds of these splits, "clutter:50" the first 50
         and "clutter:100-149" those with these numbers. "clutter" alone is the training split.
-        "mine.module:corridors:50" imports the module first, which registers the generator.
+        "mine.module:corridors:50" imports the module first, which registers the generator. In
+        "clutter+6:test" six people walk in the worlds of "clutter:test".
         {"path": "hall.world", "start": (0, 0, 1.57), "goal": (3, 1)} is a file with what it doesn't
         say; "models" names folders of Gazebo's models.
 
@@ -133,7 +134,7 @@ class Pool:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether something moves in these worlds; in generated ones, whether it does in the first."""
+        """Whether something moves in these worlds; generated ones are like their first one."""
         numbers = self.numbers[:1] if self.generated else self.numbers
         return any(self[number].movers for number in numbers)
 

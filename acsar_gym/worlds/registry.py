@@ -1,6 +1,7 @@
 """Generators of worlds by name, and the splits of their worlds.
 
-A name of worlds is like "clutter:test", "clutter:50" or "mine.module:corridors:0-99".
+A name of worlds is like "clutter:test", "clutter:50" or "mine.module:corridors:0-99"; in
+"clutter+6:test" six people walk, and all else is as in "clutter:test".
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from acsar_gym.worlds.world import World
 if TYPE_CHECKING:
     import numpy as np
 
-BUILT_IN_KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
+BUILT_IN_KINDS = (
+    *("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path"),
+    *("crowd", "crowd_reacting", "dynabarn"),
+)
 """Names of the generators of this package."""
 MAX_GENERATOR_NAME = 40  # most characters of a name
 TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
@@ -39,8 +43,11 @@ _SPLIT_NUMBERS = {
 """Those of the benchmark are far from numbers that anybody would train in by hand."""
 _BARN_TEST = range(300)  # as many as BARN has published
 _NUMBERS = rf"(?::({'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?"
-_KIND = re.compile(rf"([a-z_][a-z0-9_]*){_NUMBERS}")
-_FOREIGN = re.compile(rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*){_NUMBERS}", re.ASCII)
+_WALKERS = r"(?:\+[1-9]\d?)?"
+_KIND = re.compile(rf"([a-z_][a-z0-9_]*{_WALKERS}){_NUMBERS}")
+_FOREIGN = re.compile(
+    rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*{_WALKERS}){_NUMBERS}", re.ASCII
+)
 
 Maker = Callable[["np.random.Generator", float, float], World]
 """Takes (rng, difficulty, footprint radius [m]), and makes a world that may not be solvable."""
@@ -136,19 +143,26 @@ def list_kinds() -> tuple[str, ...]:
     return (*BUILT_IN_KINDS, *_OWN)
 
 
+def split_walkers(kind: str) -> tuple[str, int]:
+    """Split the name of a kind, like "clutter+6", into the generator's and how many walk there."""
+    name, _, count = kind.partition("+")
+    return name, int(count or 0)
+
+
 def find_own(kind: str) -> OwnGenerator | None:
-    """The registered generator of this name, if any."""
-    return _OWN.get(kind)
+    """The registered generator of this kind, if any."""
+    return _OWN.get(split_walkers(kind)[0])
 
 
 def home_module(kind: str) -> str:
     """The module that registers a generator; "" for those of this package."""
-    return _OWN[kind].home if kind in _OWN else ""
+    own_generator = find_own(kind)
+    return "" if own_generator is None else own_generator.home
 
 
 def check_registered(kind: str) -> None:
     """Raise WorldError for a name that no generator has."""
-    if kind not in list_kinds():
+    if split_walkers(kind)[0] not in list_kinds():
         raise WorldError(
             f"unknown kind of world {kind!r}{suggest_name(kind, list_kinds())}; that of another "
             "package is named with the module that registers it, as in "
@@ -171,7 +185,7 @@ def import_generator(module: str, kind: str) -> None:
         ) from error
     except (Exception, SystemExit) as error:
         raise WorldError(f"{where}: importing {module} raised {one_line_error(error)}") from error
-    if kind not in _OWN:
+    if find_own(kind) is None:
         raise WorldError(
             f"{where}: importing {module} registers no {kind!r}{suggest_name(kind, list_kinds())}"
         )
@@ -184,7 +198,7 @@ class WorldsName:
     module: str
     """Module to import first, which registers the generator; "" for none."""
     kind: str
-    """The generator's name."""
+    """The generator's name, and how many walk there, as in "clutter+6"."""
     numbers: str
     """A split such as "train", "50" or "50-99"; "" where the name has none."""
 
@@ -213,12 +227,13 @@ def parse_known_name(text: str) -> WorldsName | None:
     if name is None:
         return None
     import_generator(name.module, name.kind)
-    return name if name.kind in list_kinds() else None
+    return name if split_walkers(name.kind)[0] in list_kinds() else None
 
 
 def split_numbers(kind: str, split: str) -> range:
     """World numbers of a split."""
-    return _BARN_TEST if (kind, split) == ("barn", TEST) else _SPLIT_NUMBERS[split]
+    is_barn_test = (split_walkers(kind)[0], split) == ("barn", TEST)
+    return _BARN_TEST if is_barn_test else _SPLIT_NUMBERS[split]
 
 
 def find_split(kind: str, some: range) -> str:

@@ -5,7 +5,8 @@ http://sdformat.org/tutorials?tut=pose_frame_semantics; where a world of Gazebo 
 `<state>`, its poses and scales of models replace the models' own, as in Gazebo. Included models are
 read from local folders. `sdf_shapes` says which outline a body has.
 
-What moves in Gazebo, by a plugin or as an actor, is named: here it stands still, or isn't there.
+What moves in Gazebo moves here, if it is said where: actors by their scripts, and models by plugins
+whose C++ source is there, see `sdf_motions`. Others are named: they stand still, or aren't there.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from defusedxml.common import DefusedXmlException
 from acsar_gym import reading
 from acsar_gym.config.urdf import turn
 from acsar_gym.errors import WorldError
+from acsar_gym.worlds import sdf_motions
+from acsar_gym.worlds.movers import Mover
 from acsar_gym.worlds.sdf_shapes import (
     LIDAR_HEIGHT,
     Matrix,
@@ -60,17 +63,18 @@ class SdfObstacles(NamedTuple):
     """(C, 3) [m]."""
     segments: Floats
     """(S, 4) [m]."""
-    movers: tuple[str, ...]
+    movers: tuple[Mover, ...]
+    standing: tuple[str, ...]
     """Models that a plugin moves in Gazebo, in words; they stand where they begin."""
     actors: tuple[str, ...]
-    """Actors, in words; they are left out."""
+    """Actors without a script, in words; they are left out."""
 
-    def describe_movers(self) -> str:
-        """What moves in Gazebo, and how it is here; empty where nothing does."""
+    def describe_unmoved(self) -> str:
+        """What moves in Gazebo, but not here, and how it is here; empty where nothing does."""
         notes = []
-        if self.movers:
-            stand = "stand where they begin" if len(self.movers) > 1 else "stands where it begins"
-            notes.append(f"{', '.join(self.movers)} {stand}")
+        if self.standing:
+            stand = "stand where they begin" if len(self.standing) > 1 else "stands where it begins"
+            notes.append(f"{', '.join(self.standing)} {stand}")
         if self.actors:
             verb = "are" if len(self.actors) > 1 else "is"
             notes.append(f"{', '.join(self.actors)} {verb} left out")
@@ -208,7 +212,8 @@ class _WorldReader:
         self._includes = 0
         self._files: dict[Path, Element] = {}
         self._missing: list[str] = []
-        self._movers: list[str] = []
+        self._movers: list[Mover] = []
+        self._standing: list[str] = []
         self._actors: list[str] = []
 
     def read(self, root: Element, folder: Path | None) -> SdfObstacles:
@@ -244,6 +249,7 @@ class _WorldReader:
             np.array(circles).reshape(-1, 3),
             np.array(segments).reshape(-1, 4),
             tuple(self._movers),
+            tuple(self._standing),
             tuple(self._actors),
         )
 
@@ -256,7 +262,7 @@ class _WorldReader:
                 for inner in element.iterfind(tag):
                     parent.frames[inner.get("name", "")] = inner
             for actor in element.iterfind("actor"):
-                self._actors.append(f"actor {quote_name(actor.get('name', ''))}")
+                self._read_actor(actor, actor.get("name", ""))
             for inner in element.iterfind("model"):
                 placement = inner.get("placement_frame", "")
                 pose = inner.find("pose")
@@ -300,8 +306,8 @@ class _WorldReader:
             actors = root.findall("actor")
             if not actors and root.find("light") is None:
                 raise WorldError(f"included {quote_name(str(path))}: holds no model")
-            names_of_actors = (name or actor.get("name", "") for actor in actors)
-            self._actors += [f"actor {quote_name(actor)}" for actor in names_of_actors]
+            for actor in actors:
+                self._read_actor(actor, name or actor.get("name", ""))
             return
         pose, placement = element.find("pose"), element.get("placement_frame", "")
         if include.find("pose") is not None:
@@ -311,6 +317,14 @@ class _WorldReader:
         if include.get("merge", "") in ("true", "1"):
             parent.merged.append(model)
         self._add_child(parent, model, include.findall("plugin"), depth)
+
+    def _read_actor(self, actor: Element, name: str) -> None:
+        """Make a mover of an actor; one without a script is left out, and named."""
+        mover = sdf_motions.read_actor(actor, name)
+        if mover is None:
+            self._actors.append(f"actor {quote_name(name)}")
+        else:
+            self._movers.append(mover)
 
     def _read_file(self, path: Path) -> Element:
         """The root element of a file, which is read once."""
@@ -368,10 +382,31 @@ class _WorldReader:
     def _outline(
         self, model: _Model, frame: Matrix, scope: str
     ) -> Iterator[tuple[list[list[float]], list[list[float]]]]:
-        """Circles and segments of each body of a model, whose frame in the world is given."""
-        movers = [plugin for plugin in model.plugins if _is_mover(plugin)]
-        if movers:
-            self._movers.append(_describe_mover(scope, movers[0]))
+        """Circles and segments of each body of a model, whose frame in the world is given.
+
+        A model that a plugin moves along known keys becomes a mover instead.
+        """
+        plugins = [plugin for plugin in model.plugins if _is_mover(plugin)]
+        for plugin in plugins:
+            keys = sdf_motions.find_keys(plugin, self._plugin_folders(model.folder))
+            if keys is not None:
+                lifted = np.eye(4)
+                lifted[2, 3] = keys.height
+                bodies = list(self._outline_bodies(model, lifted, scope))
+                self._movers += sdf_motions.move_bodies(bodies, keys, scope)
+                return
+        if plugins:
+            self._standing.append(_describe_mover(scope, plugins[0]))
+        yield from self._outline_bodies(model, frame, scope)
+
+    def _plugin_folders(self, folder: Path | None) -> list[Path]:
+        """Where the sources of plugins are looked for."""
+        return [] if folder is None else [*self._model_folders, folder]
+
+    def _outline_bodies(
+        self, model: _Model, frame: Matrix, scope: str
+    ) -> Iterator[tuple[list[list[float]], list[list[float]]]]:
+        """`_outline`, wherever the model's plugins move it."""
         for link in model.element.iterfind("link"):
             link_frame = model.place(link.find("pose"))
             for body in link.iterfind("collision"):

@@ -70,7 +70,7 @@ class World:
     that the world was made for, the published one, or the one to follow."""
     name: str = ""
     """For pictures and reports."""
-    movers: tuple[Mover, ...] = ()
+    movers: Sequence[Mover] = ()
     """What moves, see `movers`; its times are those since an episode's begin."""
 
     def __post_init__(self) -> None:

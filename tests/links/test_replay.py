@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from mover_tools import HALL
 from recording_tools import drive
 from tapes import TtyReplayLink, playing, taped
 
@@ -57,6 +58,29 @@ def test_every_id_replays_bit_for_bit(name: str, tmp_path: Path) -> None:
     assert len(read(tape).episodes[0].scans.stamps) == (
         0 if name in ("point_goal", "path_follow") else 25 + 1
     )
+
+
+@pytest.mark.parametrize("body", ["planar"])
+def test_movers_are_replayed_where_they_were(body: str, tmp_path: Path) -> None:
+    """Also people who react, and what info tells of them; and so is a recording of the replay."""
+    env_id, tape, again = full_id("obstacle_goal"), tmp_path / "tape.mcap", tmp_path / "again.mcap"
+    seen = rollout(body, env_id, record=tape, worlds=HALL)
+    assert rollout(f"replay:{tape}", env_id, record=again, worlds=HALL) == seen
+    assert b"'closest_person': 100.0" not in seen[-1]
+    first, second = read(tape).episodes[1], read(again).episodes[1]
+    for name in ("exchanges", "stamps", "hits", "intrusions", "states"):
+        numbers = getattr(first.movers, name)
+        np.testing.assert_array_equal(numbers, getattr(second.movers, name))
+        assert len(numbers) == len(first.exchanges.stamps)
+    link = ReplayLink(tape, compare=False)
+    link.reset(Scene())
+    assert link.truth is not None
+    link.advance(0.01)
+    link.advance(0.01)
+    assert link.truth.crowd is not None
+    states = read(tape).episodes[0].movers.states
+    np.testing.assert_array_equal(link.truth.crowd.copy_states(), states[1])
+    assert (states[1] != states[0]).any()
 
 
 def test_a_recording_of_a_replay_is_the_same(

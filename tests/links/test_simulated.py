@@ -14,7 +14,8 @@ from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.physics import Physics
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.protocol import Decoder, Speeds, encode
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.movers import walk
 
 CONFIG = RobotConfig()
 TICK = CONFIG.period
@@ -113,3 +114,23 @@ def test_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
     own = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
     assert (drive(link, own, 0.5, FORWARD), link.truth) != fresh
     assert (drive(link, None, 0.5, FORWARD), link.truth) == fresh
+
+
+def test_movers_advance_once_a_control_period_however_time_is_cut(link: SimulatedLink) -> None:
+    """An emulated board lets a loop of 5 ms pass at a time; faults several ticks at once."""
+    person = walk([[2.0, -1.0], [2.0, 1.0]], 1.0, reacts=True, sees_robot=False)
+    walker = walk([[-3.0, 1.0], [3.0, 1.0]], 1.5)
+    scene = Scene(world=World(movers=(person, walker)))
+    places = []
+    for parts, periods in ((2, 1), (1, 1), (1, 5)):
+        link.reset(scene)
+        for _ in range(100 * parts // periods):
+            link.advance(TICK * periods / parts)
+        crowd = link.truth.crowd
+        assert crowd is not None
+        assert crowd.now == pytest.approx(1.0)
+        places.append(crowd.states[:, :4].tolist())
+    assert places[0] == places[1] == places[2]
+    assert places[0][1][:2] == pytest.approx(walker.position(1.0))
+    link.reset(Scene())
+    assert link.truth.crowd is None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from mover_tools import HALL
 from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
@@ -71,6 +73,18 @@ def test_a_part_has_what_was_recorded_then(tape: Path, tmp_path: Path) -> None:
     before = whole.episodes[0].stamps.tolist().index(first.stamps[0]) - 1
     assert first.info["part"]["pose"] == whole.episodes[0].poses[before].tolist()
     assert first.revolutions.exchanges[0] == -1
+
+
+def test_a_part_has_the_movers_of_its_time(tmp_path: Path) -> None:
+    path, part = tmp_path / "tape.mcap", tmp_path / "part.mcap"
+    record_env(path, "obstacle_goal", 1, worlds=HALL)
+    cut_recording(path, 1.0, 2.0, part)
+    (whole,), (found,) = read(path).episodes, read(part).episodes
+    place = whole.movers.stamps.tolist().index(found.movers.stamps[0])
+    span = slice(place, place + len(found.movers.stamps))
+    np.testing.assert_array_equal(found.movers.states, whole.movers.states[span])
+    np.testing.assert_array_equal(found.movers.stamps, found.exchanges.stamps)
+    np.testing.assert_array_equal(found.movers.exchanges, found.exchanges.numbers)
 
 
 def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) -> None:
@@ -161,6 +175,17 @@ def test_a_long_episode_goes_on_in_other_files(tmp_path: Path) -> None:
     sent = b"".join(b"".join(part.wire.sent) for part in parts)
     assert sent == b"".join(whole.wire.sent)
     assert np.isfinite(np.concatenate([p.truth for p in parts])).all()
+
+
+def test_a_long_episode_loses_no_mover(tmp_path: Path) -> None:
+    many: Any = Recorder(tmp_path / "many.mcap", split=1.5)
+    for record in (tmp_path / "one.mcap", many):
+        record_env(record, "obstacle_goal", 1, worlds=HALL)
+    names = ("one", "many", "many-2", "many-3")
+    whole, *parts = (read(tmp_path / f"{name}.mcap").episodes[0].movers for name in names)
+    states = np.concatenate([part.states for part in parts])
+    np.testing.assert_array_equal(states, whole.states)
+    assert [part.exchanges[0] for part in parts] == [0, 0, 0]
 
 
 def test_a_long_episode_of_an_env_loses_no_step(tmp_path: Path) -> None:

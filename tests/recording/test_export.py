@@ -8,8 +8,9 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from mover_tools import HALL
 from pyarrow import parquet
-from recording_tools import drive
+from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
@@ -46,6 +47,17 @@ def test_parquet_has_every_number(tape: Path, tmp_path: Path) -> None:
     assert found["steps"]["action_0"].to_pylist()[1] == 0.5
     assert "observation_70" in found["steps"].column_names
     assert "range_63" in found["scans"].column_names
+
+
+def test_each_mover_has_a_row_for_each_control_period(tmp_path: Path) -> None:
+    tape = record_env(tmp_path / "tape.mcap", "obstacle_goal", 2, worlds=HALL)
+    movers = make_tables(read(tape))["movers"]
+    recorded = [episode.movers for episode in read(tape).episodes]
+    states = np.concatenate([one.states.reshape(-1, 5) for one in recorded])
+    columns = [movers[name] for name in ("x", "y", "x_rate", "y_rate", "radius")]
+    np.testing.assert_array_equal(np.column_stack(columns), states)
+    assert movers["mover"][:4].tolist() == [0, 1, 2, 0]
+    assert movers["stamp"][:4].tolist() == np.repeat(recorded[0].stamps, 3)[:4].tolist()
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mover_tools import HALL
 from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
@@ -24,8 +25,9 @@ FIELDS = (
 
 @pytest.fixture(scope="module")
 def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two episodes of an env with a LiDAR."""
-    return record_env(tmp_path_factory.mktemp("tape") / "tape.mcap", "obstacle_goal", 2)
+    """Two episodes of an env with a LiDAR, among people."""
+    path = tmp_path_factory.mktemp("tape") / "tape.mcap"
+    return record_env(path, "obstacle_goal", 2, worlds=HALL)
 
 
 @pytest.fixture
@@ -50,6 +52,8 @@ def assert_equal(found: Recording, whole: Recording) -> None:
         np.testing.assert_array_equal(one.wire.got_stamps, every.wire.got_stamps)
         np.testing.assert_array_equal(one.exchanges.truth, every.exchanges.truth)
         np.testing.assert_array_equal(one.scans.ranges, every.scans.ranges)
+        np.testing.assert_array_equal(one.movers.states, every.movers.states)
+        assert len(one.movers.stamps) == len(one.exchanges.stamps)
         turns, all_turns = one.revolutions, every.revolutions
         np.testing.assert_array_equal(turns.stamps, all_turns.stamps)
         assert len(turns.measured) == len(all_turns.measured) > 0
@@ -101,7 +105,8 @@ def test_a_long_recording_is_exported_as_a_short_one(tape: Path, tmp_path: Path)
         whole = make_tables(read(tape))
         for path in export_recording(tape, "csv", tmp_path / "whole"):
             assert path.read_bytes() == (tmp_path / "little" / path.name).read_bytes()
-    assert [path.name for path in paths] == ["ticks.csv", "wire.csv", "steps.csv", "scans.csv"]
+    names = ("ticks.csv", "wire.csv", "steps.csv", "scans.csv", "movers.csv")
+    assert tuple(path.name for path in paths) == names
     for name, columns in whole.items():
         for key, values in columns.items():
             np.testing.assert_array_equal(found[name][key], values)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recording_tools import drive
+from mover_tools import HALL
+from recording_tools import drive, record_env
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -17,10 +18,11 @@ from acsar_gym.config import Measured
 from acsar_gym.recording import read
 from acsar_gym.recording.encoder import LEAST_DEVIATION, SLIP_SHARE
 from acsar_gym.recording.messages import TICK_COLUMNS, TOPICS
+from acsar_gym.worlds.world import to_odometry
 
 TICKS = 120
-UNUSED = {"/observation", "/action", "/acsar/steps"}
-"""Topics of environments, which a Robot alone doesn't have."""
+UNUSED = {"/observation", "/action", "/acsar/steps", "/movers", "/acsar/movers"}
+"""Topics of environments and of movers, which a Robot alone doesn't have."""
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +87,29 @@ def test_messages_tell_what_the_robot_did(tape: Path, messages: dict[str, list[A
     row = dict(zip(TICK_COLUMNS, messages["/acsar/ticks"][-1].data.tolist(), strict=True))
     assert (row["x"], row["asked_linear"]) == (episode.poses[-1, 0], 0.3)
     assert bytes(messages["/wire/sent"][-1].data).startswith(b"ap00.00,bp00.00")
+
+
+def test_only_where_something_moves_there_are_movers(tape: Path, tmp_path: Path) -> None:
+    """In the frame of the odometry, as cylinders, with lines of their velocities."""
+    path = record_env(tmp_path / "movers.mcap", "obstacle_goal", 1, worlds=HALL)
+    shown = by_rosbags(path)["/movers"]
+    (episode,) = read(path).episodes
+    movers = episode.movers
+    assert len(shown) == pytest.approx(len(movers.stamps) / 10, abs=1)
+    (*cylinders, lines), states = shown[0].markers, movers.states[0]
+    assert [marker.type for marker in shown[0].markers] == [3, 3, 3, 5]
+    assert {marker.header.frame_id for marker in shown[0].markers} == {"odom"}
+    start = tuple(episode.info["start"])
+    for number, (cylinder, (x, y, vx, vy, radius)) in enumerate(
+        zip(cylinders, states.tolist(), strict=True)
+    ):
+        at, ahead = to_odometry(start, (x, y, 0.0)), to_odometry(start, (x + vx, y + vy, 0.0))
+        place, end = cylinder.pose.position, lines.points[2 * number + 1]
+        assert (cylinder.id, cylinder.scale.x) == (number, 2.0 * radius)
+        assert [place.x, place.y, end.x, end.y] == pytest.approx([*at[:2], *ahead[:2]])
+    topics = b"/acsar/movers", b"visualization_msgs"
+    assert [topic in path.read_bytes() for topic in topics] == [True, True]
+    assert [topic in tape.read_bytes() for topic in topics] == [False, False]
 
 
 def test_a_scan_is_of_one_moment_whose_pose_is_told(messages: dict[str, list[Any]]) -> None:

@@ -23,6 +23,7 @@ from acsar_gym.recording.messages import (
     EXCHANGES,
     HEADER_RECORD,
     MCAP_MAGIC,
+    MOVERS,
     RECORDING_FORMAT,
     WIRE_SENT,
     Topic,
@@ -178,6 +179,26 @@ def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> 
     ids=["episode", "backwards", "nan", "start", "offset", "wire", "row", "long"],
 )
 def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
+    assert said in refused(written(tmp_path / "file.mcap", add))
+
+
+@pytest.mark.parametrize(
+    ("movers", "said"),
+    [
+        ([1.0, 2.0, 0.0, 0.0], "movers that can't be"),
+        ([1.0, np.inf, 0.0, 0.0, 0.3], "movers that can't be"),
+        ([1.0, 2.0, 0.0, 0.0, 0.3] * 201, "movers that can't be"),
+        ([1.0, 2.0, 0.0, 0.0, 0.0], "a mover without a radius"),
+    ],
+)
+def test_movers_that_cannot_be_are_told(movers: list[float], said: str, tmp_path: Path) -> None:
+    row = np.array([[0.0, 0.01, 0.0, 0.0, *movers]])
+
+    def add(one: Add) -> None:
+        rows([0.0, 0.01, *[0.0] * 9])(one)
+        (packed,) = array_packer("<f8", row.shape[1]).pack(1, {"data": row})
+        one(MOVERS, packed)
+
     assert said in refused(written(tmp_path / "file.mcap", add))
 
 

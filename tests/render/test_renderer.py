@@ -1,15 +1,20 @@
-"""Windows."""
+"""Pictures of an env, and windows."""
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterator
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from mover_tools import HALL
 
 from acsar_gym.errors import RenderError
 from acsar_gym.render.renderer import Window
+from acsar_gym.render.top_view import MOVER_COLOUR
 
 HALVES = np.zeros((60, 100, 3), np.uint8)
 HALVES[:, :50] = (200, 30, 40)
@@ -30,6 +35,21 @@ def _has_display() -> bool:
 
 
 needs_display = pytest.mark.skipif(not _has_display(), reason="no display")
+
+
+def test_what_moves_is_seen_where_it_is_now() -> None:
+    """And a window shows the same picture."""
+    options: dict[str, Any] = {"link": "planar", "worlds": HALL, "render_mode": "rgb_array"}
+    env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", **options)
+    env.reset(seed=0)
+    pictures = [env.render()]
+    for _ in range(2):
+        env.step(np.zeros(2, np.float32))
+        pictures.append(env.render())
+    env.close()
+    seen = [(picture == MOVER_COLOUR).all(axis=2) for picture in pictures]
+    assert min(places.sum() for places in seen) > 50
+    assert all((one != other).any() for one, other in itertools.pairwise(seen))
 
 
 @pytest.fixture

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mover_tools import HALL
 from PIL import Image as Pillow
-from top_view_tools import FRAME
+from top_view_tools import COURT, FRAME
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -17,6 +18,7 @@ from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
     FLOOR_COLOUR,
     GOAL_COLOUR,
+    MOVER_COLOUR,
     OBSTACLE_COLOUR,
     ODOM_COLOUR,
     RAY_COLOUR,
@@ -24,8 +26,10 @@ from acsar_gym.render.top_view import (
     RgbImage,
     TopView,
     save_picture,
+    trace_way,
 )
 from acsar_gym.worlds import Pose
+from acsar_gym.worlds.movers import Mover, follow_keys, walk
 
 
 def colour(image: RgbImage, view: View, x: float, y: float) -> tuple[int, ...]:
@@ -113,6 +117,37 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     assert colour(image, top.view, *at(0.0, 1.0)) == SEEN_COLOURS[0]
     for angle, away in ((0.0, 1.7), (0.9, 1.0), (math.pi, 0.5)):
         assert colour(image, top.view, *at(angle, away)) == FLOOR_COLOUR
+
+
+def test_movers_are_discs_with_a_line_ahead(top: TopView) -> None:
+    movers = np.array([[1.0, -1.0, 1.0, 0.0, 0.3], [3.0, 1.2, 0.0, 0.0, 0.25]])
+    image = top.draw(replace(FRAME, movers=movers))
+    for place in ((1.0, -0.7), (1.0, -1.3), (0.7, -1.0), (1.5, -1.0), (3.25, 1.2), (3.0, 0.95)):
+        assert near(image, top.view, place, MOVER_COLOUR)
+    for x, y in ((0.85, -1.15), (3.0, 1.2)):
+        fill = colour(image, top.view, x, y)
+        assert fill not in (MOVER_COLOUR, FLOOR_COLOUR)
+    for place in ((1.8, -1.0), (0.5, -1.0), (3.4, 1.2)):
+        assert not near(image, top.view, place, MOVER_COLOUR)
+
+
+def test_the_view_shows_where_movers_go(top: TopView) -> None:
+    far = replace(COURT, movers=(walk([[2.0, 0.0], [2.0, 4.0]], radius=0.5),))
+    top.draw(replace(FRAME, world=far))
+    assert top.view.shows(2.0, 4.5, 0.0)
+    assert not top.view.shows(2.0, 6.0, 0.0)
+
+
+@pytest.mark.parametrize("mover", HALL.movers)
+def test_a_trace_is_where_a_motion_leads(mover: Mover) -> None:
+    way = trace_way(mover)
+    for time in np.linspace(0.0, mover.duration, 40):
+        place = mover.position(float(time))
+        assert np.hypot(*(way - place).T).min() < mover.top_speed * mover.duration / 8.0 + 1e-9
+    assert way[0].tolist() == list(mover.position(0.0))
+    curve = follow_keys([0.0, 1.0, 3.0], [[0, 0], [2, 1], [0, 2]], smooth=True)
+    np.testing.assert_allclose(trace_way(curve)[4], curve.position(0.5))
+    np.testing.assert_allclose(trace_way(curve)[13], curve.position(2.0))
 
 
 @pytest.mark.parametrize("size", [(480,), (63, 480), (480, 5000), (480.5, 480), 480, "ab", None])

@@ -8,8 +8,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from mover_tools import HALL
 
 from acsar_gym.errors import RenderError
+from acsar_gym.render.top_view import MOVER_COLOUR
 from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_PICTURES
 
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -36,6 +38,23 @@ def test_each_robot_has_a_picture_like_the_single_env_s(env_id: str) -> None:
     env.reset(seed=0)
     assert all((one == other).all() for one, other in zip(first, env.render(), strict=True))
     env.close()
+
+
+def test_what_moves_around_each_robot_is_in_its_picture() -> None:
+    env = make("acsar_gym/ObstacleGoal-v1", 2, worlds=HALL, max_episode_steps=3)
+    env.reset(seed=0)
+    before = env.render()
+    counts = [(picture == MOVER_COLOUR).all(axis=2).sum() for picture in before]
+    assert min(counts) > 20
+    for _ in range(2):
+        env.step(np.zeros((2, 2)))
+    assert all(moved(one, other) for one, other in zip(before, env.render(), strict=True))
+    env.close()
+
+
+def moved(one: Any, other: Any) -> bool:
+    """Whether movers are elsewhere in two pictures."""
+    return bool(((one == MOVER_COLOUR) != (other == MOVER_COLOUR)).any())
 
 
 def test_the_first_robots_of_a_large_batch_are_drawn() -> None:

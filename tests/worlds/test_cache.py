@@ -10,7 +10,7 @@ import pytest
 from acsar_gym.worlds import World, cache, generators, registry
 from acsar_gym.worlds.pool import Pool
 
-KINDS = "open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path"
+KINDS = "open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path", "crowd", "clutter+1"
 RADIUS = 0.25
 
 
@@ -38,7 +38,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def describe(world: World) -> tuple[object, ...]:
     """All of a world, bytes and types included."""
     assert world.path is not None
-    arrays = world.circles, world.segments, world.path
+    arrays = world.circles, world.segments, world.path, *(m.pieces for m in world.movers)
     shapes = [(a.tobytes(), a.shape, a.dtype, a.flags.writeable, a.strides) for a in arrays]
     return (*shapes, repr(world.start), repr(world.goal), world.name, world.length.hex())
 

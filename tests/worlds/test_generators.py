@@ -52,9 +52,10 @@ def turns(path: Floats) -> Any:
 
 def digests() -> list[str]:
     found = []
-    for kind, level in itertools.product(KINDS, (None, 1.0)):
+    moving = "crowd_reacting", "dynabarn", "open+2"
+    for kind, level in itertools.product((*KINDS, *moving), (None, 1.0)):
         world = generate_world(kind, 10**20, level)
-        arrays = world.circles, world.segments, way(world)
+        arrays = world.circles, world.segments, way(world), *(m.pieces for m in world.movers)
         text = repr([(array.shape, array.tobytes()) for array in arrays])
         text += f" {world.start} {world.goal} {world.name}"
         found.append(hashlib.sha256(text.encode()).hexdigest())

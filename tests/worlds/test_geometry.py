@@ -17,9 +17,11 @@ from acsar_gym.worlds.geometry import (
     cast_rays,
     footprint_collides,
     make_surroundings,
+    measure_ranges,
     point_clearance,
     segment_clearance,
 )
+from acsar_gym.worlds.movers import walk
 
 CONFIG = RobotConfig.preset("acsar")
 SPECS = [RaySpec(64), RaySpec(33, 3.0, math.radians(270.0)), RaySpec(1, 4.0, 1.0), RaySpec(360)]
@@ -154,3 +156,19 @@ ROOM = World(circles=[[0.0, 0.0, 0.5]], segments=[[2.0, -1.0, 2.0, 1.0]])  # typ
 def test_distances_by_hand(a: Any, b: Any, expected: float) -> None:
     found = point_clearance([a], ROOM) if b is None else segment_clearance([a], [b], ROOM)
     assert found[0] == pytest.approx(expected, abs=1e-15)
+
+
+def test_rays_at_any_bearings_meet_movers_where_each_was_then() -> None:
+    """As a standing circle there would be met."""
+    circles, segments = scene(4)
+    movers = tuple(walk([[0.0, 0.0]], radius=radius) for radius in (0.3, 0.1))
+    world = World(circles, segments, movers=movers)
+    rng = np.random.default_rng(5)
+    bearings, moved = rng.uniform(-3.0, 3.0, 60), rng.uniform(-3.0, 3.0, (60, 2, 2))
+    ranges = measure_ranges((0.2, 0.1), bearings, world, moved)
+    for bearing, places, distance in zip(bearings.tolist(), moved, ranges.tolist(), strict=True):
+        rows = [[*place, mover.radius] for place, mover in zip(places, movers, strict=True)]
+        standing = World(np.concatenate([circles, rows]), segments)
+        (expected,) = measure_ranges((0.2, 0.1), np.array([bearing]), standing)
+        assert distance == expected
+    assert (ranges != measure_ranges((0.2, 0.1), bearings, world)).any()

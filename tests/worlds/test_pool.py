@@ -79,7 +79,7 @@ def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any,
     ("source", "message"),
     [
         ("cluter:5", "unknown kind of world 'cluter'; did you mean 'clutter'?"),
-        ("xyzzy", "unknown kind of world 'xyzzy'; known: barn, clutter, open, rooms"),
+        ("xyzzy", "unknown kind of world 'xyzzy'; known: barn, clutter, crowd, crowd_reacting"),
         ("clutter:valid", "worlds = 'clutter:valid'"),
         *((bad, "worlds = ") for bad in ("clutter:-5", "", "a\0b", "clutter:" + "9" * 300)),
         ("nowhere.world", "nowhere.world: there is no such file"),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gazebo_texts import CYLINDER, body, include, model, moving, pose, sdf_of, write_model
 
 from acsar_gym.errors import WorldError, WorldWarning
 from acsar_gym.worlds import files, generators, sdf
@@ -17,28 +18,11 @@ from acsar_gym.worlds.world import Region
 BILLION_LAUGHS = "<!DOCTYPE sdf [<!ENTITY e0 'ha'>{}]>".format(
     "".join(f"<!ENTITY e{i} '{f'&e{i - 1};' * 10}'>" for i in range(1, 10))
 )
-CYLINDER = "<cylinder><radius>0.1</radius><length>1</length></cylinder>"
 SPHERE = "<sphere><radius>0.2</radius></sphere>"
 BOX = "<box><size>2 1 0.4</size></box>"
 
 
-def body(shape: str, pose: str = "") -> str:
-    return f"<collision name='c'>{pose}<geometry>{shape}</geometry></collision>"
-
-
 ENDS = Placement(start=(0.0, 0.0, 0.0), goal=(3.0, 0.0))
-
-
-def model(inside: str, pose: str = "", name: str = "m", link: str = "") -> str:
-    return f"<model name='{name}'>{pose}<link name='l'>{link}{inside}</link></model>"
-
-
-def pose(*numbers: float, attributes: str = "") -> str:
-    return f"<pose {attributes}>{' '.join(map(str, numbers))}</pose>"
-
-
-def sdf_of(*models: str) -> bytes:
-    return f"<sdf version='1.6'><world name='w'>{''.join(models)}</world></sdf>".encode()
 
 
 def drawn(*models: str) -> tuple[list[list[float]], list[list[float]]]:
@@ -240,10 +224,6 @@ WALKER = "<plugin name='walk' filename='libwalk_back_and_forth.so'/>"
 ACTOR = "<actor name='person'><script><trajectory id='0' type='walk'/></script></actor>"
 
 
-def moving(plugin: str, name: str = "m") -> str:
-    return model(body(CYLINDER), name=name).replace("</model>", f"{plugin}</model>")
-
-
 @pytest.mark.parametrize(
     ("parts", "said"),
     [
@@ -289,19 +269,10 @@ def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> Non
 )
 def test_what_only_measures_or_shines_is_no_mover(parts: list[str]) -> None:
     found = sdf.read_obstacles(sdf_of(*parts))
-    assert (found.movers, found.actors) == ((), ())
+    assert (found.movers, found.standing, found.actors) == ((), (), ())
 
 
 # Models of other files
-
-
-def write_model(folder: Path, name: str, content: str, file: str = "model.sdf") -> None:
-    (folder / name).mkdir(parents=True, exist_ok=True)
-    (folder / name / file).write_text(f"<sdf version='1.6'>{content}</sdf>", encoding="utf-8")
-
-
-def include(uri: str, inside: str = "", attributes: str = "") -> str:
-    return f"<include {attributes}><uri>{uri}</uri>{inside}</include>"
 
 
 def load_included(folder: Path, *parts: str, models: str = "") -> Any:

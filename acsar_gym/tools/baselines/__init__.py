@@ -18,6 +18,10 @@ BASELINES = {
     "pure_pursuit": "laws:PurePursuit",
     "navfn": "navfn:Navfn",
     "dwa": "dwa:Dwa",
+    "dwa_movers": "dwa:DwaMovers",
+    "orca": "orca:Orca",
+    "orca_true": "orca:OrcaTrue",
+    "time_search": "time_search:TimeSearch",
 }
 """What `--policy` calls each, and its module in this package and class."""
 

@@ -23,9 +23,12 @@ from numpy.typing import NDArray
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.envs.ids import strip_module
+from acsar_gym.envs.robot_env import RobotEnv
+from acsar_gym.errors import PolicyError
 from acsar_gym.safety.rules import read_limits
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, PolicyContext
+from acsar_gym.truth import GroundTruth
 
 CONSTANTS_FILE = Path(__file__).with_name("constants.yaml")
 UNLIMITED = 1e3
@@ -96,6 +99,37 @@ def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, 
         if (preset.outline, preset.max_linear, preset.max_angular) == shape:
             return dict(constants)
     return {}
+
+
+class Privileged(FilePolicy):
+    """Mixed into baselines that know what only a simulator does: ceilings that no robot reaches."""
+
+    privileged = True
+    env: RobotEnv
+    """That it drives, see `watch`."""
+
+    def watch(self, env: RobotEnv) -> None:
+        """Take the env whose truth it knows.
+
+        Args:
+            env: that it will drive.
+
+        Raises:
+            PolicyError: nobody knows the truth there.
+        """
+        if env.robot.link.truth is None:
+            raise PolicyError(
+                f"{self.path}: knows what only a simulator does, and drives no real robot: use "
+                "--link planar, or another policy"
+            )
+        self.env = env
+
+    @property
+    def truth(self) -> GroundTruth:
+        """What the simulator knows."""
+        truth = self.env.robot.link.truth
+        assert truth is not None  # noqa: S101 - `watch` has seen it
+        return truth
 
 
 class BaselinePolicy(FilePolicy):

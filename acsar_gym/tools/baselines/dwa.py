@@ -7,7 +7,8 @@ Of the velocities that the robot can reach within a step, those are admissible a
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
 clearance. Progress is that along the way of the robot's map, as in the global dynamic window
 approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
-dead end. Arcs have the robot's acceleration limits and motor lag.
+dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers, a
+pose counts by where they are by then.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ import numpy as np
 from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.map.way import length_left, next_corner
 from acsar_gym.tasks.state import Floats
-from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, points_clearance
+from acsar_gym.tools.baselines.mapped import (
+    MappedPolicy,
+    Pose,
+    points_clearance,
+    polygon_distance,
+)
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
 LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
@@ -30,6 +36,8 @@ ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
 STILL_STEPS, ALIGNED_BEARING = 5, 0.3
 """After so many decisions to stand still it turns to the way, up to this bearing [rad]."""
+ESCAPE_TIME = 0.3
+"""Where nothing is admissible, it moves to where there is more clearance after this time [s]."""
 MotionState = tuple[float, float, float, float, float, float, float]
 """Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
 
@@ -41,6 +49,7 @@ class DwaConstants:
     reverse_share: float = 0.4  # greatest speed backwards, out of dead ends [top speed]
     arc_time: float = 1.5  # how far ahead an arc is scored [s]
     turn_time: float = 0.6  # how long the robot turns on an arc before it goes straight [s]
+    window_periods: float = 1.0  # velocities are tried that can be reached so soon [period]
     hold_periods: float = 2.0  # a velocity is kept so long before the robot brakes [period]
     nose: float = 1.0  # progress counts this far ahead, so that the heading matters [radius]
     stop_clearance: float = 0.125  # least clearance on the way to a stop [radius]
@@ -62,6 +71,8 @@ class Surroundings(NamedTuple):
     """(corners, 4): see `MapSensor.way_ahead`; the last one is the goal."""
     radius: float
     """Of the goal [m]."""
+    movers: Floats
+    """(m, 5): x, y [m], their rates [m/s], and radius [m]; they keep their velocities."""
 
 
 class ArcModel(NamedTuple):
@@ -131,12 +142,14 @@ class Dwa(MappedPolicy):
         window = self._window(config.max_linear, config.max_angular)
         ahead = config.max_linear * self.constants.arc_time + self._model.nose
         reach = ahead + self.outer + self._model.reach
+        tracks = self.tracks()
         around = Surroundings(
-            self.obstacles(pose, seen, reach),
+            self.obstacles(pose, seen, reach, tracks),
             self.sides,
             self.outer,
             self.map.way_ahead,
             0.9 * self.setting.tolerance,
+            tracks,
         )
         state = (*pose, seen.linear, seen.angular, *self.sent)
         scores = score_window(window, state, self._model, around)
@@ -170,9 +183,9 @@ class Dwa(MappedPolicy):
         return self._escape(around, state)
 
     def _window(self, fastest: float, turning: float) -> Floats:
-        """(n, 2): velocities that can be reached in a step, and standing still."""
-        linear, angular = self._model.acceleration, self._model.spin
-        linear, angular = linear * self.setting.period, angular * self.setting.period
+        """(n, 2): velocities that can be reached soon, and standing still."""
+        time = self.constants.window_periods * self.setting.period
+        linear, angular = self._model.acceleration * time, self._model.spin * time
         v = self.sent[0] + np.linspace(-linear, linear, LINEAR_SAMPLES)
         v = np.clip(v, -self.constants.reverse_share * fastest, fastest)
         w = np.clip(
@@ -188,13 +201,20 @@ class Dwa(MappedPolicy):
         best, chosen = -1.0, (0.0, 0.0)
         for linear in (0.0, -0.2 * units.speed, 0.2 * units.speed):
             for angular in (0.0, -0.4 * units.turning, 0.4 * units.turning):
-                heading = theta + 0.3 * angular
-                ahead = 0.3 * linear
+                heading = theta + ESCAPE_TIME * angular
+                ahead = ESCAPE_TIME * linear
                 there = x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading
-                free = pose_clearance(*there, around, self.outer)
+                free = pose_clearance(*there, ESCAPE_TIME, around, self.outer)
                 if free > best + 1e-3:
                     best, chosen = free, (linear, angular)
         return chosen
+
+
+class DwaMovers(Dwa):
+    """As `Dwa`, with arcs among movers that keep the velocities which the robot has estimated."""
+
+    name = "dwa_movers"
+    follows_movers = True
 
 
 @jit
@@ -246,7 +266,8 @@ def score_velocity(
         state = advance_arc(state, linear, turning, model.acceleration, model)
         if step % 2 == 0:
             continue
-        free = pose_clearance(state[0], state[1], state[2], around, model.reach)
+        time = (step + 1) * ARC_STEP
+        free = pose_clearance(state[0], state[1], state[2], time, around, model.reach)
         cost += 2.0 * ARC_STEP * model.near_cost * math.exp(-free / model.near_fade)
         left = 1.0 - step / steps
         if free < model.stop_clearance:
@@ -266,14 +287,15 @@ def can_stop(
     Where it is too near to something already, coming no nearer is enough.
     """
     wanted = model.stop_clearance
-    least = pose_clearance(state[0], state[1], state[2], around, wanted) - 1e-3
+    least = pose_clearance(state[0], state[1], state[2], 0.0, around, wanted) - 1e-3
     for step in range(model.stop_steps):
         holding = step < model.hold_steps
         if holding:
             state = advance_arc(state, linear, angular, model.acceleration, model)
         else:
             state = advance_arc(state, 0.0, 0.0, model.braking, model)
-        if pose_clearance(state[0], state[1], state[2], around, wanted) < least:
+        time = (step + 1) * ARC_STEP
+        if pose_clearance(state[0], state[1], state[2], time, around, wanted) < least:
             return False
         if not holding and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break
@@ -281,9 +303,21 @@ def can_stop(
 
 
 @loop
-def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
-    """Clearance of the footprint at a pose, at most `most` [m]."""
-    return points_clearance(x, y, theta, around.points, around.sides, around.outer, most)
+def pose_clearance(
+    x: float, y: float, theta: float, time: float, around: Surroundings, most: float
+) -> float:
+    """Clearance of the footprint at a pose after some time, at most `most` [m]."""
+    movers, sides, outer = around.movers, around.sides, around.outer
+    best = points_clearance(x, y, theta, around.points, sides, outer, most)
+    cos, sin = math.cos(theta), math.sin(theta)
+    for m in range(len(movers)):
+        dx = movers[m, 0] + time * movers[m, 2] - x
+        dy = movers[m, 1] + time * movers[m, 3] - y
+        reach = outer + movers[m, 4] + best
+        if dx * dx + dy * dy < reach * reach:
+            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
+            best = min(best, max(gap - movers[m, 4], 0.0))
+    return best
 
 
 @jit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,10 +16,14 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.geometry import is_inside
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
+NO_TRACKS = np.zeros((0, 5))
+TRACK_MARGIN = 0.15
+"""Obstacles that are no farther from a mover's hull belong to it [m]."""
 
 
 @loop
@@ -63,12 +68,31 @@ def points_clearance(
     return best
 
 
+def to_base(pose: Pose, places: Floats) -> Floats:
+    """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
+    dx, dy, cos, sin = *(places - pose[:2]).T, math.cos(pose[2]), math.sin(pose[2])
+    return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
+
+
+def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
+    """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
+    if truth.crowd is None:
+        return NO_TRACKS
+    states, base, turned = truth.crowd.states, truth.pose, truth.pose[2] - pose[2]
+    cos, sin = math.cos(turned), math.sin(turned)
+    back = np.array([[cos, -sin], [sin, cos]])
+    places = pose[:2] + (states[:, :2] - base[:2]) @ back
+    return np.column_stack([places, states[:, 2:4] @ back, truth.crowd.radii])
+
+
 class MappedPolicy(BaselinePolicy):
     """Drives along the way that the robot's map plans, around what the LiDAR sees and saw."""
 
     needs = GOAL_NUMBERS
     what = ("a goal", "obstacle_goal")
     lidar = True
+    follows_movers: ClassVar[bool] = False
+    """Whether it uses the tracks of the map."""
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task.
@@ -108,8 +132,14 @@ class MappedPolicy(BaselinePolicy):
             Linear [m/s] and angular velocity [rad/s].
         """
 
-    def obstacles(self, pose: Pose, seen: DecodedObservation, reach: float) -> Floats:
-        """(n, 2): what is around the robot, in the odometry frame [m].
+    def tracks(self) -> Floats:
+        """(m, 5): movers, in the odometry frame: x, y [m], their rates [m/s], and radius [m]."""
+        return self.map.movers if self.follows_movers else NO_TRACKS
+
+    def obstacles(
+        self, pose: Pose, seen: DecodedObservation, reach: float, tracks: Floats = NO_TRACKS
+    ) -> Floats:
+        """(n, 2): what is around the robot and belongs to no track, in the odometry frame [m].
 
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
@@ -131,7 +161,9 @@ class MappedPolicy(BaselinePolicy):
         elsewhere = (self.map.cells_of(places) != cells).any(axis=1)
         places[elsewhere] = self.map.centres_of(cells[elsewhere])
         near = np.abs(scan - pose[:2]).max(axis=1) <= reach
-        return np.concatenate([scan[near], places])
+        points = np.concatenate([scan[near], places])
+        apart = np.hypot(*(points[:, None] - tracks[:, :2]).T).T
+        return points[(apart > tracks[:, 4] + TRACK_MARGIN).all(axis=1)]
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
         """The point that is so far along the way [m], in the base frame [m]."""

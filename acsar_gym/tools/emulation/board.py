@@ -2,8 +2,8 @@
 
 A program that opens the printed device talks to a simulated robot in the same way as to a board, so
 all serial code is exercised. A wrong baud rate garbles both directions, as on a UART. The log has
-one JSON line per event: what was sent to the board, and the true poses of the robot, with times of
-the machine's monotonic clock.
+one JSON line per event: what was sent to the board, the true poses of the robot, and whether it
+touches somebody, with times of the machine's monotonic clock.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from acsar_gym.protocol import encode
 from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
 from acsar_gym.tools.emulation.lidar import LidarEmulator, RplidarTwin
-from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds import Scene
+from acsar_gym.worlds.crowd import NO_HIT, VX, VY, X, Y
 from acsar_gym.worlds.geometry import measure_ranges
 
 Floats = NDArray[np.float64]
@@ -55,10 +56,12 @@ class Emulator:
     Args:
         config: configuration of the robot.
         body: name of a simulated link, such as "planar".
-        log: file for one JSON line per received chunk, per loop the true pose (world
-            frame), and lost time; None for no log.
+        log: file for one JSON line per received chunk, per loop the true pose (world frame) and,
+            in a tick in which the robot touches a mover, who hit whom (see `worlds.crowd`), and
+            lost time; None for no log.
         silent: never answer.
-        world: the world, at whose start the robot stands; None for the origin of an open floor.
+        scene: where the robot stands; None for the origin of an open floor. Among movers the
+            episode begins with the first bytes that a client sends.
         sees: also emulate an RPLIDAR, at `lidar_device`.
         name: symbolic link that always points to the current device; None for no link.
         make_link: makes the simulated robot of a body's name and the config.
@@ -74,7 +77,7 @@ class Emulator:
         body: str = "planar",
         log: Path | None = None,
         silent: bool = False,
-        world: World | None = None,
+        scene: Scene | None = None,
         sees: bool = False,
         name: Path | None = None,
         make_link: Callable[[str, RobotConfig], Link] = open_link,
@@ -89,18 +92,15 @@ class Emulator:
         with contextlib.ExitStack() as ours:
             self._link = make_link(body, config)
             ours.callback(self._link.close)
+            self._scene = scene or Scene()
             # Compile what moves a robot, which would silence the board for a second at first.
-            self._link.reset(Scene())
+            self._link.reset(self._scene)
             self._link.write(encode((1.0, 1.0, 1.0, 1.0)))
             self._link.advance(WARM_UP_TIME)
-            scene = Scene()
-            if world is not None:
-                start = world.start.x, world.start.y, world.start.theta or 0.0
-                scene = Scene(start, world=world)
-            self._link.reset(scene)
-            self._poses = self._true_pose(), self._true_pose()
-            """Before and after the newest loop."""
-            self._lidar = ours.enter_context(self._make_lidar(world, config)) if sees else None
+            self._begin_episode()
+            self._is_awaited = self._crowd is not None
+            """Whether movers wait for a client."""
+            self._lidar = ours.enter_context(self._make_lidar(config)) if sees else None
             self.lidar_device = self._lidar.device if self._lidar else None
             self._log = open_lines(log) if log else None
             if self._log is not None:
@@ -109,13 +109,22 @@ class Emulator:
             ours.callback(self._cable.pull)
             self._ours = ours.pop_all()
 
-    def _make_lidar(self, world: World | None, config: RobotConfig) -> LidarEmulator:
+    def _begin_episode(self) -> None:
+        """Put the robot and what moves around it where an episode begins."""
+        self._link.reset(self._scene)
+        truth = self._link.truth
+        self._crowd = truth.crowd if truth else None
+        self._poses = self._true_pose(), self._true_pose()
+        """Before and after the newest loop."""
+
+    def _make_lidar(self, config: RobotConfig) -> LidarEmulator:
         """Make an emulated LiDAR at its place on the robot, at the configured rate."""
 
         def look(bearings: Floats, ages: Floats) -> Floats:
             """Return ranges [m], each from where the robot was when it was measured.
 
-            The robot goes evenly from its pose before the loop to that after it.
+            The robot goes evenly from its pose before the loop to that after it; movers go on from
+            their newest tick.
             """
             (x0, y0, theta0), (x, y, theta) = self._poses
             back = np.minimum(ages / self._period, 1.0)
@@ -125,7 +134,12 @@ class Emulator:
             across, along = config.lidar_y_offset, config.lidar_x_offset
             from_x = x - back * (x - x0) + cos * along - sin * across
             from_y = y - back * (y - y0) + sin * along + cos * across
-            return measure_ranges((from_x, from_y), bearings + headings, world)
+            crowd, moved = self._crowd, None
+            if crowd is not None:
+                since = self._link.now() - crowd.now - ages
+                places, velocities = crowd.states[:, X : Y + 1], crowd.states[:, VX : VY + 1]
+                moved = places + since[:, None, None] * velocities
+            return measure_ranges((from_x, from_y), bearings + headings, self._scene.world, moved)
 
         return LidarEmulator(RplidarTwin(look, rate=config.lidar.rate, samples=LIDAR_SAMPLES))
 
@@ -168,12 +182,19 @@ class Emulator:
         data = self._cable.read()
         if data:
             self._log_event({"rx": data.decode("latin-1")})
+            if self._is_awaited:
+                self._begin_episode()
+                self._is_awaited = False
             self._link.write(self._cable.over_uart(data))
         answer = self._link.advance(self._period)
         self._poses = self._poses[1], self._true_pose()
         if self._lidar is not None:
             self._lidar.serve_once(self._period)
-        self._log_event({"pose": self._poses[1]})
+        event: dict[str, object] = {"pose": self._poses[1]}
+        if self._crowd is not None and self._crowd.hit != NO_HIT:
+            event["hit"] = self._crowd.hit
+            self._crowd.hit = NO_HIT
+        self._log_event(event)
         if answer and self.device and not self._silent:
             self._cable.write(self._cable.over_uart(answer))
 

@@ -43,7 +43,7 @@ from acsar_gym.config.robot import hash_config
 from acsar_gym.tasks.spec import to_plain
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds.cache import hash_source
-from acsar_gym.worlds.movers import make_motions
+from acsar_gym.worlds.mover_files import format_mover
 from acsar_gym.worlds.pool import Pool
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "mujoco")
@@ -129,7 +129,7 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
                 repr(world.start),
                 repr(world.goal),
                 None if world.path is None else world.path.tolist(),
-                *(rows.tolist() for rows in make_motions([world.movers]) if world.movers),
+                *map(format_mover, world.movers),
             ]
             for world in pool
         ]

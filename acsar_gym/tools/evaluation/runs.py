@@ -193,6 +193,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             if inner.robot.link.truth is None:  # on hardware
                 refuse_outside(policy)
             policy.bind(PolicyContext.of(inner))
+            if policy.privileged:
+                policy.watch(inner)
     except BaseException:
         env.close()
         raise

@@ -89,6 +89,8 @@ class FilePolicy(ABC):
     """The object itself, of a policy that is neither a file nor in a module."""
     act_many: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None = None
     """Maps observations (n, numbers) to actions (n, 2), where the policy has no memory."""
+    privileged: bool = False
+    """Whether it knows what only a simulator does: a ceiling that no robot reaches; see `watch`."""
 
     @property
     def about(self) -> dict[str, str | None]:
@@ -144,6 +146,13 @@ class FilePolicy(ABC):
 
         Args:
             setting: of the env, which is made and checked for this policy, and not reset yet.
+        """
+
+    def watch(self, env: RobotEnv) -> None:  # noqa: B027 - most policies see observations alone
+        """Take the env whose truth a `privileged` policy knows, after `bind`; by default nothing.
+
+        Args:
+            env: that it will drive.
         """
 
     def reset(self) -> None:  # noqa: B027 - most policies have no memory

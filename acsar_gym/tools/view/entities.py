@@ -20,6 +20,7 @@ from acsar_gym.recording.types import Floats
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tools.view.tail import Block
 from acsar_gym.worlds import World
+from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT, ROBOT_HIT
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import parse_name
 from acsar_gym.worlds.search import footprint_radius
@@ -35,6 +36,8 @@ BURST_GAP = 1.0
 """The same thing again within this time is in the same line of the log [s]."""
 STEP_LENGTH = 0.01
 """Length of the pieces of a path [m]."""
+MOVERS_PERIOD = 0.05
+"""Time between two places of a mover [s]."""
 SEEN_CELL = 0.05
 """What a LiDAR has seen is remembered once for each square of this side [m]."""
 CIRCLE = np.stack([f(np.linspace(0.0, math.tau, 33)) for f in (np.cos, np.sin)], axis=1)
@@ -49,8 +52,11 @@ COLOURS = {
     "obstacles": (200, 90, 80),
     "route": (26, 143, 90),
     "goal": (26, 170, 100),
+    "movers": (235, 165, 30),
     "other": (226, 60, 150),
 }
+HITS = {ROBOT_HIT: "runs into a mover", PERSON_HIT: "a mover runs into it"}
+"""In words for the log."""
 REASONS = {
     Reason.NONE: ("sent as asked", "INFO", (70, 110, 80)),
     Reason.LIMITS: ("limits of speed or acceleration", "INFO", (242, 207, 102)),
@@ -76,7 +82,7 @@ class EpisodeLogger:
         self._header, self._shift, self._is_other = header, shift, root != RUNS[0]
         self._begun = False
         self._ends: dict[str, Floats] = {}
-        self._last = {"reason": -1.0, "contact": 0.0}
+        self._last = {"reason": -1.0, "contact": 0.0, "hit": NO_HIT, "mark": -1.0}
         self._seen = np.zeros(0, np.complex128)
 
     def log(self, block: Block) -> None:
@@ -87,6 +93,7 @@ class EpisodeLogger:
         self._log_ticks(block)
         if not self._is_other:
             self._log_scans(block)
+            self._log_movers(block)
         self._send_text(sorted(self._list_lines(block)))
 
     def log_text(self, time: float, text: str, level: str = "INFO") -> None:
@@ -219,6 +226,22 @@ class EpisodeLogger:
         self._send_points("scan", stamps, points, 2.5)
         self._send_points("seen", stamps, new_points, 1.2)
 
+    def _log_movers(self, block: Block) -> None:
+        """What moves, as rings, with lines to where each will be in a second."""
+        movers = block.movers
+        marks = np.floor(movers.stamps / MOVERS_PERIOD + 1e-6)
+        chosen = np.flatnonzero(self._changes("mark", marks))
+        strips, counts = [], []
+        for row in chosen:
+            x, y, vx, vy, radius = movers.states[row].T[:, :, None]
+            middle, ahead = np.stack([x, y], axis=2), np.stack([x + vx, y + vy], axis=2)
+            shapes = [*(middle + radius[:, :, None] * CIRCLE), *np.hstack([middle, ahead])]
+            strips += _lift([to_odometry_points(block.start, shape) for shape in shapes])
+            counts.append(len(shapes))
+        colours = [COLOURS["movers"]] * len(strips)
+        columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
+        self._send("movers", movers.stamps[chosen], columns.partition(counts))
+
     def _send_points(
         self, entity: str, times: Floats, rows: list[NDArray[np.complex128]], size: float
     ) -> None:
@@ -258,6 +281,9 @@ class EpisodeLogger:
         touched = self._changes("contact", block.truth[:, 4]) > 0.0
         for burst in _group_bursts(block.truth[:, 0], touched):
             yield float(block.truth[burst[0], 0]), "touches an obstacle", "ERROR"
+        movers = block.movers
+        for row in np.flatnonzero(self._changes("hit", movers.hits)):
+            yield float(movers.stamps[row]), HITS.get(float(movers.hits[row]), "a contact"), "ERROR"
         for time, text in block.faults:
             yield time, text, "ERROR"
         if len(block.steps):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,17 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.reading import open_file
 from acsar_gym.recording import messages
-from acsar_gym.recording.episodes import EpisodeCollector, EpisodeParts
+from acsar_gym.recording.episodes import (
+    MOVER_HEAD,
+    EpisodeCollector,
+    EpisodeParts,
+    PieceBuffer,
+    parse_movers,
+)
 from acsar_gym.recording.messages import (
     DIAGNOSTICS,
     EXCHANGES,
+    MOVERS,
     SCANS,
     STEPS,
     TICK_COLUMNS,
@@ -27,9 +34,9 @@ from acsar_gym.recording.messages import (
     Topic,
 )
 from acsar_gym.recording.stream import FileCut, RecordStream
-from acsar_gym.recording.types import Floats, WireLog
+from acsar_gym.recording.types import Floats, Movers, WireLog
 
-VIEWED_TOPICS = TICKS, EXCHANGES, STEPS, SCANS, WIRE_SENT, DIAGNOSTICS
+VIEWED_TOPICS = TICKS, EXCHANGES, STEPS, SCANS, MOVERS, WIRE_SENT, DIAGNOSTICS
 FAULT_STATUS = "acsar: fault"
 """Name of the status that tells what ended an episode."""
 BLOCK_BYTES = 20_000_000
@@ -44,7 +51,8 @@ class Block:
     are known; `ticks`, (n,) each, the columns of `messages.TICK_COLUMNS`; `truth`, (m, 5) time, x
     [m], y [m], theta [rad] in the frame of the world, and contact, NaN on hardware; `sent`, (k, 5)
     time and wheel speeds of each command on the wire [rad/s]; `scan_times`, (s,), and `ranges`,
-    (s, rays) [m]; `steps`, rows of `messages.STEP_COLUMNS`; `faults`, (time, text).
+    (s, rays) [m]; `movers`, in the frame of the world; `steps`, rows of `messages.STEP_COLUMNS`;
+    `faults`, (time, text).
     """
 
     episode: int
@@ -54,6 +62,7 @@ class Block:
     sent: Floats
     scan_times: Floats
     ranges: Floats
+    movers: Movers
     steps: Floats
     faults: list[tuple[float, str]]
 
@@ -152,6 +161,8 @@ class RecordingTail:
         ticks, exchanges, steps = (take_table(topic) for topic in (TICKS, EXCHANGES, STEPS))
         sent_times, sent = _take_list(parts, WIRE_SENT)
         scans = [np.frombuffer(data, "<f8") for data in _take_list(parts, SCANS)[1]]
+        buffer = parts.buffers.pop(MOVERS.name, PieceBuffer())
+        movers = parse_movers(buffer.rows("<f8", MOVER_HEAD))
         diagnostics = zip(*_take_list(parts, DIAGNOSTICS), strict=True)
         faults = [
             (float(time), _parse_fault(data))
@@ -173,6 +184,7 @@ class RecordingTail:
             np.column_stack([times, speeds]),
             rows[:, 1] - parts.start,
             rows[:, 2:],
+            replace(movers, stamps=movers.stamps - parts.start),
             steps,
             faults,
         )

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from acsar_gym.jit import jit, subroutine
 from acsar_gym.lidar.simulated import Passers, begin_passing
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.layout import Crowds, Floats, Robots, Scans, Setup, to_world
 from acsar_gym.worlds.crowd import (
+    Hall,
+    RobotMotion,
     X,
     Y,
-    RobotMotion,
     advance_crowd,
     begin_crowd,
+    disc_radius,
     place_crowd,
     survey_crowd,
 )
@@ -29,45 +29,69 @@ def motion_in_world(robots: Robots, i: int) -> RobotMotion:
     return RobotMotion(x, y, cos * c - sin * s, sin * c + cos * s, forward, robots.rate[i])
 
 
+@jit
+def hall_of(robots: Robots, i: int, crowds: Crowds, scans: Scans, setup: Setup) -> Hall:
+    """What surrounds robot i's movers."""
+    world, kind, motions = int(robots.world[i]), int(robots.kind[i]), crowds.motions
+    return Hall(
+        motions.movers[world],
+        motions.pieces[world],
+        motions.reacting[world],
+        robots.crowd_key[i],
+        setup.period,
+        world,
+        scans.around,
+        kind,
+    )
+
+
 @subroutine
 def begin_movers(
     robots: Robots, i: int, robot: int, crowds: Crowds, scans: Scans, setup: Setup
 ) -> None:
-    """Begin the episode of robot i's movers, up to the end of the ticks in which its reset waits."""
-    world = int(robots.world[i])
-    movers, pieces = crowds.motions.movers[world], crowds.motions.pieces[world]
-    begin_crowd(movers, pieces, crowds.states[robot], robots.crowd_key[i])
+    """Begin the episode of robot i's movers, to the end of the ticks in which its reset waits."""
+    hall = hall_of(robots, i, crowds, scans, setup)
+    begin_crowd(hall.movers, hall.pieces, crowds.states[robot], hall.key)
     for tick in range(1, int(robots.loops[i] / setup.loops) + 1):
         advance_movers(robots, i, robot, tick, crowds, scans, setup)
     survey_movers(robots, i, robot, crowds, scans, setup)
+
+
+@jit
+def bound_speed(robots: Robots, i: int) -> float:
+    """A speed that no wheel of a robot exceeds on the ground until it gets other commands [m/s]."""
+    physics, rules = robots.physics, robots.rules
+    least = min(rules.left_radius[i], rules.right_radius[i])
+    wanted = robots.max_linear[i] + 0.5 * rules.separation[i] * robots.max_angular[i]
+    turning = 0.0
+    for k in range(4):
+        turning = max(turning, abs(robots.wheel_speed[k, i]), physics.gain[k, i] * wanted / least)
+    turning = min(turning, physics.max_speed[i])
+    speed: float = 1.1 * turning * max(physics.left_radius[i], physics.right_radius[i])
+    return speed
 
 
 @subroutine
 def advance_movers(
     robots: Robots, i: int, robot: int, tick: int, crowds: Crowds, scans: Scans, setup: Setup
 ) -> None:
-    """Advance robot i's movers to the end of a tick, its number since the reset; look for contacts."""
-    world, physics = int(robots.world[i]), robots.physics
-    radius = max(physics.left_radius[i], physics.right_radius[i])
+    """Advance robot i's movers to the end of a tick, counted from the reset; look for contacts."""
+    hall = hall_of(robots, i, crowds, scans, setup)
+    # A corner of the hull moves fastest where the two sides' wheels turn against each other.
+    corner = max(disc_radius(hall) / robots.physics.half_track[i], 1.0)
     hit, entered, look = advance_crowd(
-        crowds.motions.movers[world],
-        crowds.motions.pieces[world],
+        hall,
         crowds.states[robot],
         tick,
-        setup.period,
-        robots.crowd_key[i],
         motion_in_world(robots, i),
-        np.inf if crowds.motions.reacting[world] else physics.max_speed[i] * radius,
-        world,
-        scans.around,
-        int(robots.kind[i]),
+        corner * bound_speed(robots, i),
     )
     robots.crowd_look[i] = look
     robots.intrusions[i] += entered
-    if robots.person_contact[i] == 0.0:
-        robots.person_contact[i] = hit
     if hit > 0.0:
         robots.contact[i] = 1.0
+        if robots.person_contact[i] == 0.0:
+            robots.person_contact[i] = hit
 
 
 @subroutine
@@ -75,12 +99,9 @@ def survey_movers(
     robots: Robots, i: int, robot: int, crowds: Crowds, scans: Scans, setup: Setup
 ) -> None:
     """Place robot i's movers at the end of a step, and compute what info says of them."""
-    world, now = int(robots.world[i]), robots.loops[i] / setup.loops * setup.period
-    movers, states = crowds.motions.movers[world], crowds.states[robot]
-    place_crowd(movers, crowds.motions.pieces[world], states, now)
-    near = survey_crowd(
-        movers, states, motion_in_world(robots, i), scans.around, int(robots.kind[i])
-    )
+    hall, now = hall_of(robots, i, crowds, scans, setup), robots.loops[i] / setup.loops
+    place_crowd(hall.movers, hall.pieces, crowds.states[robot], now * setup.period)
+    near = survey_crowd(hall, crowds.states[robot], motion_in_world(robots, i))
     robots.closest_person[i], robots.time_to_collision[i] = near
 
 

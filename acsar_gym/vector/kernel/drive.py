@@ -523,7 +523,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
                 turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
                 move_bodies(robots, count, setup)
             slot = (slot + setup.loops) % slots
-            if crowds is not None:
+            if crowds is not None and scans is not None:
                 for i in range(count):
                     after = int(robots.loops[i] / setup.loops) + 1
                     if after >= robots.crowd_look[i]:
@@ -549,7 +549,7 @@ def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables com
         if stop < setup.ticks:
             continue
         for i in range(count):
-            if crowds is not None:
+            if crowds is not None and scans is not None:
                 survey_movers(robots, i, begin + i, crowds, scans, setup)
             if lines is not None:
                 is_cut = tables.idle[begin + i] and not tables.over[begin + i]

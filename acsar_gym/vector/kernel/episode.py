@@ -90,7 +90,7 @@ def draw_start(
 
 
 @loop
-def reset(  # noqa: C901, PLR0912 - as `drive.step`
+def reset(  # noqa: C901, PLR0912, PLR0913, PLR0917 - as `drive.step`
     tables: Tables,
     commands: Commands | None,
     lines: Lines | None,
@@ -162,7 +162,7 @@ def reset(  # noqa: C901, PLR0912 - as `drive.step`
                         tables.ranges[robot, k] = 0.0
                     for k in range(setup.numbers, setup.first_ray + tables.ranges.shape[1]):
                         tables.observations[robot, k] = 0.0
-            if crowds is not None:
+            if crowds is not None and scans is not None:
                 begin_movers(robots, i, robot, crowds, scans, setup)
 
 

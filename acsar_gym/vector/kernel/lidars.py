@@ -61,7 +61,7 @@ def mark_trails(
 
 
 @loop
-def read_scans(
+def read_scans(  # noqa: C901, PLR0912 - as `drive.step`
     tables: Tables,
     scans: Scans,
     crowds: Crowds | None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import stat
@@ -9,6 +10,7 @@ import termios
 import time
 import tty
 from pathlib import Path
+from typing import Any
 
 import pytest
 from serial_tools import (
@@ -25,6 +27,9 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.tools.emulation.board import LONGEST_CATCH_UP, Emulator
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.crowd import PERSON_HIT
+from acsar_gym.worlds.movers import walk
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -135,3 +140,38 @@ def test_closing_it_twice_is_once_and_what_it_refuses_leaves_nothing_open(
             Emulator(config, log=tmp_path / "missing" / "log.jsonl", sees=True)
         with pytest.raises(ConfigError, match="symbolic link"):
             Emulator(config, log=tmp_path / "log.jsonl", sees=True, name=tmp_path / "kept")
+
+
+def run_loops(emulator: Emulator, count: int) -> None:
+    for _ in range(count):
+        emulator._run_loop()
+
+
+def read_log(log: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
+
+
+@pytest.mark.parametrize("body", ["planar", "bullet"])
+def test_the_episode_of_movers_begins_with_the_first_bytes(
+    body: str, config: RobotConfig, tmp_path: Path
+) -> None:
+    """Somebody touches the robot 0.2 s after them, and its log says who ran into whom."""
+    walker = walk([[-0.25 - config.body.length / 2.0 - 0.2, 0.0], [9.0, 0.0]], 1.0)
+    scene = Scene((0.0, 0.0, 0.0), world=World(movers=(walker,)))
+    log = tmp_path / "log.jsonl"
+    with Emulator(config, body=body, scene=scene, log=log) as emulator:
+        port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(port)
+        run_loops(emulator, 60)  # which nobody has asked for
+        os.write(port, encode((0.0, 0.0, 0.0, 0.0)))
+        run_loops(emulator, 60)
+        os.close(port)
+    events = read_log(log)
+    first = next(k for k, event in enumerate(events) if "rx" in event)
+    episode = [event for event in events[first:] if "pose" in event]
+    hits = [k for k, event in enumerate(episode) if "hit" in event]
+    assert hits[0] in range(39, 43)
+    assert {episode[k]["hit"] for k in hits} == {PERSON_HIT}
+    pushed = episode[-1]["pose"][0]
+    assert pushed == pytest.approx(0.1, abs=0.02) if body == "bullet" else pushed == 0.0
+    assert max(event["pose"][0] for event in episode[:39]) < 1e-3

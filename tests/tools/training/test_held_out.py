@@ -12,7 +12,6 @@ from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import Region, World
-from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.pool import Pool
 

@@ -9,12 +9,14 @@ import urllib.error
 import urllib.request
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import rerun
+from mover_tools import HALL
 from recording_tools import begun, drive, record_env
 from rerun.chunk import RrdReader
 
@@ -22,10 +24,12 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.types import Movers
 from acsar_gym.tools.view.entities import EpisodeLogger
 from acsar_gym.tools.view.show import find_recording, measure_gap, save_recording
 from acsar_gym.tools.view.tail import Block, RecordingTail
 from acsar_gym.tools.view.viewer import open_viewer
+from acsar_gym.worlds.world import to_odometry
 
 pytestmark = [pytest.mark.usefixtures("deadline"), pytest.mark.xdist_group(__name__)]
 Column = list[Any]
@@ -100,6 +104,24 @@ def test_episodes_are_recordings_of_their_own_with_world_and_goal(tmp_path: Path
         assert len(entities["/run/world/obstacles"]["strips"][0]) > 4
         assert max(seconds(entities["/run/robot"]["time"])) > 1.0
     assert sorted(names) == ["episode 1, seed 0", "episode 2, seed 1"]
+
+
+def test_movers_are_where_they_were_recorded(tmp_path: Path) -> None:
+    """As rings with a line ahead, in the frame of the odometry."""
+    path = record_env(tmp_path / "env.mcap", "obstacle_goal", 1, worlds=HALL)
+    save_recording(path, None, tmp_path / "env.rrd")
+    (entities,), (episode,) = read_rrd(tmp_path / "env.rrd"), read(path).episodes
+    movers, shown = episode.movers, entities["/run/movers"]
+    assert np.diff(seconds(shown["time"])) == pytest.approx(0.05, abs=0.011)
+    row = int(np.argmin(np.abs(movers.stamps - episode.start - seconds(shown["time"])[20])))
+    strips = [np.array(strip)[:, :2] for strip in shown["strips"][20]]
+    start = tuple(episode.info["start"])
+    assert len(strips) == 6
+    for ring, line, state in zip(strips[:3], strips[3:], movers.states[row], strict=True):
+        x, y, vx, vy, radius = state.tolist()
+        at, ahead = to_odometry(start, (x, y, 0.0)), to_odometry(start, (x + vx, y + vy, 0.0))
+        assert np.hypot(*(ring - at[:2]).T) == pytest.approx(radius, abs=1e-5)
+        assert line.ravel() == pytest.approx([*at[:2], *ahead[:2]], abs=1e-5)
 
 
 def test_two_runs_lie_over_each_other_with_their_gap(
@@ -189,6 +211,7 @@ def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch)
     block.ticks["refused"][30:] = 2.0
     block.ticks["exchange"][40:] += 3.0
     block.truth[50, 4] = 1.0
+    block = replace(block, movers=make_movers([0.0, 1.0, 1.0], [0.2, 0.65, 0.7]))
     block.faults.append((0.9, "the cable is out"))
     texts = log_texts(block, monkeypatch)
     assert texts == [
@@ -198,8 +221,16 @@ def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch)
         "2 parts of the input were refused",
         "3 control periods aren't recorded",
         "touches an obstacle",
+        "runs into a mover",
         "the cable is out",
     ]
+
+
+def make_movers(hits: list[float], stamps: list[float]) -> Movers:
+    """One that stands."""
+    state, count = [1.0, 0.0, 0.0, 0.0, 0.3], len(hits)
+    numbers, states = np.arange(count), np.tile(state, (count, 1, 1))
+    return Movers(numbers, np.array(stamps), np.array(hits), np.zeros(count), states)
 
 
 def log_texts(block: Block, monkeypatch: pytest.MonkeyPatch) -> list[str]:

@@ -24,6 +24,8 @@ class EmulatedWorld(WorldFileOptions):
 
     world: Worlds = None
     """World with the robot at its start: a file, or a generated world like clutter:7-7."""
+    key: float = 0.0
+    """The episode's draw, 0 to 1, on which the world's movers depend."""
 
 
 @dataclass(frozen=True)
@@ -61,21 +63,24 @@ def emulate_board(
         silent: never answer, as a board without power.
     """
     from acsar_gym.tools.emulation.board import LOG_MARK, Emulator  # noqa: PLC0415
+    from acsar_gym.worlds import Scene, World  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
     from acsar_gym.worlds.search import footprint_radius, lidar_height  # noqa: PLC0415
 
     check_writable(files.log, force=files.force, mark=LOG_MARK)
-    config, world = RobotConfig.of(robot), None
+    config, scene = RobotConfig.of(robot), None
     source = place.place(place.world)
     if source is not None:
         radius, height = footprint_radius(config), lidar_height(config)
-        world = next(iter(Pool.of(source, None, radius, 1, height) or ()), None)
+        world = next(iter(Pool.of(source, None, radius, 1, height) or ()), World())
+        start = world.start.x, world.start.y, world.start.theta or 0.0
+        scene = Scene(start, world=world, key=place.key)
     with Emulator(
         config,
         body=body,
         log=files.log,
         silent=silent,
-        world=world,
+        scene=scene,
         sees=lidar,
         name=files.name,
     ) as emulator:

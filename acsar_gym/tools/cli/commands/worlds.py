@@ -36,7 +36,8 @@ def show_worlds(
     """Draw a world, or a sheet of several, as a PNG file.
 
     Args:
-        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        source: kind of generated worlds (clutter:12, clutter+6:12 with six walkers,
+            mine.module:halls:0-9), file or folder.
         file: of the worlds.
         out: the picture.
         columns: worlds side by side.
@@ -51,6 +52,8 @@ def show_worlds(
     most = atlas.max_drawn(columns, size, out)
     worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
     atlas.draw_worlds(worlds, columns, size, out)
+    if movers := atlas.describe_movers(worlds):
+        say(movers)
     say(f"drawn: {out}")
     return 0
 
@@ -66,7 +69,8 @@ def check_worlds(
     """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
 
     Args:
-        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        source: kind of generated worlds (clutter:12, clutter+6:12 with six walkers,
+            mine.module:halls:0-9), file or folder.
         file: of the worlds.
         output: results in a file.
         difficulty: of generated worlds, 0 to 1.

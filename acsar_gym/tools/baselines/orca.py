@@ -1,0 +1,217 @@
+"""Optimal reciprocal collision avoidance: half planes of velocities with which nobody is met.
+
+Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover
+forbids
+the velocities with which the robot would meet it within a horizon if it kept its own. The robot
+keeps to a half plane without them, and chooses the velocity within all half planes that is nearest
+to the one along the way of its map. What stands forbids velocities with which the nearest place of
+the exact footprint would reach it within a shorter horizon; these half planes hold in any case.
+
+A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
+difference, as in Alonso-Mora et al., "Optimal reciprocal collision avoidance for multiple
+non-holonomic robots", DARS 2010. Its speed is the one along its heading that the half planes leave.
+Everything is seen from where the robot will be when a command takes effect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from acsar_gym.jit import jit, loop
+from acsar_gym.tasks.state import Floats
+from acsar_gym.tools.baselines.base import Privileged
+from acsar_gym.tools.baselines.half_planes import BOX, make_box, solve_programme
+from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base, true_tracks
+from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import Obstacles, Surroundings, footprint_gap, make_surroundings
+
+LAG_STEPS = 4
+"""Steps in which the robot's motion until a command takes effect is predicted."""
+ACROSS = 0.05
+"""Half planes whose border is so nearly parallel to the heading don't limit the speed."""
+
+
+@dataclass(frozen=True)
+class OrcaConstants:
+    """Constants of ORCA; `constants.yaml` has those of the presets."""
+
+    horizon: float = 2.0  # movers that would be met later don't count [s]
+    wall_horizon: float = 0.5  # what stands isn't reached sooner [s]
+    share: float = 1.0  # of the avoidance that the robot takes: 0.5 where others take the rest
+    mover_margin: float = 0.2  # of the disc around the footprint [radius]
+    wall_margin: float = 0.1  # least clearance from what stands [radius]
+    lookahead: float = 3.0  # distance along the way of the point that it heads for [radius]
+    delay: float = 1.5  # until a command takes effect [period]
+    turn_gain: float = 3.0  # yaw rate for a velocity whose bearing is 1 rad [1/s]
+    reverse_share: float = 0.4  # greatest speed backwards [top speed]
+    reverse_bearing: float = 2.5  # it drives backwards where the bearing is larger [rad]
+
+
+class VelocityModel(NamedTuple):
+    """The constants on velocities, in SI units."""
+
+    radius: float
+    """Of the disc around the footprint, margin included [m]."""
+    horizon: float
+    """[s]."""
+    wall_horizon: float
+    """[s]."""
+    wall_margin: float
+    """[m]."""
+    share: float
+    period: float
+    """Within which the robot leaves a mover that it touches [s]."""
+
+
+class Orca(MappedPolicy):
+    """Chooses the velocity nearest to the wanted one that meets nobody, from tracks of movers."""
+
+    name = "orca"
+    follows_movers = True
+    constants_type = OrcaConstants
+    constants: OrcaConstants
+
+    def equip(self, setting: PolicyContext) -> None:
+        """Prepare for a robot and a task."""
+        super().equip(setting)
+        units, k = self.units, self.constants
+        self._model = VelocityModel(
+            radius=(1.0 + k.mover_margin) * units.radius,
+            horizon=k.horizon,
+            wall_horizon=k.wall_horizon,
+            wall_margin=k.wall_margin * units.radius,
+            share=k.share,
+            period=units.period,
+        )
+        self._footprint = make_surroundings(Obstacles(), None, 1, setting.config)
+
+    def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
+        """Choose the velocity command [m/s, rad/s]."""
+        units, k = self.units, self.constants
+        delay, tracks = k.delay * units.period, self.tracks()
+        twist = seen.linear, seen.angular
+        soon, speed = predict_pose(pose, twist, self.sent, units.lag, delay)
+        reach = units.speed * (k.wall_horizon + delay) + units.radius + self._model.wall_margin
+        points = to_base(soon, self.obstacles(pose, seen, reach, tracks))
+        places = to_base(soon, tracks[:, :2] + delay * tracks[:, 2:4])
+        rates = to_base((0.0, 0.0, soon[2]), tracks[:, 2:4])
+        movers = np.column_stack([places, rates, tracks[:, 4]])
+        planes, walls = list_planes(speed, points, movers, self._model, self._footprint)
+        make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
+        carrot = np.array([self.map.point_ahead(k.lookahead * units.radius)])
+        ((x, y),) = to_base(soon, carrot).tolist()
+        share = units.speed / max(math.hypot(x, y), 1e-6)
+        ahead, left = solve_programme(planes, BOX + walls, share * x, share * y)
+        bearing, direction = math.atan2(left, ahead), 1.0
+        if abs(bearing) > k.reverse_bearing:
+            bearing, direction = math.remainder(bearing + math.pi, math.tau), -1.0
+        turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
+        wanted = direction * math.hypot(ahead, left) * max(math.cos(bearing), 0.0)
+        planes = planes_along(planes, units.period * turn)
+        make_box((-k.reverse_share * units.speed, units.speed), (0.0, 0.0), planes)
+        speed, _ = solve_programme(planes, BOX + walls, wanted, 0.0)
+        return speed, turn
+
+
+class OrcaTrue(Privileged, Orca):
+    """As `Orca`, with the true places and velocities."""
+
+    name = "orca_true"
+    follows_movers = False
+
+    def tracks(self) -> Floats:
+        """As `MappedPolicy.tracks`, without an error."""
+        return true_tracks(self.truth, self.map.pose)
+
+
+@loop
+def predict_pose(
+    pose: Pose, twist: tuple[float, float], sent: tuple[float, float], lag: float, seconds: float
+) -> tuple[Pose, float]:
+    """Where the robot will be if the last command stays, and its speed then [m/s].
+
+    `lag` is the time constant of the motors [s].
+    """
+    (x, y, theta), (linear, angular), step = pose, twist, seconds / LAG_STEPS
+    blend = 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+    for _ in range(LAG_STEPS):
+        linear += blend * (sent[0] - linear)
+        angular += blend * (sent[1] - angular)
+        theta += angular * step
+        x += linear * step * math.cos(theta)
+        y += linear * step * math.sin(theta)
+    return (x, y, theta), linear
+
+
+@loop
+def list_planes(
+    speed: float, points: Floats, movers: Floats, model: VelocityModel, footprint: Surroundings
+) -> tuple[Floats, int]:
+    """List the half planes of velocities that obstacles leave; everything in the base frame.
+
+    Args:
+        speed: of the robot [m/s].
+        points: (n, 2): what stands [m].
+        movers: (m, 5): x, y [m], their rates [m/s], and radius [m].
+        model: the constants.
+        footprint: of the robot.
+
+    Returns:
+        (BOX + n + m, 3): the half planes, the first BOX of which are still to be written; and n.
+    """
+    planes = np.zeros((BOX + len(points) + len(movers), 3))
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        gap, at_x, at_y = footprint_gap(x, y, footprint, 0)
+        if gap == 0.0:
+            at_x = at_y = 0.0
+        apart = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
+        fastest = max(gap - model.wall_margin, 0.0) / model.wall_horizon
+        write_plane(planes[BOX + n], (at_x - x) / apart, (at_y - y) / apart, -fastest)
+    for m in range(len(movers)):
+        forbid_meeting(planes[BOX + len(points) + m], movers[m], speed, model)
+    return planes, len(points)
+
+
+@jit
+def write_plane(plane: Floats, a: float, b: float, c: float) -> None:
+    """Write a row of half planes."""
+    plane[0], plane[1], plane[2] = a, b, c
+
+
+@jit
+def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityModel) -> None:
+    """Write the half plane that a mover leaves to a robot of that speed, section 4 of the paper."""
+    x, y, both = mover[0], mover[1], model.radius + mover[4]
+    vx, vy, square = speed - mover[2], -mover[3], x * x + y * y
+    is_near = square <= both * both
+    horizon = model.period if is_near else model.horizon
+    wx, wy = vx - x / horizon, vy - y / horizon
+    along, from_cap = wx * x + wy * y, wx * wx + wy * wy
+    if is_near or (along < 0.0 and along * along > both * both * from_cap):
+        length = math.sqrt(from_cap) + 1e-9
+        a, b, push = wx / length, wy / length, both / horizon - length
+    else:
+        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
+        leg = side * math.sqrt(square - both * both)
+        a, b = -(x * both + y * leg) / square, (x * leg - y * both) / square
+        push = -(a * vx + b * vy)
+    write_plane(plane, a, b, a * speed + model.share * push)
+
+
+@loop
+def planes_along(planes: Floats, heading: float) -> Floats:
+    """The half planes as limits of the speed along a heading; the first BOX stay empty."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    limits = np.zeros_like(planes)
+    for n in range(BOX, len(planes)):
+        slope = planes[n, 0] * cos + planes[n, 1] * sin
+        if abs(slope) > ACROSS:
+            write_plane(limits[n], math.copysign(1.0, slope), 0.0, planes[n, 2] / abs(slope))
+        else:
+            write_plane(limits[n], 1.0, 0.0, -np.inf)
+    return limits
