@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 import re
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from acsar_gym.tools.evaluation.runs import EvaluationRun, PortablePolicy
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import walk
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 
@@ -95,6 +97,7 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
         {"worlds": "open:5", "difficulty": 0.5},
         {"worlds": world},
         {"worlds": moved},
+        *({"worlds": replace(world, movers=[walk([[2.0, y], [3.0, y]])])} for y in (1.0, 2.0)),
     ]
     headers = []
     for options in kinds:
