@@ -18,7 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.worlds.geometry import distance_to_line, segment_clearance
-from acsar_gym.worlds.movers import MAX_MOVER_SPEED, Motions, draw_offset, locate_mover, make_motions
+from acsar_gym.worlds.movers import (
+    MAX_MOVER_SPEED,
+    Motions,
+    draw_offset,
+    locate_mover,
+    make_motions,
+)
 from acsar_gym.worlds.world import Floats, World
 
 TIME_STEP = 0.1  # between two known places of movers [s]

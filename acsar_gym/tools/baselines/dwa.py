@@ -219,14 +219,14 @@ class DwaMovers(Dwa):
 
 @jit
 def advance_arc(
-    state: MotionState, linear: float, angular: float, brake: float, model: ArcModel
+    state: MotionState, linear: float, angular: float, brake: float, spin: float, blend: float
 ) -> MotionState:
-    """Predict the state a STEP later."""
+    """Predict the state an ARC_STEP later; `brake`, `spin` and `blend` as in `ArcModel`."""
     x, y, theta, v, w, sent_v, sent_w = state
     sent_v += min(max(linear - sent_v, -brake * ARC_STEP), brake * ARC_STEP)
-    sent_w += min(max(angular - sent_w, -model.spin * ARC_STEP), model.spin * ARC_STEP)
-    v += model.blend * (sent_v - v)
-    w += model.blend * (sent_w - w)
+    sent_w += min(max(angular - sent_w, -spin * ARC_STEP), spin * ARC_STEP)
+    v += blend * (sent_v - v)
+    w += blend * (sent_w - w)
     theta += w * ARC_STEP
     return (
         x + v * ARC_STEP * math.cos(theta),
@@ -260,10 +260,10 @@ def score_velocity(
     linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
 ) -> float:
     """Score of one admissible velocity."""
-    cost, steps = 0.0, model.arc_steps
+    cost, steps, spin, blend = 0.0, model.arc_steps, model.spin, model.blend
     for step in range(steps):
         turning = angular if step < model.turn_steps else 0.0
-        state = advance_arc(state, linear, turning, model.acceleration, model)
+        state = advance_arc(state, linear, turning, model.acceleration, spin, blend)
         if step % 2 == 0:
             continue
         time = (step + 1) * ARC_STEP
@@ -286,14 +286,14 @@ def can_stop(
 
     Where it is too near to something already, coming no nearer is enough.
     """
-    wanted = model.stop_clearance
+    wanted, spin, blend = model.stop_clearance, model.spin, model.blend
     least = pose_clearance(state[0], state[1], state[2], 0.0, around, wanted) - 1e-3
     for step in range(model.stop_steps):
         holding = step < model.hold_steps
         if holding:
-            state = advance_arc(state, linear, angular, model.acceleration, model)
+            state = advance_arc(state, linear, angular, model.acceleration, spin, blend)
         else:
-            state = advance_arc(state, 0.0, 0.0, model.braking, model)
+            state = advance_arc(state, 0.0, 0.0, model.braking, spin, blend)
         time = (step + 1) * ARC_STEP
         if pose_clearance(state[0], state[1], state[2], time, around, wanted) < least:
             return False

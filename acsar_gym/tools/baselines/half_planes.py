@@ -28,9 +28,7 @@ def make_box(x: tuple[float, float], y: tuple[float, float], planes: Floats) -> 
 
 
 @loop
-def solve_programme(
-    planes: Floats, hard: int, x: float, y: float
-) -> tuple[float, float]:
+def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[float, float]:
     """Find the point within all half planes that is nearest to (x, y).
 
     Args:
