@@ -7,8 +7,8 @@ Of the velocities that the robot can reach within a step, those are admissible a
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
 clearance. Progress is that along the way of the robot's map, as in the global dynamic window
 approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
-dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers, the
-clearance of a pose is that from where they are by then.
+dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers,
+the clearance of a pose is that from where they are by then.
 """
 
 from __future__ import annotations

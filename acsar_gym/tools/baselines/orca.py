@@ -3,8 +3,9 @@
 Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover
 forbids the velocities with which the robot would meet it within a horizon if it kept its own. The
 robot keeps to a half plane without them, and chooses the velocity within all half planes that is
-nearest to the one along the way of its map. What stands forbids velocities with which the nearest place of
-the exact footprint would reach it within a shorter horizon; these half planes hold in any case.
+nearest to the one along the way of its map. What stands forbids velocities with which the nearest
+place of the exact footprint would reach it within a shorter horizon; these half planes hold in any
+case.
 
 A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
 difference, as in Alonso-Mora et al., "Optimal reciprocal collision avoidance for multiple
