@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy, Privileged
 from acsar_gym.tools.baselines.dwa import ARC_STEP, MotionState, advance_arc
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import distance_to_line
 from acsar_gym.worlds.time_search import HORIZON, TIME_STEP, search_time
 from acsar_gym.worlds.world import World
 
@@ -72,7 +73,10 @@ class TimeSearch(Privileged, BaselinePolicy):
             units.spin,
             blend,
         )
-        self._sent = choose_arc(state, line, limits)
+        world = self.env.episode.assignment.world or World()
+        self._sent = choose_arc(
+            state, line, limits, world.circles, world.segments, 1.05 * units.radius
+        )
         return self._sent
 
     def _plan(self, seen: DecodedObservation, now: float) -> Floats:
@@ -128,15 +132,24 @@ def place_on(path: Floats, time: float) -> tuple[float, float]:
 
 @loop
 def choose_arc(
-    state: MotionState, line: Floats, limits: tuple[float, float, float, float, float]
+    state: MotionState,
+    line: Floats,
+    limits: tuple[float, float, float, float, float],
+    circles: Floats,
+    segments: Floats,
+    clearance: float,
 ) -> tuple[float, float]:
     """Choose the velocity command whose arc is nearest to a line, (steps, 2) [m].
+
+    An arc that comes nearer to what stands than `clearance`, and nearer than it is, isn't chosen.
 
     `limits` are top speed [m/s], greatest yaw rate [rad/s], acceleration [m/s^2], angular
     acceleration [rad/s^2], and `ArcModel.blend`.
     """
     speed, turning, acceleration, spin, blend = limits
-    best, linear, angular = np.inf, 0.0, 0.0
+    best, linear, angular, least = np.inf, 0.0, 0.0, clearance
+    while is_blocked(state[0], state[1], circles, segments, least):
+        least -= 0.01
     for i in range(LINEAR_SAMPLES):
         v = speed * (2.0 * i / (LINEAR_SAMPLES - 1) - 1.0)
         for j in range(ANGULAR_SAMPLES):
@@ -148,6 +161,23 @@ def choose_arc(
                 there = advance_arc(there, v, w, acceleration, spin, blend)
                 dx, dy = there[0] - line[step, 0], there[1] - line[step, 1]
                 cost += dx * dx + dy * dy
+                if cost >= best or is_blocked(there[0], there[1], circles, segments, least):
+                    cost = np.inf
+                    break
             if cost < best:
                 best, linear, angular = cost, v, w
     return linear, angular
+
+
+@jit
+def is_blocked(x: float, y: float, circles: Floats, segments: Floats, reach: float) -> bool:
+    """Whether a circle or a segment is nearer to a place than `reach` [m]."""
+    for n in range(len(circles)):
+        dx, dy, far = x - circles[n, 0], y - circles[n, 1], reach + circles[n, 2]
+        if dx * dx + dy * dy < far * far and far > 0.0:
+            return True
+    for n in range(len(segments)):
+        line = segments[n]
+        if distance_to_line(x, y, line[0], line[1], line[2], line[3]) < reach:
+            return True
+    return False
