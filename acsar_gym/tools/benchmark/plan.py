@@ -19,7 +19,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.baselines import BASELINES, load_baseline
+from acsar_gym.tools.baselines import BASELINES, CEILINGS
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cell_id
 from acsar_gym.tools.evaluation import runs
@@ -83,7 +83,7 @@ def choose_agents(
 
     Args:
         names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
-            such as mine.planner:Planner; empty for all of the first three but ceilings.
+            such as mine.planner:Planner; empty for all of the first three but the ceilings.
         ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
@@ -98,15 +98,16 @@ def choose_agents(
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
     ]
     agents += [] if trained is None else trained_agents(trained, seeds, ids)
-    for name, env_id in product(BASELINES, ids):
-        kind = CEILING if load_baseline(name, env_id).privileged else BASELINE
-        agents.append(Agent(name, kind, env_id, name))
+    for name in BASELINES:
+        kind = CEILING if name in CEILINGS else BASELINE
+        agents += [Agent(name, kind, env_id, name) for env_id in ids]
     known = list(dict.fromkeys(agent.name for agent in agents))
     check_names("--agents", [name for name in names if name not in given], known)
     benchmarked = {cell_id(env_id) for env_id in ids}
-    default = [agent.name for agent in agents if agent.kind != CEILING]
     chosen = [
-        agent for agent in agents if agent.id in benchmarked and agent.name in (names or default)
+        agent
+        for agent in agents
+        if agent.id in benchmarked and (agent.name in names if names else agent.kind != CEILING)
     ]
     chosen += [agent for name in given for agent in given_agents(name, ids)]
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in chosen)

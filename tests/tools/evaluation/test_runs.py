@@ -71,7 +71,7 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     header = data["header"]
     assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
     policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
-    assert header["policy"] == policy | {"differences": []}
+    assert header["policy"] == policy | {"differences": [], "privileged": False}
     assert header["env"]["id"] == OBSTACLES
     assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
     assert header["env"]["max_episode_steps"] == 600
