@@ -4,7 +4,10 @@ Once a control period `advance_crowd` puts those that follow their motion where 
 people who react walk on. These are driven by the social force model of D. Helbing and P. Molnar,
 "Social force model for pedestrian dynamics", Physical Review E 51 (1995): each adapts its velocity
 to the way that it wants to go, and is pushed away from others by an exponential potential, whose
-equipotential lines are ellipses along the other's next steps. Walls push as in D. Helbing,
+equipotential lines are ellipses along the other's next steps. These steps are relative to one's
+own, as in A. Johansson, D. Helbing and P. Shukla, "Specification of the social force pedestrian
+model by evolutionary adjustment to video tracking data", Advances in Complex Systems 10 (2007), so
+that people begin to walk around what stands before they are there. Walls push as in D. Helbing,
 I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407 (2000), whose
 range lets people through doors. A person decides anew every REACTION_TIME, and walks on in between.
 
@@ -49,7 +52,10 @@ RELAXATION_TIMES = (0.4, 0.6)
 STRENGTHS = (1.5, 2.7)
 """Strength of the push of others, drawn for each [m^2/s^2]; published: 2.1."""
 PUSH_RANGE = 0.3  # range of that push [m]
-STRIDE_TIME = 2.0  # the push's ellipse reaches along the other's way of so long [s]
+STRIDE_TIME = 1.0  # the push's ellipse reaches along the other's relative way of so long [s]
+SIDESTEP = 0.2
+"""People turn the push of others so much to their right: two who meet head-on would stop, or walk
+through each other [rad]."""
 WALL_PUSH = 25.0  # push of a wall that a person touches [m/s^2]
 WALL_RANGE = 0.08  # range of that push [m]
 FARTHEST_WALL = 8.0 * WALL_RANGE  # walls that are farther away don't push [m]
@@ -59,6 +65,9 @@ SPEED_SHARE = 1.3  # greatest speed, in parts of that of the motion
 MOST_PUSH = 10.0  # greatest acceleration [m/s^2]
 LONGEST_LOOK = 1.0  # a mover that is far away is looked at so often, at least [s]
 FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
+SIGHT_RESOLUTION = 2.0**-20
+"""People see where the robot is and how it moves to this, a micrometre [m, m/s]. Crowds are chaotic:
+without it the last bit of a pose, in which one robot and a batch differ, changes them in 20 s."""
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
 LEASH = 1.0  # the motion waits for a person who is so far behind [m]
 PERSONAL_SPACE = 0.45
@@ -246,20 +255,37 @@ def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> Non
     every = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
     if (tick - 1) % every == 0:
         place_crowd(hall.movers, hall.pieces, states, tick * hall.period)
+        seen = RobotMotion(
+            round_seen(robot.x),
+            round_seen(robot.y),
+            round_seen(robot.cos),
+            round_seen(robot.sin),
+            round_seen(robot.forward),
+            round_seen(robot.rate),
+        )
         for m in range(len(hall.movers)):
             if hall.movers[m, REACTS] > 0.0:
-                decide_step(hall, states, m, robot)
+                decide_step(hall, states, m, seen)
     for m in range(len(hall.movers)):
         if hall.movers[m, REACTS] > 0.0:
             walk_on(hall.movers, m, states, hall.period)
+
+
+@jit
+def round_seen(number: float) -> float:
+    """A number as people see it, see `SIGHT_RESOLUTION`."""
+    seen: float = np.rint(number / SIGHT_RESOLUTION) * SIGHT_RESOLUTION
+    return seen
 
 
 @subroutine
 def decide_step(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> None:
     """Set the acceleration of person m, and the pace of its motion, until the next decision."""
     movers, x, y = hall.movers, states[m, X], states[m, Y]
-    now_x, now_y, _, _ = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
-    behind = math.sqrt((now_x - x) ** 2 + (now_y - y) ** 2)
+    now_x, now_y, now_vx, now_vy = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
+    off_x, off_y = now_x - x, now_y - y
+    is_behind = off_x * now_vx + off_y * now_vy > 0.0
+    behind = math.sqrt(off_x * off_x + off_y * off_y) if is_behind else 0.0
     states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
     to_x, to_y, _, _ = locate_mover(movers, m, hall.pieces, clock)
@@ -300,11 +326,13 @@ def push_from_others(
         square = dx * dx + dy * dy
         if not is_pushing or square > FARTHEST_PUSH * FARTHEST_PUSH:
             continue
+        vx, vy = vx - states[m, VX], vy - states[m, VY]
         push_x, push_y = push_away(dx, dy, vx, vy, movers[m, RADIUS] + radius, strength)
         seen = -(want_x * dx + want_y * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
         share = 1.0 if seen else BEHIND_SHARE
         total_x, total_y = total_x + share * push_x, total_y + share * push_y
-    return total_x, total_y
+    cos, sin = math.cos(SIDESTEP), math.sin(SIDESTEP)
+    return cos * total_x - sin * total_y, sin * total_x + cos * total_y
 
 
 @jit
@@ -337,7 +365,7 @@ def push_from_walls(hall: Hall, x: float, y: float, radius: float) -> tuple[floa
 def push_away(
     dx: float, dy: float, vx: float, vy: float, both: float, strength: float
 ) -> tuple[float, float]:
-    """Push on a person who is at (dx, dy) from another one that moves at (vx, vy) [m/s^2].
+    """Push [m/s^2] on a person at (dx, dy) from another one, whose relative velocity is (vx, vy).
 
     The potential is strength * exp(-(b - both) / PUSH_RANGE), b being the semi-minor axis of the
     ellipse, and `both` the radii of the two, which the published one leaves out.

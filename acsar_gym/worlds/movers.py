@@ -32,6 +32,8 @@ WALKING_SPEED = 1.34
 MAX_MOVERS = 200  # movers of a world, at most
 MAX_PIECES = 10_000  # pieces of all motions of a world, at most
 MAX_MOVER_SPEED = 20.0  # faster motions are refused, but for jumps [m/s]
+MAX_PLACE = 1e4  # motions beyond this are refused, as obstacles are [m]
+SPEED_SAMPLES = 8  # parts of a piece between which its speed is computed
 PIECE_NUMBERS = 9
 """Begin of a piece [s], four coefficients of x and four of y, the constant ones first [m, s]."""
 
@@ -92,10 +94,18 @@ class Mover:
             )
         if self.radius <= 0.0 or self.spread < 0.0:
             raise WorldError(f"{named}: its radius must be above 0, its spread not negative")
+        if np.abs(pieces[:, [1, 5]]).max() > MAX_PLACE:
+            raise WorldError(f"{named}: its places must be at most {MAX_PLACE:g} m")
+        try:
+            repeat = Repeat(self.repeat)
+        except ValueError as error:
+            raise WorldError(
+                f"{named}: repeat: {show_value(self.repeat)}: must be of Repeat"
+            ) from error
         pieces.setflags(write=False)
         object.__setattr__(self, "pieces", pieces)
-        object.__setattr__(self, "repeat", Repeat(self.repeat))
-        if self.top_speed > MAX_MOVER_SPEED:
+        object.__setattr__(self, "repeat", repeat)
+        if not self.top_speed <= MAX_MOVER_SPEED:
             raise WorldError(
                 f"{named}: moves at {self.top_speed:.1f} m/s, at most {MAX_MOVER_SPEED:g}"
             )
@@ -107,16 +117,23 @@ class Mover:
 
     @cached_property
     def top_speed(self) -> float:
-        """An upper bound of its speed, but for jumps; exact on straight lines [m/s]."""
+        """An upper bound of its speed, but for jumps; exact on straight lines [m/s].
+
+        Between two samples a velocity that is quadratic in time is at most
+        |its second derivative| * spacing^2 / 8 from the line between them.
+        """
         lengths = np.diff(np.append(self.pieces[:, 0], self.duration))
-        shares = np.linspace(0.0, 1.0, 9) * lengths[:, None]
-        vx, vy = (
-            self.pieces[:, [k]]
-            + 2.0 * shares * self.pieces[:, [k + 1]]
-            + 3.0 * shares**2 * self.pieces[:, [k + 2]]
-            for k in (2, 6)
-        )
-        return float(np.hypot(vx, vy).max())
+        shares = np.linspace(0.0, 1.0, SPEED_SAMPLES + 1) * lengths[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):
+            vx, vy = (
+                self.pieces[:, [k]]
+                + 2.0 * shares * self.pieces[:, [k + 1]]
+                + 3.0 * shares**2 * self.pieces[:, [k + 2]]
+                for k in (2, 6)
+            )
+            bend = 6.0 * np.hypot(*self.pieces[:, [4, 8]].T)
+            between = bend * (lengths / SPEED_SAMPLES) ** 2 / 8.0
+            return float((np.hypot(vx, vy).max(axis=1) + between).max())
 
     def position(self, time: float, share: float = 0.0) -> tuple[float, float]:
         """Where the motion is [m] at a time since the episode's begin [s].
@@ -160,30 +177,38 @@ def walk(
         ((2.0, 0.0), (-1.0, 0.0))
     """
     try:
-        ways = np.array(points, np.float64).reshape(-1, 2)
-        rests = np.broadcast_to(np.array(pauses, np.float64), len(ways)).tolist()
+        ways = np.atleast_2d(np.array(points, np.float64))
+        rests = np.broadcast_to(np.array(pauses, np.float64), len(ways))
         closed = repeat == Repeat.LOOP and len(ways) > 1
         line_count = len(ways) if closed else max(len(ways) - 1, 0)
-        speeds = np.broadcast_to(np.array(speed, np.float64), line_count).tolist()
+        speeds = np.broadcast_to(np.array(speed, np.float64), line_count)
     except (TypeError, ValueError) as error:
         raise WorldError(
             f"mover {name!r}: needs points (x, y), a speed for all lines or one for each, and a "
             "pause for all points or one for each"
         ) from error
-    if not len(ways) or min(speeds, default=1.0) <= 0.0 or min(rests) < 0.0:
+    finite = all(np.isfinite(numbers).all() for numbers in (ways, rests, speeds))
+    if not (
+        len(ways)
+        and ways.shape[1:] == (2,)
+        and finite
+        and (speeds > 0.0).all()
+        and (rests >= 0.0).all()
+    ):
         raise WorldError(
-            f"mover {name!r}: needs a point, speeds above 0, and pauses that aren't negative"
+            f"mover {name!r}: needs points (x, y), speeds above 0, and pauses that aren't "
+            "negative; all of them finite"
         )
     times, places = [0.0], [ways[0]]
     for number, place in enumerate(ways):
         if rests[number] > 0.0:
-            times.append(times[-1] + rests[number])
+            times.append(times[-1] + float(rests[number]))
             places.append(place)
         if number < line_count:
             target = ways[(number + 1) % len(ways)]
-            length = math.dist(place, target)
-            if length > 0.0:
-                times.append(times[-1] + length / speeds[number])
+            arrival = times[-1] + math.dist(place, target) / float(speeds[number])
+            if arrival > times[-1]:
+                times.append(arrival)
                 places.append(target)
     if len(times) == 1:
         times.append(1.0)
@@ -219,8 +244,8 @@ def follow_keys(
     """
     try:
         at = np.array(times, np.float64).ravel()
-        places = np.array(points, np.float64).reshape(-1, 2)
-        sound = len(at) == len(places) >= 2 and bool((np.diff(at) > 0.0).all())
+        places = np.array(points, np.float64)
+        sound = len(at) >= 2 and places.shape == (len(at), 2) and bool((np.diff(at) > 0.0).all())
     except (TypeError, ValueError):
         sound = False
     if not sound:
