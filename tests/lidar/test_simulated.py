@@ -1,0 +1,143 @@
+"""The simulated LiDAR among movers: each beam meets them where they were when it was measured."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from acsar_gym import RobotConfig
+from acsar_gym.hashing import hash_sample
+from acsar_gym.lidar.scan import Revolution, ray_spec
+from acsar_gym.lidar.simulated import SimulatedLidar
+from acsar_gym.links.simulated import SimulatedLink
+from acsar_gym.physics.planar import PlanarBody
+from acsar_gym.protocol import encode
+from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds.geometry import measure_ranges
+from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
+from acsar_gym.worlds.world import make_rectangle
+
+Floats = NDArray[np.float64]
+KEY = 0.37
+EXACT = {"noise": 0.0, "bias": 0.0, "dropouts": 0.0, "outliers": 0.0}
+ROBOTS = {
+    "acsar": RobotConfig.preset("acsar").with_(lidar=EXACT),
+    "jackal": RobotConfig.preset("jackal").with_(lidar=EXACT),
+    "a narrow view": RobotConfig.preset("acsar").with_(
+        lidar=EXACT | {"field_of_view": 4.0, "rays": 81, "max_range": 4.0},
+        lidar_x_offset=0.12,
+        lidar_y_offset=-0.07,
+    ),
+    "a slow head": RobotConfig.preset("acsar").with_(lidar=EXACT | {"rate": 5.0, "rays": 180}),
+}
+DRIVES = ((0.0, 0.0), (8.0, 8.0), (6.0, -6.0), (9.0, 4.0))
+"""Speeds of the wheels on the right and on the left [rad/s]: none, ahead, turning, on an arc."""
+MOVERS: dict[str, list[Mover]] = {
+    "walkers": [
+        walk([[-2.0, 1.2], [2.0, 1.2]], 1.5, spread=5.0),
+        walk([[1.5, -1.5], [1.5, 1.5], [2.5, 0.0]], [0.8, 2.0], pauses=[0.0, 0.3, 0.0], phase=1.0),
+        walk([[-1.0, -1.0], [-1.0, -1.0]], radius=0.1),
+        walk([[-3.0, -2.0], [3.0, -2.0]], 1.8, repeat=Repeat.STOP),
+    ],
+    "those who turn within a revolution": [
+        walk([[0.9, y], [0.95, y], [1.0, y + 0.05]], 1.5, radius=0.15) for y in (-1.0, 0.0, 1.0)
+    ],
+    "those who jump": [
+        follow_keys([0.0, 0.71], [[1.0, -1.5], [2.0, 1.5]]),
+        follow_keys([0.0, 0.13], [[-1.2, -0.6], [-1.2, -0.4]], radius=0.2, spread=1.0),
+        follow_keys([0.0, 0.3, 0.5], [[-2.0, 1.0], [-1.0, 2.0], [0.0, 1.5]], smooth=True, phase=0.2),
+        follow_keys([0.0, 1.3], [[30.0, 30.0], [8.0, 30.0]]),
+    ],
+    "splines": [
+        follow_keys([0.0, 1.0, 1.5, 3.0], [[1, 1], [1, -1], [2, 0], [1, 1]], smooth=True),
+        follow_keys([0.0, 0.6, 1.2], [[-1, 1], [-2, 1], [-1, -1]], smooth=True, spread=2.0),
+    ],
+    "people who react": [
+        walk([[-2.0, 0.8], [2.5, 0.2]], 1.3, reacts=True),
+        walk([[2.0, 0.5], [-2.5, 0.7]], 1.5, reacts=True, radius=0.35),
+        walk([[0.9, -2.0], [0.9, 2.0]], 1.0),
+        walk([[-1.0, -2.0], [-1.0, 2.0]], 1.0, reacts=True, sees_robot=False, spread=3.0),
+    ],
+}
+ROOM = {
+    "segments": make_rectangle(-4.0, -3.5, 4.0, 3.5),
+    "circles": np.array([[1.8, 0.9, 0.2], [-1.5, 0.2, 0.1]]),
+}
+
+
+class Ways(NamedTuple):
+    """Where the LiDAR and the movers were at the ends of ticks."""
+
+    times: list[float]
+    places: list[tuple[float, float]]
+    headings: list[float]
+    movers: list[Floats]
+
+
+def mark(ways: Ways, link: SimulatedLink, config: RobotConfig) -> None:
+    """Add where they are now."""
+    x, y, theta = link.truth.pose
+    cos, sin = math.cos(theta), math.sin(theta)
+    ahead, left = config.lidar_x_offset, config.lidar_y_offset
+    ways.times.append(link.now())
+    ways.places.append((x + cos * ahead - sin * left, y + sin * ahead + cos * left))
+    ways.headings.append(theta)
+    assert link.truth.crowd is not None
+    ways.movers.append(link.truth.crowd.states[:, :2].copy())
+
+
+def interpolate(times: Floats, ways: Ways, values: Any) -> Floats:
+    """Values of the ends of ticks, (ticks, n), at other times, (times, n)."""
+    return np.column_stack([np.interp(times, ways.times, v) for v in np.array(values).T])
+
+
+def measure_exactly(revolution: Revolution, ways: Ways, world: World, config: RobotConfig) -> Floats:
+    """Distances of a revolution's measurements, each from where its beam began, at its time."""
+    times = revolution.times
+    places = interpolate(times, ways, ways.places)
+    # A beam points along the ray that the robot has now.
+    bearings = ways.headings[-1] + ray_spec(config).angles()
+    moved = np.empty((len(times), len(world.movers), 2))
+    followed = interpolate(times, ways, np.array(ways.movers).reshape(len(ways.times), -1))
+    for m, mover in enumerate(world.movers):
+        share = hash_sample(KEY, m)
+        moved[:, m] = (
+            followed[:, 2 * m : 2 * m + 2]
+            if mover.reacts
+            else [mover.position(time, share) for time in times.tolist()]
+        )
+    ranges = measure_ranges((places[:, 0], places[:, 1]), bearings, world, moved)
+    radii = [mover.radius for mover in world.movers]
+    inside = np.hypot(*np.moveaxis(moved - places[:, None], -1, 0)) <= radii
+    ranges[inside.any(axis=1)] = 1e-6  # something very near
+    return np.where(ranges < config.lidar.max_range, ranges, 0.0)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("kind", MOVERS)
+def test_each_beam_meets_movers_where_they_were(kind: str, robot: str) -> None:
+    config, world = ROBOTS[robot], World(movers=MOVERS[kind], **ROOM)  # type: ignore[arg-type]
+    link = SimulatedLink(config, lambda: PlanarBody(config))
+    lidar, scene = SimulatedLidar(link, config), Scene((0.1, -0.2, 0.4), None, world, None, KEY)
+    link.reset(scene)
+    lidar.reset(scene, np.random.default_rng(3))
+    ways, met = Ways([], [], [], []), 0
+    mark(ways, link, config)
+    alone = World(**ROOM)  # type: ignore[arg-type]
+    for right, left in DRIVES:
+        for tick in range(round(0.7 / config.period)):
+            link.write(encode((right, left, left, right)))
+            link.advance(config.period)
+            lidar.poll(link.truth, link.now())
+            mark(ways, link, config)
+            if tick % 9 == 0:
+                revolution = lidar.scan()
+                expected = measure_exactly(revolution, ways, world, config)
+                since = revolution.times >= ways.times[0]  # before, people walked as at the reset
+                assert revolution.distances[since] == pytest.approx(expected[since], abs=1e-9)
+                met += (expected < measure_exactly(revolution, ways, alone, config) - 0.01).sum()
+    assert met > 50
