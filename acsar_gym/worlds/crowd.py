@@ -68,8 +68,8 @@ FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
 SIGHT_RESOLUTION = 2.0**-20
 """People see where the robot is and how it moves to this, a micrometre [m, m/s].
 
-Crowds are chaotic: without it the last bit of a pose, in which one robot and a batch differ, changes
-them in 20 s."""
+Crowds are chaotic: without it the last bit of a pose, in which one robot and a batch differ,
+changes them in 20 s."""
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
 LEASH = 1.0  # the motion waits for a person who is so far behind [m]
 PERSONAL_SPACE = 0.45
