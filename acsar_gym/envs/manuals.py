@@ -287,7 +287,7 @@ class BarnVectorEnv(RobotVectorEnv):
 
 
 class CrowdEnv(RobotEnv):
-    """Cross a room that people walk through, who are seen with a LiDAR.
+    """Cross a hall that people walk through, who are seen with a LiDAR.
 
     ## Action space
 
@@ -322,9 +322,9 @@ class CrowdEnv(RobotEnv):
     Every episode takes place in one of the env's numbered worlds: a corridor, a crossing, rooms
     with doors or an open floor, in which people walk. Where they are at its begin is drawn anew for
     each episode. The robot stands at the world's start, which is the origin of the odometry frame.
-    The episode terminates when odometry says that
-    the robot is within 0.5 m of the goal (success), or when a simulated robot and an obstacle or a
-    person touch (collision, whoever ran into whom). It is truncated after 800 steps.
+    The episode terminates when odometry says that the robot is within 0.5 m of the goal (success),
+    or when a simulated robot and an obstacle or a person touch (collision, whoever ran into whom).
+    It is truncated after 800 steps.
     `reset(options={"world": 1017})` chooses the world, `{"goal": (x, y)}` sets the goal, as in
     `acsar_gym/ObstacleGoal-v1`.
 

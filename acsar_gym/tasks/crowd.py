@@ -48,9 +48,8 @@ class Crowd(NavigationTask):
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step: `navigation_reward` less CROWDING_COST times `crowding`."""
         memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-        return navigation_reward(state, outcome, self.end, self.crash) - CROWDING_COST * crowding(
-            state
-        )
+        cost = CROWDING_COST * crowding(state)
+        return navigation_reward(state, outcome, self.end, self.crash) - cost
 
 
 class DynaBarn(Crowd):
@@ -72,7 +71,7 @@ def crowding(state: State) -> float:
         return 0.0
     ahead, left = float(state.sensed[AHEAD]), float(state.sensed[LEFT])
     share = math.sqrt(ahead * ahead + left * left)
-    apart = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
+    apart: float = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
     gap = apart - 1.0 - MOST_RADIUS * float(state.sensed[RADIUS])
     radius = state.max_twist[0] / (10.0 * float(state.sensed[TOP_SPEED]))
     return 1.0 - min(max(gap * radius / PERSONAL_SPACE, 0.0), 1.0)

@@ -66,8 +66,10 @@ MOST_PUSH = 10.0  # greatest acceleration [m/s^2]
 LONGEST_LOOK = 1.0  # a mover that is far away is looked at so often, at least [s]
 FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
 SIGHT_RESOLUTION = 2.0**-20
-"""People see where the robot is and how it moves to this, a micrometre [m, m/s]. Crowds are chaotic:
-without it the last bit of a pose, in which one robot and a batch differ, changes them in 20 s."""
+"""People see where the robot is and how it moves to this, a micrometre [m, m/s].
+
+Crowds are chaotic: without it the last bit of a pose, in which one robot and a batch differ,
+changes them in 20 s."""
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
 LEASH = 1.0  # the motion waits for a person who is so far behind [m]
 PERSONAL_SPACE = 0.45

@@ -119,6 +119,7 @@ def make_reacting_crowd(rng: np.random.Generator, difficulty: float, radius: flo
 def _make_hall(
     rng: np.random.Generator, difficulty: float, radius: float, reacting: float
 ) -> World:
+    """A hall with walkers, of whom a share reacts."""
     draw_hall = (draw_corridor, draw_crossing, draw_doors, draw_open_hall)[int(rng.integers(4))]
     hall = draw_hall(rng, radius)
     ends = [_draw_point(rng, box, radius + WALKER_MARGIN) for box in (hall.start, hall.goal)]
@@ -389,12 +390,10 @@ def draw_cylinder(rng: np.random.Generator, difficulty: float, radius: float) ->
     fastest = DYNABARN_EASY_SPEED + difficulty * (DYNABARN_SPEEDS[1] - DYNABARN_EASY_SPEED)
     low, high = DYNABARN_SPREADS
     deviation = low + difficulty * (high - low)
-    orders = (
-        DYNABARN_ORDERS[0],
-        round(DYNABARN_ORDERS[0] + difficulty * (DYNABARN_ORDERS[1] - DYNABARN_ORDERS[0])),
-    )
+    lowest, highest = DYNABARN_ORDERS
+    highest = round(lowest + difficulty * (highest - lowest))
     while True:
-        keys = draw_polynomial(rng, int(rng.integers(orders[0], orders[1] + 1)))
+        keys = draw_polynomial(rng, int(rng.integers(lowest, highest + 1)))
         mean = rng.uniform(DYNABARN_SPEEDS[0], fastest)
         ends = [(end.x, end.y) for end in (DYNABARN_START, DYNABARN_GOAL)]
         if min(math.dist(keys[0], end) for end in ends) < JUMP_DISTANCE or len(keys) < 3:

@@ -49,7 +49,9 @@ MOVERS: dict[str, list[Mover]] = {
     "those who jump": [
         follow_keys([0.0, 0.71], [[1.0, -1.5], [2.0, 1.5]]),
         follow_keys([0.0, 0.13], [[-1.2, -0.6], [-1.2, -0.4]], radius=0.2, spread=1.0),
-        follow_keys([0.0, 0.3, 0.5], [[-2.0, 1.0], [-1.0, 2.0], [0.0, 1.5]], smooth=True, phase=0.2),
+        follow_keys(
+            [0.0, 0.3, 0.5], [[-2.0, 1.0], [-1.0, 2.0], [0.0, 1.5]], smooth=True, phase=0.2
+        ),
         follow_keys([0.0, 1.3], [[30.0, 30.0], [8.0, 30.0]]),
     ],
     "splines": [
@@ -95,7 +97,9 @@ def interpolate(times: Floats, ways: Ways, values: Any) -> Floats:
     return np.column_stack([np.interp(times, ways.times, v) for v in np.array(values).T])
 
 
-def measure_exactly(revolution: Revolution, ways: Ways, world: World, config: RobotConfig) -> Floats:
+def measure_exactly(
+    revolution: Revolution, ways: Ways, world: World, config: RobotConfig
+) -> Floats:
     """Distances of a revolution's measurements, each from where its beam began, at its time."""
     times = revolution.times
     places = interpolate(times, ways, ways.places)

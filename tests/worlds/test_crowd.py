@@ -22,7 +22,6 @@ from acsar_gym.worlds.crowd import (
     NEAR,
     NO_HIT,
     PERSON_HIT,
-    PERSONAL_SPACE,
     ROBOT_HIT,
     SPEED_SHARE,
     STATE_NUMBERS,
@@ -269,7 +268,9 @@ def test_an_entry_into_personal_space_counts_once(gap: float, intrusions: int) -
 def test_who_stays_near_is_one_intrusion() -> None:
     near = walk([[0.0, HALF_WIDTH + 0.25 + 0.2]])
     assert watch([near], 5.0, standing((0.0, 0.0, 0.0)))[1].intrusions == 1
-    assert watch([near], 5.0, lambda t: ((3.0 * math.sin(t), 0.0, 0.0), (0.0, 0.0)))[1].intrusions == 2
+    assert (
+        watch([near], 5.0, lambda t: ((3.0 * math.sin(t), 0.0, 0.0), (0.0, 0.0)))[1].intrusions == 2
+    )
 
 
 # What is measured

@@ -143,6 +143,27 @@ def test_a_plugin_moves_its_model_as_its_source_says(
     assert mover.position(10.0) == pytest.approx((-10.0, 4.0))  # it jumps
 
 
+def test_a_world_as_dynabarns_generator_writes_it(tmp_path: Path) -> None:
+    wall = body("<box><size>.5 20 1</size></box>")
+    walls = model(wall, "<static>1</static><pose frame=>-10 0 .5 0 0 0</pose>", name="back_wall")
+    obstacles = [
+        moving(f"<plugin name='libobs_{n}' filename='libobs_{n}.so'/>", f"libobs_{n}")
+        .replace("<link", "<pose frame=''>-0.225 0.075 0 0 0 0</pose><link")
+        .replace("<radius>0.1", "<radius>0.5000")
+        for n in (3, 14)
+    ]
+    (tmp_path / "plugins").mkdir()
+    for number in (3, 14):
+        (tmp_path / "plugins" / f"obs_{number}.cc").write_text(source(KEYS, 10.0))
+    world = load(tmp_path, walls, *obstacles)
+    assert (len(world.segments), len(world.circles)) == (4, 0)
+    assert [(mover.name, mover.radius) for mover in world.movers] == [
+        ("libobs_3", 0.5),
+        ("libobs_14", 0.5),
+    ]
+    assert world.movers[1].position(5.0) == pytest.approx((-5.0, 3.0))
+
+
 @pytest.mark.parametrize(
     ("inside", "place", "radius"),
     [

@@ -43,8 +43,8 @@ its speed, and of the speed, matched scans (0: not in use), scans without a matc
 where it stood [m], whether it moves, and how many traces it has."""
 EDGE_GAP = 0.25
 """Rays beside each other that differ by more belong to two objects [m]."""
-LARGEST = 0.5
-"""An object with a larger radius isn't followed [m]."""
+LARGEST = 0.65
+"""An object that looks larger than this radius isn't followed [m]; DynaBARN's have 0.5."""
 ERROR, ERROR_SHARE = 0.03, 0.3
 """Standard deviation of a cluster's place: a part of its own, and one of the distance between two
 rays where it is [m]."""
@@ -66,7 +66,7 @@ SURE, UNSURE = 3.0, 2.0
 DEPARTURE, FAR_DEPARTURE = 0.2, 0.5
 """What moves is faster than so many standard deviations of its speed, and so far from where it
 stood [m]: either the first ones, or the second ones."""
-SETTLING = 0.05
+SETTLING = 0.03
 """Share by which the place where a track stands follows it at each scan, as odometry drifts."""
 FRESH = 2
 """What moves isn't where the map remembers something: at most one of so many of its rays is."""

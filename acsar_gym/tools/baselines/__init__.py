@@ -12,7 +12,7 @@ from acsar_gym.errors import PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.baselines.base import BaselinePolicy
 
-__all__ = ["BASELINES", "BaselinePolicy", "is_baseline", "load_baseline"]
+__all__ = ["BASELINES", "CEILINGS", "BaselinePolicy", "is_baseline", "load_baseline"]
 BASELINES = {
     "turn_drive": "laws:TurnDrive",
     "pure_pursuit": "laws:PurePursuit",
@@ -24,6 +24,8 @@ BASELINES = {
     "time_search": "time_search:TimeSearch",
 }
 """What `--policy` calls each, and its module in this package and class."""
+CEILINGS = ("orca_true", "time_search")
+"""Those that know what only a simulator does."""
 
 
 def is_baseline(policy: str) -> bool:

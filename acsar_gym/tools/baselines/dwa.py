@@ -7,8 +7,8 @@ Of the velocities that the robot can reach within a step, those are admissible a
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
 clearance. Progress is that along the way of the robot's map, as in the global dynamic window
 approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
-dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers, a
-pose counts by where they are by then.
+dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers,
+the clearance of a pose is that from where they are by then.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
 STILL_STEPS, ALIGNED_BEARING = 5, 0.3
 """After so many decisions to stand still it turns to the way, up to this bearing [rad]."""
-ESCAPE_TIME = 0.3
-"""Where nothing is admissible, it moves to where there is more clearance after this time [s]."""
 MotionState = tuple[float, float, float, float, float, float, float]
 """Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
 
@@ -56,6 +54,15 @@ class DwaConstants:
     near_cost: float = 0.3  # cost of a second without clearance [s at top speed]
     near_fade: float = 0.25  # clearance where that cost has fallen to 1/e [radius]
     blocked_cost: float = 0.6  # of an arc that comes too near, times what is left of it [s]
+
+
+@dataclass(frozen=True)
+class DwaMoversConstants(DwaConstants):
+    """As `DwaConstants`; among movers it looks farther ahead, and tries more velocities."""
+
+    arc_time: float = 2.5
+    window_periods: float = 4.0
+    blocked_cost: float = 4.0
 
 
 class Surroundings(NamedTuple):
@@ -201,10 +208,10 @@ class Dwa(MappedPolicy):
         best, chosen = -1.0, (0.0, 0.0)
         for linear in (0.0, -0.2 * units.speed, 0.2 * units.speed):
             for angular in (0.0, -0.4 * units.turning, 0.4 * units.turning):
-                heading = theta + ESCAPE_TIME * angular
-                ahead = ESCAPE_TIME * linear
+                heading = theta + 0.3 * angular
+                ahead = 0.3 * linear
                 there = x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading
-                free = pose_clearance(*there, ESCAPE_TIME, around, self.outer)
+                free = pose_clearance(*there, around, self.outer)
                 if free > best + 1e-3:
                     best, chosen = free, (linear, angular)
         return chosen
@@ -215,18 +222,19 @@ class DwaMovers(Dwa):
 
     name = "dwa_movers"
     follows_movers = True
+    constants_type = DwaMoversConstants
 
 
 @jit
 def advance_arc(
-    state: MotionState, linear: float, angular: float, brake: float, model: ArcModel
+    state: MotionState, linear: float, angular: float, brake: float, spin: float, blend: float
 ) -> MotionState:
-    """Predict the state a STEP later."""
+    """Predict the state an ARC_STEP later; `brake`, `spin` and `blend` as in `ArcModel`."""
     x, y, theta, v, w, sent_v, sent_w = state
     sent_v += min(max(linear - sent_v, -brake * ARC_STEP), brake * ARC_STEP)
-    sent_w += min(max(angular - sent_w, -model.spin * ARC_STEP), model.spin * ARC_STEP)
-    v += model.blend * (sent_v - v)
-    w += model.blend * (sent_w - w)
+    sent_w += min(max(angular - sent_w, -spin * ARC_STEP), spin * ARC_STEP)
+    v += blend * (sent_v - v)
+    w += blend * (sent_w - w)
     theta += w * ARC_STEP
     return (
         x + v * ARC_STEP * math.cos(theta),
@@ -260,14 +268,14 @@ def score_velocity(
     linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
 ) -> float:
     """Score of one admissible velocity."""
-    cost, steps = 0.0, model.arc_steps
+    cost, steps, spin, blend = 0.0, model.arc_steps, model.spin, model.blend
     for step in range(steps):
         turning = angular if step < model.turn_steps else 0.0
-        state = advance_arc(state, linear, turning, model.acceleration, model)
+        state = advance_arc(state, linear, turning, model.acceleration, spin, blend)
         if step % 2 == 0:
             continue
-        time = (step + 1) * ARC_STEP
-        free = pose_clearance(state[0], state[1], state[2], time, around, model.reach)
+        free = pose_clearance(state[0], state[1], state[2], around, model.reach)
+        free = movers_clearance(state, (step + 1) * ARC_STEP, around, free)
         cost += 2.0 * ARC_STEP * model.near_cost * math.exp(-free / model.near_fade)
         left = 1.0 - step / steps
         if free < model.stop_clearance:
@@ -286,16 +294,15 @@ def can_stop(
 
     Where it is too near to something already, coming no nearer is enough.
     """
-    wanted = model.stop_clearance
-    least = pose_clearance(state[0], state[1], state[2], 0.0, around, wanted) - 1e-3
+    wanted, spin, blend = model.stop_clearance, model.spin, model.blend
+    least = pose_clearance(state[0], state[1], state[2], around, wanted) - 1e-3
     for step in range(model.stop_steps):
         holding = step < model.hold_steps
         if holding:
-            state = advance_arc(state, linear, angular, model.acceleration, model)
+            state = advance_arc(state, linear, angular, model.acceleration, spin, blend)
         else:
-            state = advance_arc(state, 0.0, 0.0, model.braking, model)
-        time = (step + 1) * ARC_STEP
-        if pose_clearance(state[0], state[1], state[2], time, around, wanted) < least:
+            state = advance_arc(state, 0.0, 0.0, model.braking, spin, blend)
+        if pose_clearance(state[0], state[1], state[2], around, wanted) < least:
             return False
         if not holding and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
             break
@@ -303,21 +310,23 @@ def can_stop(
 
 
 @loop
-def pose_clearance(
-    x: float, y: float, theta: float, time: float, around: Surroundings, most: float
-) -> float:
-    """Clearance of the footprint at a pose after some time, at most `most` [m]."""
-    movers, sides, outer = around.movers, around.sides, around.outer
-    best = points_clearance(x, y, theta, around.points, sides, outer, most)
-    cos, sin = math.cos(theta), math.sin(theta)
+def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
+    """Clearance of the footprint at a pose from what stands, at most `most` [m]."""
+    return points_clearance(x, y, theta, around.points, around.sides, around.outer, most)
+
+
+@loop
+def movers_clearance(state: MotionState, time: float, around: Surroundings, most: float) -> float:
+    """Clearance of the footprint from where movers are after some time, at most `most` [m]."""
+    movers, cos, sin = around.movers, math.cos(state[2]), math.sin(state[2])
     for m in range(len(movers)):
-        dx = movers[m, 0] + time * movers[m, 2] - x
-        dy = movers[m, 1] + time * movers[m, 3] - y
-        reach = outer + movers[m, 4] + best
+        dx = movers[m, 0] + time * movers[m, 2] - state[0]
+        dy = movers[m, 1] + time * movers[m, 3] - state[1]
+        reach = around.outer + movers[m, 4] + most
         if dx * dx + dy * dy < reach * reach:
-            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
-            best = min(best, max(gap - movers[m, 4], 0.0))
-    return best
+            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, around.sides)
+            most = min(most, max(gap - movers[m, 4], 0.0))
+    return most
 
 
 @jit

@@ -163,7 +163,8 @@ class MappedPolicy(BaselinePolicy):
         near = np.abs(scan - pose[:2]).max(axis=1) <= reach
         points = np.concatenate([scan[near], places])
         apart = np.hypot(*(points[:, None] - tracks[:, :2]).T).T
-        return points[(apart > tracks[:, 4] + TRACK_MARGIN).all(axis=1)]
+        standing: Floats = points[(apart > tracks[:, 4] + TRACK_MARGIN).all(axis=1)]
+        return standing
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
         """The point that is so far along the way [m], in the base frame [m]."""

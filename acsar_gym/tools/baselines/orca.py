@@ -1,11 +1,11 @@
 """Optimal reciprocal collision avoidance: half planes of velocities with which nobody is met.
 
 Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover
-forbids
-the velocities with which the robot would meet it within a horizon if it kept its own. The robot
-keeps to a half plane without them, and chooses the velocity within all half planes that is nearest
-to the one along the way of its map. What stands forbids velocities with which the nearest place of
-the exact footprint would reach it within a shorter horizon; these half planes hold in any case.
+forbids the velocities with which the robot would meet it within a horizon if it kept its own. The
+robot keeps to a half plane without them, and chooses the velocity within all half planes that is
+nearest to the one along the way of its map. What stands forbids velocities with which the nearest
+place of the exact footprint would reach it within a shorter horizon; these half planes hold in any
+case.
 
 A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
 difference, as in Alonso-Mora et al., "Optimal reciprocal collision avoidance for multiple
@@ -48,7 +48,7 @@ class OrcaConstants:
     delay: float = 1.5  # until a command takes effect [period]
     turn_gain: float = 3.0  # yaw rate for a velocity whose bearing is 1 rad [1/s]
     reverse_share: float = 0.4  # greatest speed backwards [top speed]
-    reverse_bearing: float = 2.5  # it drives backwards where the bearing is larger [rad]
+    reverse_bearing: float = 1.75  # it backs off slowly where the bearing is larger [rad]
 
 
 class VelocityModel(NamedTuple):
@@ -106,11 +106,11 @@ class Orca(MappedPolicy):
         ((x, y),) = to_base(soon, carrot).tolist()
         share = units.speed / max(math.hypot(x, y), 1e-6)
         ahead, left = solve_programme(planes, BOX + walls, share * x, share * y)
-        bearing, direction = math.atan2(left, ahead), 1.0
-        if abs(bearing) > k.reverse_bearing:
+        bearing, direction, fast = math.atan2(left, ahead), 1.0, math.hypot(ahead, left)
+        if abs(bearing) > k.reverse_bearing and fast <= k.reverse_share * units.speed:
             bearing, direction = math.remainder(bearing + math.pi, math.tau), -1.0
         turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
-        wanted = direction * math.hypot(ahead, left) * max(math.cos(bearing), 0.0)
+        wanted = direction * fast * max(math.cos(bearing), 0.0)
         planes = planes_along(planes, units.period * turn)
         make_box((-k.reverse_share * units.speed, units.speed), (0.0, 0.0), planes)
         speed, _ = solve_programme(planes, BOX + walls, wanted, 0.0)

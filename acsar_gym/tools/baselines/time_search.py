@@ -7,24 +7,32 @@ import math
 
 import numpy as np
 
+from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy, Privileged
+from acsar_gym.tools.baselines.dwa import ARC_STEP, MotionState, advance_arc
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import distance_to_line
 from acsar_gym.worlds.time_search import HORIZON, TIME_STEP, search_time
 from acsar_gym.worlds.world import World
 
-REPLAN_TIME = 0.5
+REPLAN_TIME = 0.3
 """It searches anew so often [s]."""
 MARGINS = (0.6, 0.3, 0.1, 0.0)
 """Margins around the disc of the robot that are tried, the widest first [radius]."""
-SPEED_SHARE = 0.85
-"""Speed of the path, so that the robot can catch up [top speed]."""
-PREVIEW = 0.4
-"""The robot drives to where the path is after this time [s]."""
-TURN_GAIN = 4.0
-"""Yaw rate for a bearing of 1 rad [1/s]."""
-NEAR_SHARE = 0.1
-"""Nearer to that place it stands [radius]."""
+SPEED_SHARE, MOST_SPEED = 0.7, 0.8
+"""Speed of the path, so that the robot can turn and catch up: a part of its top speed, and the most
+[m/s]."""
+CATCH_UP = 1.4
+"""It drives faster than the path by this factor at most, where it is late."""
+MOST_TURNING = 2.0
+"""Its greatest yaw rate [rad/s]."""
+TRACK_STEPS = 16
+"""Arcs that follow the path are compared over so many steps of ARC_STEP."""
+MOST_SIDEWAYS = 1.0
+"""Arcs have less acceleration sideways, where tyres would slide and odometry drift [m/s^2]."""
+LINEAR_SAMPLES, ANGULAR_SAMPLES = 21, 31
+"""How many linear and angular velocities are tried."""
 
 
 class TimeSearch(Privileged, BaselinePolicy):
@@ -40,27 +48,36 @@ class TimeSearch(Privileged, BaselinePolicy):
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
+        self._speed = min(SPEED_SHARE * self.units.speed, MOST_SPEED)
         self.reset()
 
     def reset(self) -> None:
         """Forget the last path."""
         self._path = np.zeros((0, 3))
         self._planned = -math.inf
+        self._sent = (0.0, 0.0)
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
-        """Drive to where the path is in a moment."""
-        now, (x, y, theta) = self.env.robot.link.now(), self.truth.pose
+        """Choose the arc that comes nearest to the path."""
+        units, now = self.units, self.env.robot.link.now()
         if now >= self._planned + REPLAN_TIME - 1e-6:
             self._path, self._planned = self._plan(seen, now), now
-        to_x, to_y = place_on(self._path, now + PREVIEW)
-        far, bearing = math.hypot(to_x - x, to_y - y), math.atan2(to_y - y, to_x - x) - theta
-        if far < NEAR_SHARE * self.units.radius:
-            return 0.0, 0.0
-        bearing, direction = math.remainder(bearing, math.tau), 1.0
-        if abs(bearing) > math.pi / 2.0:
-            bearing, direction = math.remainder(bearing - math.pi, math.tau), -1.0
-        speed = direction * far / PREVIEW * math.cos(bearing) ** 2
-        return speed, TURN_GAIN * bearing
+        times = now + ARC_STEP * np.arange(1, TRACK_STEPS + 1)
+        line = np.column_stack([np.interp(times, *self._path.T[[0, n]]) for n in (1, 2)])
+        state = (*self.truth.pose, seen.linear, seen.angular, *self._sent)
+        blend = 1.0 - math.exp(-ARC_STEP / units.lag) if units.lag > 0.0 else 1.0
+        limits = (
+            min(CATCH_UP * self._speed, units.speed),
+            min(MOST_TURNING, units.turning),
+            units.acceleration,
+            units.spin,
+            blend,
+        )
+        world = self.env.episode.assignment.world or World()
+        self._sent = choose_arc(
+            state, line, limits, world.circles, world.segments, 1.05 * units.radius
+        )
+        return self._sent
 
     def _plan(self, seen: DecodedObservation, now: float) -> Floats:
         """(points, 3): the path with the widest margin: time [s], x, y [m]; else the last one."""
@@ -69,17 +86,17 @@ class TimeSearch(Privileged, BaselinePolicy):
         cos, sin = math.cos(theta), math.sin(theta)
         goal = x + cos * goal_x - sin * goal_y, y + sin * goal_x + cos * goal_y
         assignment = self.env.episode.assignment
-        world = assignment.world or World()
+        world, places = assignment.world or World(), self._foresee(now)
         for margin in MARGINS:
             path = search_time(
                 world,
                 (1.0 + margin) * self.units.radius,
-                SPEED_SHARE * self.units.speed,
+                self._speed,
                 (x, y),
                 goal,
                 begin=now,
                 key=assignment.key,
-                places=self._foresee(now),
+                places=places,
                 tolerance=0.8 * self.setting.tolerance,
             )
             if path is not None:
@@ -111,3 +128,56 @@ def place_on(path: Floats, time: float) -> tuple[float, float]:
     """Where a path is at a time, its end at last [m]."""
     times = path[:, 0]
     return float(np.interp(time, times, path[:, 1])), float(np.interp(time, times, path[:, 2]))
+
+
+@loop
+def choose_arc(
+    state: MotionState,
+    line: Floats,
+    limits: tuple[float, float, float, float, float],
+    circles: Floats,
+    segments: Floats,
+    clearance: float,
+) -> tuple[float, float]:
+    """Choose the velocity command whose arc is nearest to a line, (steps, 2) [m].
+
+    An arc that comes nearer to what stands than `clearance`, and nearer than it is, isn't chosen.
+
+    `limits` are top speed [m/s], greatest yaw rate [rad/s], acceleration [m/s^2], angular
+    acceleration [rad/s^2], and `ArcModel.blend`.
+    """
+    speed, turning, acceleration, spin, blend = limits
+    best, linear, angular, least = np.inf, 0.0, 0.0, clearance
+    while is_blocked(state[0], state[1], circles, segments, least):
+        least -= 0.01
+    for i in range(LINEAR_SAMPLES):
+        v = speed * (2.0 * i / (LINEAR_SAMPLES - 1) - 1.0)
+        for j in range(ANGULAR_SAMPLES):
+            w = turning * (2.0 * j / (ANGULAR_SAMPLES - 1) - 1.0)
+            if abs(v * w) > MOST_SIDEWAYS:
+                continue
+            cost, there = 0.0, state
+            for step in range(len(line)):
+                there = advance_arc(there, v, w, acceleration, spin, blend)
+                dx, dy = there[0] - line[step, 0], there[1] - line[step, 1]
+                cost += dx * dx + dy * dy
+                if cost >= best or is_blocked(there[0], there[1], circles, segments, least):
+                    cost = np.inf
+                    break
+            if cost < best:
+                best, linear, angular = cost, v, w
+    return linear, angular
+
+
+@jit
+def is_blocked(x: float, y: float, circles: Floats, segments: Floats, reach: float) -> bool:
+    """Whether a circle or a segment is nearer to a place than `reach` [m]."""
+    for n in range(len(circles)):
+        dx, dy, far = x - circles[n, 0], y - circles[n, 1], reach + circles[n, 2]
+        if dx * dx + dy * dy < far * far and far > 0.0:
+            return True
+    for n in range(len(segments)):
+        line = segments[n]
+        if distance_to_line(x, y, line[0], line[1], line[2], line[3]) < reach:
+            return True
+    return False

@@ -19,7 +19,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.baselines import BASELINES
+from acsar_gym.tools.baselines import BASELINES, CEILINGS
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cell_id
 from acsar_gym.tools.evaluation import runs
@@ -27,7 +27,8 @@ from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
 
 PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
-LEARNED, BASELINE = "learned", "baseline"
+LEARNED, BASELINE, CEILING = "learned", "baseline", "ceiling"
+"""Kinds of agents; a ceiling is a baseline that knows what only a simulator does."""
 MAX_NAME_LENGTH = 60  # most characters of an agent's name
 
 
@@ -36,7 +37,7 @@ class Agent:
     """A policy that drives on one id: one training seed of a named agent."""
 
     name: str
-    kind: str  # "learned" or "baseline"
+    kind: str  # "learned", "baseline" or "ceiling"
     env: str  # id of the env, with the module that registers it where there is one
     policy: str  # file, function, class or name of a baseline, as `evaluate --policy` takes it
     training_seed: int | None = None
@@ -82,7 +83,7 @@ def choose_agents(
 
     Args:
         names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
-            such as mine.planner:Planner; empty for all of the first three.
+            such as mine.planner:Planner; empty for all of the first three but the ceilings.
         ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
@@ -97,12 +98,16 @@ def choose_agents(
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
     ]
     agents += [] if trained is None else trained_agents(trained, seeds, ids)
-    agents += [Agent(name, BASELINE, env_id, name) for name in BASELINES for env_id in ids]
+    for name in BASELINES:
+        kind = CEILING if name in CEILINGS else BASELINE
+        agents += [Agent(name, kind, env_id, name) for env_id in ids]
     known = list(dict.fromkeys(agent.name for agent in agents))
     check_names("--agents", [name for name in names if name not in given], known)
     benchmarked = {cell_id(env_id) for env_id in ids}
     chosen = [
-        agent for agent in agents if agent.id in benchmarked and (not names or agent.name in names)
+        agent
+        for agent in agents
+        if agent.id in benchmarked and (agent.name in names if names else agent.kind != CEILING)
     ]
     chosen += [agent for name in given for agent in given_agents(name, ids)]
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in chosen)

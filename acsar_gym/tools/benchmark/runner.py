@@ -171,21 +171,23 @@ def add_emulator_truth(
 ) -> Episode:
     """Complete a result with what the emulator's log knows."""
     stamps, poses = read_true_poses(log)
-    first, last = np.searchsorted(stamps, (result.started, result.ended), side="right")
+    assignment = episode.assignment
+    world, ended, person_contact = assignment.world, result.ended, math.nan
+    if world is not None and world.movers:  # a simulation would have ended with the first contact
+        ended, person_contact = read_person_contact(log, result.started, result.ended)
+    first, last = np.searchsorted(stamps, (result.started, ended), side="right")
     track = np.array(poses[max(0, first - 1) : last])
     length = path_length(np.concatenate([track[:-1:POSE_STRIDE], track[-1:]])[:, :2])
     (error,) = odometry_errors([result], log)
     result = replace(result, driven=length, odometry_error=error)
-    assignment = episode.assignment
-    world = assignment.world
     if world is None or not (world.obstacles or world.movers):
         return result
-    clearance = person_contact = math.nan
+    clearance = math.nan
     if world.obstacles:
         clearance = max(0.0, footprint_clearance(track, config.outline, world))
     touched = clearance < PORT_TOUCH_DISTANCE
-    if world.movers:
-        person_contact = read_person_contact(log, result.started, result.ended)
+    if touched and world.movers:
+        person_contact = NO_HIT
     has_ended = touched or person_contact > NO_HIT
     shortest = left = math.nan
     if isinstance(episode.task, GoalTask) and says_shortest_path(episode.task):

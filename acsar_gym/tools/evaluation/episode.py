@@ -304,10 +304,15 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     return [stamp for stamp, _ in truths], poses
 
 
-def read_person_contact(log: Path, started: float, ended: float) -> float:
-    """Read who ran into whom first between two times, as `Episode.person_contact` says it."""
-    contacts = (hit for stamp, hit in _read_events(log, "hit") if started < stamp <= ended)
-    return float(next(contacts, NO_HIT))
+def read_person_contact(log: Path, started: float, ended: float) -> tuple[float, float]:
+    """Read when somebody was first touched between two times, and who ran into whom.
+
+    Returns:
+        The time [s], `ended` where nobody was, and `Episode.person_contact`.
+    """
+    contacts = (event for event in _read_events(log, "hit") if started < event[0] <= ended)
+    stamp, hit = next(contacts, (ended, NO_HIT))
+    return stamp, float(hit)
 
 
 def _read_events(log: Path, kind: str) -> list[tuple[float, Any]]:

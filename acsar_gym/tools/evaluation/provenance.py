@@ -7,8 +7,8 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
 | | onnxruntime, torch, pybullet and mujoco |
 | `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
-| | a Python file (else null), the `env` that it was made for, and the `differences` between |
-| | the robot and those of its training |
+| | a Python file (else null), the `env` that it was made for, the `differences` between the |
+| | robot and those of its training, and whether it is `privileged`: knows the simulator's truth |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `robot` | `sha256` of its whole config |
 | `link` | name of the link |
@@ -65,7 +65,11 @@ def make_header(
     inner: Any = env.unwrapped
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
-        "policy": policy.about | {"differences": [*policy.outside, *policy.differences]},
+        "policy": policy.about
+        | {
+            "differences": [*policy.outside, *policy.differences],
+            "privileged": policy.privileged,
+        },
         "env": _describe_env(env),
         "robot": {"sha256": hash_config(inner.robot.config)},
         "link": link,

@@ -91,6 +91,8 @@ class EvaluationRun:
     def notes(self) -> list[str]:
         """Faults, and an end before the last episode, as lines for people."""
         notes = []
+        if self.header["policy"]["privileged"]:
+            notes.append("It knows what only a simulator does: a ceiling that no robot reaches.")
         if self.faults:
             notes.append(f"Faults: {len(self.faults)} of {len(self.results)}: {self.faults[0]}")
         if self.ended is not None:

@@ -25,7 +25,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, PolicyError, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import LIDAR, Sensor
-from acsar_gym.sensors.map.sensor import MapSensor
+from acsar_gym.sensors.map.sensor import MapSensor, find_map
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.path import LENGTH_SCALE, LOOKAHEAD, POINT_TIME
@@ -285,7 +285,7 @@ class PolicyContext:
             places={name: n for n, name in enumerate(task.observation)},
             scale=observation_scale(task),
             rays=rays,
-            map=next((one for one in env.sensors if isinstance(one, MapSensor)), None),
+            map=find_map(env.sensors),
             episode_seed=lambda: env.np_random_seed,
         )
 

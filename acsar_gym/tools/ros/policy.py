@@ -33,7 +33,7 @@ from acsar_gym.links.base import ros_link_of
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.ros.node import RosNode, make_stamp
 from acsar_gym.sensors.lidar import newest_scan
-from acsar_gym.sensors.map.sensor import MapSensor
+from acsar_gym.sensors.map.sensor import find_map
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
@@ -223,7 +223,7 @@ def take_view(env: RobotEnv, start: Pose, stamp: int = 0) -> View:
     robot = env.robot
     pose, goal = robot.odometry.pose, env.episode.assignment.goal
     way, cells, side = np.array([pose[:2], goal]), np.empty((0, 2)), 0.0
-    seen = next((sensor for sensor in robot.sensors if isinstance(sensor, MapSensor)), None)
+    seen = find_map(robot.sensors)
     if seen is not None:
         ahead = seen.way_ahead[:, :2]
         way = np.vstack([pose[:2], ahead]) if len(ahead) else way

@@ -31,8 +31,8 @@ class HeldOutEvaluation(RolloutCallback):
     """Evaluates the deterministic policy on a batch of robots that isn't used for training.
 
     It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
-    Scores are logged as eval/success_rate, eval/collision_rate, eval/mean_return and
-    eval/mean_length. A score that reaches the target raises TargetReached.
+    Scores are logged as eval/success_rate, eval/collision_rate, eval/struck_rate,
+    eval/mean_return and eval/mean_length. A score that reaches the target raises TargetReached.
 
     Attributes:
         score: the newest score; None before the first one.

@@ -26,6 +26,7 @@ FIRST_HELD_OUT_SEED = 2**32
 CURVE_FIGURES = {
     "success_rate": "success_rate",
     "collision_rate": "collision_rate",
+    "struck_rate": "struck_rate",
     "mean_return": "episode_return",
     "mean_length": "length",
 }

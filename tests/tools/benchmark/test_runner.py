@@ -136,6 +136,15 @@ def test_over_an_emulated_port(scenes: str, name: str) -> None:
     assert 0.0 < episode.spl <= 1.0
 
 
+def test_what_knows_the_truth_is_a_ceiling_and_drives_where_it_is_named() -> None:
+    assert plan.CEILING not in {agent.kind for agent in AGENTS_OF_ID.values()}
+    found = plan.choose_agents(["time_search", "dwa"], [ID], None, 1)
+    assert {agent.name: agent.kind for agent in found} == {
+        "time_search": "ceiling",
+        "dwa": "baseline",
+    }
+
+
 def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
     policy = (AGENTS / "policies" / "point_goal.onnx").read_bytes()
     for seed in ("0", "seed-3", "1"):

@@ -31,6 +31,8 @@ def test_no_scene_is_in_two_sets(env_id: str) -> None:
         "PathFollow-v0",
         pytest.param("ObstacleGoal-v1", marks=pytest.mark.slow),
         pytest.param("Barn-v1", marks=pytest.mark.slow),
+        pytest.param("Crowd-v0", marks=pytest.mark.slow),
+        pytest.param("DynaBarn-v0", marks=pytest.mark.slow),
     ],
 )
 def test_the_scenes_are_those_that_were_recorded(env_id: str) -> None:

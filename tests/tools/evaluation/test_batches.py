@@ -71,7 +71,7 @@ def test_a_batch_gives_the_results_of_one_robot_after_the_other(
 
 def test_a_batch_among_people_tells_what_one_robot_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some walk into the robot's way, some react to it."""
-    ends = {"start": Region(0.0, 0.0, 0.0, 0.0), "goal": Region(5.0, 0.0)}
+    ends: dict[str, Any] = {"start": Region(0.0, 0.0, 0.0, 0.0), "goal": Region(5.0, 0.0)}
     crossing = [walk([[x, -2.0], [x, 2.0]], 1.0, spread=8.0) for x in (1.5, 3.0)]
     meeting = walk([[5.0, 0.1], [-1.0, 0.1]], 0.8, spread=4.0, reacts=True)
     worlds = [World(**ends, movers=crossing), World(**ends, movers=[*crossing, meeting])]

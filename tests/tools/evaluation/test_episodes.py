@@ -47,9 +47,9 @@ def test_who_ran_into_whom_comes_from_the_emulators_log(tmp_path: Path) -> None:
     hits = [(9.0, 1.0), (11.0, None), (12.0, 2.0), (12.5, 1.0), (14.5, 1.0)]
     events = [{"t": t, "pose": pose} | ({"hit": hit} if hit else {}) for t, hit in hits]
     log.write_text("\n".join(map(json.dumps, events)))
-    assert read_person_contact(log, 10.0, 14.0) == 2.0  # the first within the episode
-    assert read_person_contact(log, 12.0, 14.0) == 1.0
-    assert read_person_contact(log, 10.0, 11.5) == 0.0
+    assert read_person_contact(log, 10.0, 14.0) == (12.0, 2.0)  # the first within the episode
+    assert read_person_contact(log, 12.0, 14.0) == (12.5, 1.0)
+    assert read_person_contact(log, 10.0, 11.5) == (11.5, 0.0)
     log.write_text('{"hit": 1.0}\n')
     with pytest.raises(ConfigError, match="isn't a log of"):
         read_person_contact(log, 10.0, 14.0)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 import re
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from acsar_gym.tools.evaluation.runs import EvaluationRun, PortablePolicy
 from acsar_gym.tools.jobs import completed
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import walk
 
 POINT_GOAL = AGENTS / "policies" / "point_goal.onnx"
 
@@ -69,7 +71,7 @@ def test_an_evaluation_says_what_it_was_measured_with() -> None:
     header = data["header"]
     assert header["versions"]["onnxruntime"] == metadata.version("onnxruntime")
     policy = {"file": "nowhere.onnx", "sha256": None, "function": None, "env": OBSTACLES}
-    assert header["policy"] == policy | {"differences": []}
+    assert header["policy"] == policy | {"differences": [], "privileged": False}
     assert header["env"]["id"] == OBSTACLES
     assert header["env"]["kwargs"] == {"robot": None, "worlds": "open:test", "goal_tolerance": 0.2}
     assert header["env"]["max_episode_steps"] == 600
@@ -95,6 +97,7 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
         {"worlds": "open:5", "difficulty": 0.5},
         {"worlds": world},
         {"worlds": moved},
+        *({"worlds": replace(world, movers=[walk([[2.0, y], [3.0, y]])])} for y in (1.0, 2.0)),
     ]
     headers = []
     for options in kinds:

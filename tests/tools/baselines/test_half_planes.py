@@ -1,0 +1,78 @@
+"""Linear programmes of two variables, against scipy's and a search on a grid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from acsar_gym.tasks.state import Floats
+from acsar_gym.tools.baselines.half_planes import BOX, find_nearest, make_box, solve_programme
+
+
+def box_and(*rows: tuple[float, float, float]) -> Floats:
+    """The box from -1 to 1, and half planes (a, b, c), which are normalized."""
+    planes = np.zeros((BOX + len(rows), 3))
+    make_box((-1.0, 1.0), (-1.0, 1.0), planes)
+    for n, row in enumerate(rows):
+        planes[BOX + n] = np.array(row) / math.hypot(*row[:2])
+    return planes
+
+
+def draw_planes(rng: np.random.Generator, count: int, centre: float) -> Floats:
+    """The box, and half planes whose borders are `centre` from the origin in the mean."""
+    angles = rng.uniform(-math.pi, math.pi, count)
+    offsets = rng.normal(centre, 0.4, count)
+    return box_and(*zip(np.cos(angles), np.sin(angles), offsets, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("rows", "wanted", "found"),
+    [
+        ([], (0.3, -0.2), (0.3, -0.2)),
+        ([], (2.0, 0.5), (1.0, 0.5)),
+        ([(-1, 0, -0.25)], (0.9, 0.1), (0.25, 0.1)),
+        ([(-1, 0, -0.25), (0, 1, 0.5)], (0.9, 0.1), (0.25, 0.5)),
+        ([(-1, -1, 0)], (0.5, 0.5), (0.0, 0.0)),
+    ],
+)
+def test_the_nearest_point_within_half_planes(
+    rows: list[tuple[float, float, float]], wanted: tuple[float, float], found: tuple[float, float]
+) -> None:
+    planes = box_and(*rows)
+    assert solve_programme(planes, len(planes), *wanted) == pytest.approx(found)
+
+
+def test_a_direction_leads_as_far_as_scipy_says() -> None:
+    rng, solved = np.random.default_rng(0), 0
+    for _ in range(200):
+        planes = draw_planes(rng, 6, -0.4)
+        direction = rng.normal(size=2)
+        x, y, held = find_nearest(planes, len(planes), direction[0], direction[1], True)
+        said = linprog(-direction, -planes[:, :2], -planes[:, 2], bounds=(None, None))
+        assert (held == len(planes)) == (said.status == 0)
+        if said.fun is not None:
+            assert direction @ (x, y) == pytest.approx(-said.fun, abs=1e-9)
+            solved += 1
+    assert 50 < solved < 200
+
+
+def test_where_nothing_is_left_the_worst_is_broken_least() -> None:
+    """The least distance from the worst half plane is a linear programme of three variables."""
+    rng, empty = np.random.default_rng(1), 0
+    for _ in range(200):
+        planes = draw_planes(rng, 5, 0.2)
+        hard = BOX + 1
+        x, y = solve_programme(planes, hard, 0.0, 0.0)
+        slack = (np.arange(len(planes)) >= hard).astype(float)[:, None]
+        said = linprog(
+            [0, 0, 1], -np.hstack([planes[:, :2], slack]), -planes[:, 2], bounds=(None, None)
+        )
+        if said.fun is not None and said.fun > 1e-6:
+            broken = planes[:, 2] - planes[:, :2] @ (x, y)
+            assert broken[:hard].max() < 1e-9
+            assert broken[hard:].max() == pytest.approx(said.fun, abs=1e-6)
+            empty += 1
+    assert empty > 20
