@@ -127,9 +127,9 @@ PLACED: list[tuple[Mover, float, tuple[float, float], tuple[float, float]]] = [
     (ONCE, 3.0, (3.0, 0.0), (0.0, 0.0)),
     (ONCE, 1e6, (3.0, 0.0), (0.0, 0.0)),
     (walk([[2, 1]], repeat=Repeat.LOOP), 7.3, (2.0, 1.0), (0.0, 0.0)),
-    (walk([2, 1]), 7.3, (2.0, 1.0), (0.0, 0.0)),
+    (walk(np.array([2.0, 1.0])), 7.3, (2.0, 1.0), (0.0, 0.0)),
     (walk([[2, 1], [2, 1]], pauses=3.0), 7.3, (2.0, 1.0), (0.0, 0.0)),
-    (walk([[0, 0], [1e-300, 0], [4, 0]], 1.0), 1.0, (1.0, 0.0), (1.0, 0.0)),
+    (walk([[0.0, 0.0], [1e-300, 0.0], [4.0, 0.0]], 1.0), 1.0, (1.0, 0.0), (1.0, 0.0)),
     (follow_keys([5, 6, 8], [[0, 0], [1, 0], [1, 4]]), 1.5, (1.0, 1.0), (0.0, 2.0)),
     (follow_keys([5, 6, 8], [[0, 0], [1, 0], [1, 4]]), 3.5, (0.5, 0.0), (1.0, 0.0)),
 ]
@@ -355,5 +355,5 @@ def test_movers_of_a_world() -> None:
     with pytest.raises(WorldError, match="10,000 pieces together"):
         World(movers=(long, long))
     for wrong in ([[0.0, 0.0]], ["Ann"]):
-        with pytest.raises(WorldError, match="movers: .* must be of Mover"):
+        with pytest.raises(WorldError, match=r"movers: .* must be of Mover"):
             World(movers=wrong)  # type: ignore[arg-type]
