@@ -72,8 +72,7 @@ def manuals() -> str:
     for name, options in IDS.items():
         kind = getattr(envs, f"{name.partition('-')[0]}Env")
         manual = re.sub(r"^## ", "### ", inspect.getdoc(kind) or "", flags=re.M)
-        steps, reward = options["max_episode_steps"], options["reward_threshold"]
-        about = f"`max_episode_steps` {steps}, `reward_threshold` {reward:g}"
+        about = ", ".join(f"`{option}` {number:g}" for option, number in options.items())
         parts.append(f"\n## acsar_gym/{name}\n\n{about}\n\n{manual}\n")
     return "".join(parts)
 

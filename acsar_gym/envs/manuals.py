@@ -43,8 +43,8 @@ class PointGoalEnv(RobotEnv):
 
     Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
     action (sensors look ahead); +2 at the goal, -2 out of bounds.
-    `reward_threshold` 4: of every id it's about nine tenths of the mean `episode_return` of the
-    policy that comes along (4.5: `acsar-gym evaluate --policy point_goal --episodes 200`).
+    `reward_threshold` 4: of every id that a policy comes along for, it's about nine tenths of that
+    policy's mean `episode_return` (4.5: `acsar-gym evaluate --policy point_goal --episodes 200`).
 
     ## Start and end
 
@@ -315,7 +315,6 @@ class CrowdEnv(RobotEnv):
     As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
     personal space of the nearest one that it sees moving: 0 where that one's hull is 0.45 m or more
     from the circle around the robot, 1 where they touch, by observations 97 to 102.
-    `reward_threshold` 14.
 
     ## Start and end
 
@@ -380,7 +379,6 @@ class DynaBarnEnv(RobotEnv):
     ## Reward
 
     As in `acsar_gym/Crowd-v0`.
-    `reward_threshold` 20.
 
     ## Start and end
 

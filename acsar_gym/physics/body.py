@@ -30,7 +30,7 @@ WALL_THICKNESS = 0.002
 CHASSIS_CLEARANCE = 0.02
 """Height of the chassis above the floor [m]."""
 OBSTACLE_PAINT = (0.42, 0.45, 0.5, 1.0)
-MOVER_PAINT = (0.86, 0.42, 0.18, 1.0)
+MOVER_PAINT = (0.56, 0.27, 0.68, 1.0)
 GOAL_PAINT = (0.15, 0.68, 0.38, 0.85)
 
 

@@ -26,8 +26,7 @@ from acsar_gym.render.canvas import (
     encode_png,
     round_length,
 )
-from acsar_gym.worlds import Pose, Region, World
-from acsar_gym.worlds.movers import Mover
+from acsar_gym.worlds import Mover, Pose, Region, World
 
 RgbImage = NDArray[np.uint8]
 """Shape (height, width, 3), RGB."""
@@ -275,24 +274,13 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
     It contains world and goal, or, without a world, origin and goal.
     """
     if world is not None:
-        bounds = world_bounds(world)
-        bounds = _join_bounds(bounds, (*goal, *goal)) if goal else bounds
+        bounds = _join_bounds(world.bounds, (*goal, *goal)) if goal else world.bounds
         return widen_bounds(bounds, WORLD_MARGIN)
     points = np.array([(0.0, 0.0), goal or (0.0, 0.0)])
     (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     longest = max(right - left, high - low)
     x, y, side = (left + right) / 2.0, (low + high) / 2.0, max(OPEN_MARGIN, 0.25 * longest)
     return widen_bounds((x, y, x, y), longest / 2.0 + side)
-
-
-def world_bounds(world: World) -> Bounds:
-    """Return the area of everything in a world, where its movers go included [m]."""
-    bounds = world.bounds
-    for mover in world.movers:
-        way = trace_way(mover)
-        (left, low), (right, high) = way.min(axis=0).tolist(), way.max(axis=0).tolist()
-        bounds = _join_bounds(bounds, widen_bounds((left, low, right, high), mover.radius))
-    return bounds
 
 
 def widen_bounds(bounds: Bounds, margin: float) -> Bounds:

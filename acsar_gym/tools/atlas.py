@@ -96,7 +96,7 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
 
 def draw_tile(world: World, size: int) -> RgbImage:
     """Draw one world as a map with its name, a square of `size` pixels."""
-    bounds = top_view.widen_bounds(top_view.world_bounds(world), top_view.WORLD_MARGIN / 2.0)
+    bounds = top_view.widen_bounds(world.bounds, top_view.WORLD_MARGIN / 2.0)
     view = View.fitted(bounds, (size, size - TITLE_HEIGHT), "y", PICTURE_INSET / 2.0)
     below = (view.centre[0], view.centre[1] + TITLE_HEIGHT / 2.0 / view.scale)
     view = replace(view, centre=below, size=(size, size))

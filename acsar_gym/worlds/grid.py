@@ -49,8 +49,8 @@ class Grid:
 
 
 def bounds_with(world: World, ends: Floats) -> Floats:
-    """Least x and y, largest x and y of a world and the ends of a path [m]."""
-    low, high = world.bounds[:2], world.bounds[2:]
+    """Least x and y, largest x and y of what stands and the ends of a path [m]."""
+    low, high = world.standing_bounds[:2], world.standing_bounds[2:]
     return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
 
 
@@ -82,7 +82,7 @@ def free_cells(
 
     No wall fits between two neighbouring cells.
     """
-    box, margin = np.array(world.bounds), _margin(radius)
+    box, margin = np.array(world.standing_bounds), _margin(radius)
     if ends is not None:
         box = bounds_with(world, ends)
         if math.isfinite(reach):

@@ -135,6 +135,21 @@ class Mover:
             between = bend * (lengths / SPEED_SAMPLES) ** 2 / 8.0
             return float((np.hypot(vx, vy).max(axis=1) + between).max())
 
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Least x and y, largest x and y of its disc in the whole motion [m]."""
+        lengths = np.diff(np.append(self.pieces[:, 0], self.duration))
+        least, most = [], []
+        for x0, x1, x2, x3 in (self.pieces[:, 1:5].T, self.pieces[:, 5:].T):
+            with np.errstate(all="ignore"):  # the two times at which the speed is 0
+                q = -x2 - np.copysign(np.sqrt(np.maximum(x2**2 - 3.0 * x1 * x3, 0.0)), x2)
+                turns = np.nan_to_num([q / (3.0 * x3), x1 / q])
+            times = np.clip([0.0 * lengths, lengths, *turns], 0.0, lengths)
+            places = x0 + times * (x1 + times * (x2 + times * x3))
+            least.append(float(places.min()) - self.radius)
+            most.append(float(places.max()) + self.radius)
+        return least[0], least[1], most[0], most[1]
+
     def position(self, time: float, share: float = 0.0) -> tuple[float, float]:
         """Where the motion is [m] at a time since the episode's begin [s].
 
@@ -173,8 +188,8 @@ def walk(
 
     Example:
         >>> mover = walk([[0, 0], [4, 0]], speed=1.0)
-        >>> mover.position(6.0), mover.velocity(6.0)
-        ((2.0, 0.0), (-1.0, 0.0))
+        >>> mover.velocity(3.0), mover.position(6.0)
+        ((1.0, 0.0), (2.0, 0.0))
     """
     try:
         ways = np.atleast_2d(np.array(points, np.float64))
@@ -241,6 +256,11 @@ def follow_keys(
 
     Raises:
         WorldError: for numbers that can't be used.
+
+    Example:
+        >>> mover = follow_keys([0, 2, 3], [[0, 0], [4, 0], [4, 1]])
+        >>> mover.position(1.0), mover.velocity(2.5)
+        ((2.0, 0.0), (0.0, 1.0))
     """
     try:
         at = np.array(times, np.float64).ravel()

@@ -317,7 +317,7 @@ def add_walkers(
 
     WorldError where the robot couldn't cross it any more.
     """
-    left, low, right, high = world.bounds
+    left, low, right, high = world.standing_bounds
     if not world.obstacles:
         left, low = left - OPEN_MARGIN, low - OPEN_MARGIN
         right, high = right + OPEN_MARGIN, high + OPEN_MARGIN

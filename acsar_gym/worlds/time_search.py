@@ -103,7 +103,7 @@ def _free_grid(
 
     The start is the centre of one of them, which counts as free.
     """
-    left, low, right, high = world.bounds
+    left, low, right, high = world.standing_bounds
     low_ends, high_ends = np.minimum(start, goal), np.maximum(start, goal)
     least = np.minimum((left, low), low_ends) - SEARCH_MARGIN
     most = np.maximum((right, high), high_ends) + SEARCH_MARGIN

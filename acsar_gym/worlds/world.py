@@ -100,7 +100,18 @@ class World:
 
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
-        """Least x and y, largest x and y of everything in the world [m]."""
+        """Least x and y, largest x and y of everything, where movers go included [m].
+
+        People who react may leave their motions, and so these bounds.
+        """
+        boxes = np.array([self.standing_bounds, *(mover.bounds for mover in self.movers)])
+        left, low = boxes[:, :2].min(axis=0).tolist()
+        right, high = boxes[:, 2:].max(axis=0).tolist()
+        return left, low, right, high
+
+    @cached_property
+    def standing_bounds(self) -> tuple[float, float, float, float]:
+        """Least x and y, largest x and y of obstacles, start, goal and path [m]."""
         ends = np.array([[end.x, end.y, end.radius] for end in (self.start, self.goal)])
         discs = np.concatenate([self.circles, ends])
         points = [discs[:, :2] - discs[:, 2:], discs[:, :2] + discs[:, 2:]]

@@ -86,7 +86,8 @@ def drive(env: Any, policy: Any, world: int) -> list[TopViewFrame]:
 
 def look(env: Any, before: list[TopViewFrame]) -> TopViewFrame:
     """Return what there is to see now, with the path up to here."""
-    scan, truth, given = newest_scan(env.sensors), env.robot.link.truth, env.episode.assignment
+    scan: Any = newest_scan(env.sensors)
+    truth, given = env.robot.link.truth, env.episode.assignment
     seconds = env.episode.steps * env.ticks_per_step * env.robot.config.period
     return TopViewFrame(
         world=given.world,

@@ -190,9 +190,9 @@ def test_an_episode_repeats_bit_for_bit(make: type[Body]) -> None:
 def test_pictures_show_movers_where_they_are(make: Any) -> None:
     """In their own colour; the camera looks from behind the robot."""
 
-    def count_orange(picture: Any) -> int:
+    def count_violet(picture: Any) -> int:
         red, green, blue = np.moveaxis(picture.astype(int), 2, 0)
-        return int(((red > 1.5 * green) & (green > 1.2 * blue)).sum())
+        return int(((red > 1.5 * green) & (blue > 1.1 * red)).sum())
 
     crossing = walk([[2.0, -1.5], [2.0, 8.0]], 4.0, repeat=Repeat.STOP)
     link = link_in(make, [crossing])
@@ -200,7 +200,7 @@ def test_pictures_show_movers_where_they_are(make: Any) -> None:
     counts = []
     for _ in range(3):
         picture = body.image(96, 72)
-        counts.append([count_orange(picture[:, side]) for side in (slice(48), slice(48, 96))])
+        counts.append([count_violet(picture[:, side]) for side in (slice(48), slice(48, 96))])
         watch(link, 65)
     (left, right), (left_then, right_then), last = counts
     assert left < right

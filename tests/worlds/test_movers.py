@@ -182,6 +182,17 @@ def test_the_top_speed_of_a_walk_is_its_fastest_line() -> None:
     assert walk([[0, 0], [1, 1], [0, 3]], [0.7, 1.9]).top_speed == pytest.approx(1.9, rel=1e-12)
 
 
+@given(MOTIONS)
+def test_bounds_hold_a_motion_and_no_more(mover: Mover) -> None:
+    times = np.linspace(0.0, mover.duration, 2000) - mover.phase
+    places = np.array([mover.position(time) for time in times.tolist()])
+    left, low, right, high = mover.bounds
+    gaps = np.stack([places.min(axis=0) - (left, low), (right, high) - places.max(axis=0)])
+    near = mover.top_speed * mover.duration / 2000.0 + NEAR
+    assert (gaps >= mover.radius - NEAR).all()
+    assert (gaps <= mover.radius + near).all()
+
+
 KEYS = np.array([[0.0, 0.0], [1.0, 0.5], [1.5, -0.5], [0.5, -1.0]])
 KEY_TIMES = np.array([2.0, 3.0, 5.0, 6.5])
 

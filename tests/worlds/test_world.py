@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import WorldError
+from acsar_gym.worlds import follow_keys, walk
 from acsar_gym.worlds.world import (
     Region,
     World,
@@ -106,10 +107,17 @@ def test_bad_regions_are_one_clear_error(bad: Any) -> None:
         (World(segments=array([4.0, -3.0, -2.0, 9.0])), (-2.0, -3.0, 4.0, 9.0)),
         (World(path=array([0.5, -8.0], [0.0, 8.0])), (0.0, -8.0, 1.0, 8.0)),
         (World(start=Region(-1.0, 2.0, 3.0)), (-4.0, -1.0, 2.0, 5.0)),
+        (World(movers=[walk([[2, 0], [2, 3]], radius=0.5)]), (0.0, -0.5, 2.5, 3.5)),
+        (World(movers=[follow_keys([0, 4], [[0, -1], [0, 9]])]), (-0.25, -1.25, 1.0, 9.25)),
     ],
 )
 def test_bounds_hold_everything_and_no_more(world: World, bounds: Any) -> None:
     assert world.bounds == bounds
+
+
+def test_standing_bounds_leave_movers_out() -> None:
+    world = World(array([5.0, 6.0, 2.0]), movers=[walk([[2, 0], [2, 30]])])
+    assert world.standing_bounds == replace(world, movers=()).bounds == (0.0, 0.0, 7.0, 8.0)
 
 
 def corners(sides: Any) -> set[tuple[float, float]]:

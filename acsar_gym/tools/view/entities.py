@@ -17,6 +17,7 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.messages import STEP_COLUMNS
 from acsar_gym.recording.types import Floats
+from acsar_gym.render.top_view import MOVER_COLOUR, TRUTH_COLOUR
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tools.view.tail import Block
 from acsar_gym.worlds import World
@@ -46,13 +47,13 @@ COLOURS = {
     "sent": (60, 130, 240),
     "asked": (150, 156, 164),
     "path": (60, 130, 240),
-    "truth": (155, 107, 211),
+    "truth": TRUTH_COLOUR,
     "scan": (20, 190, 190),
     "seen": (120, 130, 140),
     "obstacles": (200, 90, 80),
     "route": (26, 143, 90),
     "goal": (26, 170, 100),
-    "movers": (235, 165, 30),
+    "movers": MOVER_COLOUR,
     "other": (226, 60, 150),
 }
 HITS = {ROBOT_HIT: "runs into a mover", PERSON_HIT: "a mover runs into it"}
