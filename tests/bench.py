@@ -12,7 +12,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -39,6 +39,7 @@ from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.threads import usable_cores
 from acsar_gym.worlds import Region, Scene, World
 from acsar_gym.worlds.geometry import Obstacles, cast_rays, make_surroundings
+from acsar_gym.worlds.movers import Mover, walk
 
 ENV_BLOCKS = 25
 ENV_STEPS = 100
@@ -46,6 +47,8 @@ ENV_STEPS = 100
 BATCH_ROBOTS = 1024
 BATCH_WORLDS = 64
 """Number of worlds in the batch with obstacles."""
+MOVER_ROBOTS, MOVERS = 512, 20
+"""Robots of the batch among movers, and movers around each."""
 PATH_POINTS = 500
 """Points of each path in the pictures."""
 RECORDING_TICKS = 100
@@ -75,6 +78,7 @@ def measure_all() -> list[Figure]:
         *_measure_obstacles(),
         *_measure_pictures(),
         *_measure_batches(single),
+        *_measure_movers(),
         *_measure_wire(),
         *_measure_recording(),
         *_measure_policies(),
@@ -376,6 +380,45 @@ def _measure_batches(single: float) -> list[Figure]:
         Figure("batch of 16 robots: one step call", median_duration(few, 20) * 1e6, "us"),
         Figure("batch of 16,384 robots, a robot", mean_duration(many, 5) / 16384 * 1e6, "us"),
     ]
+
+
+def _measure_movers() -> list[Figure]:
+    """Measure ObstacleGoal's batch among walkers, and among people who react, against none."""
+
+    def make_stepper(reacts: bool | None) -> Callable[[], float]:
+        """Return a function that measures a step; None is without movers."""
+        worlds = [crowd_world(50, 10, seed) for seed in range(BATCH_WORLDS)]
+        if reacts is not None:
+            worlds = [
+                replace(world, movers=draw_walkers(MOVERS, reacts, seed))
+                for seed, world in enumerate(worlds)
+            ]
+        env = ObstacleGoalVectorEnv(MOVER_ROBOTS, worlds=worlds, threads=1)
+        env.reset(seed=0)
+        actions = np.random.default_rng(0).uniform(-1.0, 1.0, (MOVER_ROBOTS, 2))
+        return lambda: mean_duration(lambda: env.step(actions.astype(np.float32)), 10)
+
+    bare, walkers, people = make_stepper(None), make_stepper(False), make_stepper(True)
+    _, step, among_walkers = measure_alternating(bare, walkers, ENV_BLOCKS, of_first=True)
+    _, _, among_people = measure_alternating(bare, people, ENV_BLOCKS, of_first=True)
+    size = f"batch of {MOVER_ROBOTS}, {MOVERS}"
+    return [
+        Figure(f"{size} walkers, one core", MOVER_ROBOTS / step, "steps/s"),
+        Figure(f"{size} walkers against none", among_walkers, "x the steps"),
+        Figure(f"{size} people who react against none", among_people, "x the steps"),
+    ]
+
+
+def draw_walkers(count: int, reacts: bool, seed: int) -> list[Mover]:
+    """Draw people who walk there and back, past the start of `crowd_world` at 1 m or more."""
+    rng = np.random.default_rng(seed)
+    walkers: list[Mover] = []
+    while len(walkers) < count:
+        walker = walk(rng.uniform(-6.0, 6.0, (4, 2)), rng.uniform(0.4, 1.6), reacts=reacts)
+        times = np.linspace(0.0, walker.duration, 100).tolist()
+        if min(math.hypot(*walker.position(time)) for time in times) > 1.0:
+            walkers.append(walker)
+    return walkers
 
 
 def _measure_wire() -> list[Figure]:

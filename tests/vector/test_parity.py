@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from mover_tools import HALL
 from varied import RANGES
 
 from acsar_gym import RobotConfig, World
@@ -15,6 +16,8 @@ from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import LinkError
 from acsar_gym.registration import snake_case
 from acsar_gym.worlds import Region
+from acsar_gym.worlds.movers import Repeat, walk
+from acsar_gym.worlds.world import make_rectangle
 
 ACSAR = RobotConfig.preset("acsar")
 REGIONS = World(
@@ -24,6 +27,27 @@ REGIONS = World(
     Region(3.0, 0.0, 1.0),
     np.array([[-3.0, 0.0], [3.0, 0.0]]),
 )
+PLAZA = World(
+    np.array([[1.0, 2.0, 0.3], [-1.0, -2.0, 0.2]]),
+    make_rectangle(-6.0, -4.0, 6.0, 4.0),
+    Region(-3.0, 0.0, 0.5),
+    Region(3.0, 0.0, 0.5),
+    movers=[
+        walk(
+            np.random.default_rng(number).uniform((-5, -3), (5, 3), (3, 2)),
+            speed=0.5 + 0.1 * number,
+            repeat=Repeat(number % 3),
+            radius=0.2 + 0.01 * number,
+            phase=float(number),
+            spread=3.0,
+            reacts=number % 3 > 0,
+            sees_robot=number % 2 > 0,
+        )
+        for number in range(12)
+    ],
+)
+"""Where people walk, most of whom react."""
+MOVING = [HALL, PLAZA, REGIONS]
 PATH = World(goal=Region(3.0, 2.0), path=np.array([[0.0, 0.0], [2.0, 0.0], [3.0, 2.0]]))
 LIMITED = ACSAR.with_(
     linear_limits={"max_velocity": 0.4, "max_acceleration": 1.0},
@@ -61,6 +85,8 @@ CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": FORK}, {}),
     "BARN": ("Barn", {"worlds": "barn:4"}, {}),
     "people": ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
+    "movers of both kinds, and none": ("ObstacleGoal", {"worlds": MOVING}, {}),
+    "movers without a LiDAR": ("ObstacleGoal", {"worlds": MOVING, "sensors": ()}, {}),
     "DynaBARN": ("DynaBarn", {"worlds": "dynabarn:4"}, {}),
     "smooth path": ("PathFollow", {"worlds": "smooth_path:6"}, {}),
     "open floor": ("PointGoal", {"goal_distance": (0.3, 1.0)}, {}),
@@ -111,6 +137,7 @@ FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
         {},
     ),
     "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", FORK], {"worlds": "clutter:6"}),
+    "movers": ("ObstacleGoal", [*NAMED, FORK], {"worlds": MOVING, "max_episode_steps": 40}),
     "paths": ("PathFollow", [*NAMED, "drawn:4"], {"worlds": "smooth_path:6"}),
     "randomized": ("ObstacleGoal", NAMED, {"worlds": "open:6", "randomization": RANGES}),
     "as trained": (
@@ -131,6 +158,8 @@ RESETS: dict[str, Any] = {
 }
 """Options of resets of such batches, in worlds of several footprints."""
 
+STEADY = 0
+"""A seed with which nobody runs into a robot that stays near the start."""
 SILENT = "silent in the reset"
 
 
@@ -344,9 +373,10 @@ def test_the_same_lines_are_lost(name: str) -> None:
     [
         ("ObstacleGoal", {"worlds": "clutter:6", "randomization": VARIED}),
         ("ObstacleGoal", {"worlds": "clutter:6", "faults": {"dropped_lines": 0.5}}),
+        ("ObstacleGoal", {"worlds": MOVING}),
         ("PathFollow", {"worlds": "smooth_path:6"}),
     ],
-    ids=["randomized", "noise of scans goes on after a cut", "path"],
+    ids=["randomized", "noise of scans goes on after a cut", "movers", "path"],
 )
 def test_the_same_lines_are_lost_with_every_task(kind: str, more: dict[str, Any]) -> None:
     timeout = 0.3 if "randomization" in more else 0.06
@@ -358,6 +388,28 @@ def batch(**arguments: Any) -> Any:
     return gymnasium.make_vec(
         "acsar_gym/PointGoal-v0", 40, vectorization_mode="vector_entry_point", **arguments
     )
+
+
+def test_people_are_the_same_for_a_whole_episode() -> None:
+    """Though crowds are chaotic; the robot drives to and fro, and turns."""
+    arguments: dict[str, Any] = {"worlds": PLAZA, "max_episode_steps": 800}
+    many = make_batch("acsar_gym/ObstacleGoal-v1", 3, **arguments)
+    one = Single("acsar_gym/ObstacleGoal-v1", arguments)
+    one.reset(STEADY + 1)
+    seen, infos = many.reset(seed=STEADY)
+    rewards, ends, near = np.zeros(3), np.zeros((2, 3)), 0
+    rng = np.random.default_rng(1)
+    for _ in range(600):
+        compare_told(one, 1, seen, rewards, ends, infos)
+        near += infos["closest_person"][1] < 0.6
+        actions = (rng.uniform(-1.0, 1.0, (3, 2)) * (0.3, 1.0)).astype(np.float32)
+        seen, rewards, *both, infos = many.step(actions)
+        ends = np.array(both)
+        one.step(actions[1])
+        assert not one.over
+    assert near > 20
+    many.close()
+    one.close()
 
 
 def test_what_is_told_of_a_silent_robot_is_what_it_was_told_last() -> None:

@@ -12,7 +12,14 @@ from acsar_gym.errors import PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.baselines.base import BaselinePolicy
 
-__all__ = ["BASELINES", "CEILINGS", "BaselinePolicy", "is_baseline", "load_baseline"]
+__all__ = [
+    "AMONG_MOVERS",
+    "BASELINES",
+    "CEILINGS",
+    "BaselinePolicy",
+    "is_baseline",
+    "load_baseline",
+]
 BASELINES = {
     "turn_drive": "laws:TurnDrive",
     "pure_pursuit": "laws:PurePursuit",
@@ -26,6 +33,8 @@ BASELINES = {
 """What `--policy` calls each, and its module in this package and class."""
 CEILINGS = ("orca_true", "time_search")
 """Those that know what only a simulator does."""
+AMONG_MOVERS = ("dwa_movers", "orca")
+"""Those that are made for worlds with movers, and decide by their tracks."""
 
 
 def is_baseline(policy: str) -> bool:

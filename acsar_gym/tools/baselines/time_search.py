@@ -16,8 +16,10 @@ from acsar_gym.worlds.geometry import distance_to_line
 from acsar_gym.worlds.time_search import HORIZON, TIME_STEP, search_time
 from acsar_gym.worlds.world import World
 
-REPLAN_TIME = 0.3
-"""It searches anew so often [s]."""
+REPLAN_TIME, LEFT_PATH = 0.3, 0.4
+"""It searches anew so often [s] where people react, or it is so far from its path [radius]."""
+KEEP_TIME = 2.0
+"""Else it keeps a path so long, as all will be where it was known to be [s]."""
 MARGINS = (0.6, 0.3, 0.1, 0.0)
 """Margins around the disc of the robot that are tried, the widest first [radius]."""
 SPEED_SHARE, MOST_SPEED = 0.7, 0.8
@@ -60,7 +62,7 @@ class TimeSearch(Privileged, BaselinePolicy):
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the arc that comes nearest to the path."""
         units, now = self.units, self.env.robot.link.now()
-        if now >= self._planned + REPLAN_TIME - 1e-6:
+        if self._needs_path(now):
             self._path, self._planned = self._plan(seen, now), now
         times = now + ARC_STEP * np.arange(1, TRACK_STEPS + 1)
         line = np.column_stack([np.interp(times, *self._path.T[[0, n]]) for n in (1, 2)])
@@ -78,6 +80,17 @@ class TimeSearch(Privileged, BaselinePolicy):
             state, line, limits, world.circles, world.segments, 1.05 * units.radius
         )
         return self._sent
+
+    def _needs_path(self, now: float) -> bool:
+        """Whether it is time to search anew."""
+        age = now - self._planned + 1e-6
+        if age < REPLAN_TIME or age >= KEEP_TIME:
+            return age >= KEEP_TIME
+        world, (x, y, _) = self.env.episode.assignment.world, self.truth.pose
+        if world is not None and any(mover.reacts for mover in world.movers):
+            return True
+        there = place_on(self._path, now)
+        return math.dist((x, y), there) > LEFT_PATH * self.units.radius
 
     def _plan(self, seen: DecodedObservation, now: float) -> Floats:
         """(points, 3): the path with the widest margin: time [s], x, y [m]; else the last one."""

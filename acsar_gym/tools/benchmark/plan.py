@@ -19,9 +19,15 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.baselines import BASELINES, CEILINGS
+from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, CEILINGS
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
-from acsar_gym.tools.benchmark.scenes import GIVEN, OWN_NAMESPACE, SceneSet, cell_id
+from acsar_gym.tools.benchmark.scenes import (
+    GIVEN,
+    OWN_NAMESPACE,
+    SceneSet,
+    cell_id,
+    senses_movers,
+)
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
@@ -83,7 +89,8 @@ def choose_agents(
 
     Args:
         names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
-            such as mine.planner:Planner; empty for all of the first three but the ceilings.
+            such as mine.planner:Planner; empty for those of the first three that
+            `drives_unnamed`.
         ids: as `find_env` returns them.
         trained: folder with NAME/SEED/policy.onnx; None for none.
         seeds: most training seeds of each.
@@ -107,7 +114,7 @@ def choose_agents(
     chosen = [
         agent
         for agent in agents
-        if agent.id in benchmarked and (agent.name in names if names else agent.kind != CEILING)
+        if agent.id in benchmarked and (agent.name in names if names else drives_unnamed(agent))
     ]
     chosen += [agent for name in given for agent in given_agents(name, ids)]
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in chosen)
@@ -118,6 +125,16 @@ def choose_agents(
                 "file, function or class"
             )
     return chosen
+
+
+def drives_unnamed(agent: Agent) -> bool:
+    """Whether an agent drives where `--agents` names none.
+
+    Ceilings don't, and what is made for worlds with movers only where the robot senses them.
+    """
+    if agent.kind == BASELINE and agent.name in AMONG_MOVERS:
+        return senses_movers(agent.env)
+    return agent.kind != CEILING
 
 
 def given_agents(policy: str, ids: Sequence[str]) -> list[Agent]:

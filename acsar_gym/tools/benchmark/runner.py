@@ -99,6 +99,9 @@ def run_job(job: BenchmarkJob) -> CellResult:
     if why := condition.impossible(cell.link):
         return CellResult(cell, refused=why)
     policy, config = job.policy.load(), scenes.config.with_(**condition.changes)
+    if over_port and policy.privileged:
+        why = f"{cell.agent}: knows what only a simulator does: use --links planar, or another"
+        return CellResult(cell, refused=why)
     try:  # for the port in a simulation that checks whether the policy fits
         env: Any = runs.make_env(
             policy, PLANAR if over_port else cell.link, config, condition.options(scenes, config)

@@ -173,6 +173,12 @@ def test_ceilings_are_those_that_know_the_truth() -> None:
     assert tuple(policy.name for policy in loaded if policy.privileged) == baselines.CEILINGS
 
 
+def test_those_made_for_movers_use_their_tracks() -> None:
+    loaded = [baselines.load_baseline(name, "x/Y-v0") for name in baselines.BASELINES]
+    following = tuple(policy.name for policy in loaded if getattr(policy, "follows_movers", False))
+    assert following == baselines.AMONG_MOVERS
+
+
 def test_a_pose_counts_by_where_movers_are_by_then() -> None:
     """A mover that is 2 m ahead comes at 1 m/s: after 1 s it is 1 m ahead."""
     mover = np.array([[2.0, 0.0, -1.0, 0.0, 0.25]])

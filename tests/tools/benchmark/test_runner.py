@@ -145,6 +145,20 @@ def test_what_knows_the_truth_is_a_ceiling_and_drives_where_it_is_named() -> Non
     }
 
 
+def test_a_ceiling_is_refused_behind_the_port() -> None:
+    agents = plan.choose_agents(["time_search"], [ID], None, 1)
+    (job,) = BenchmarkPlan(tuple(agents), (SET,), ("port",), port_count=1).jobs()
+    assert runner.run_job(job).refused.startswith("time_search: knows what only a simulator does")
+
+
+def test_what_is_made_for_movers_drives_unnamed_only_where_the_robot_senses_them() -> None:
+    ids = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Crowd-v0"]
+    found = {(agent.name, agent.id) for agent in plan.choose_agents([], ids, None, 1)}
+    assert {("dwa", "ObstacleGoal-v1"), ("dwa", "Crowd-v0"), ("orca", "Crowd-v0")} < found
+    assert ("orca", "ObstacleGoal-v1") not in found
+    assert plan.choose_agents(["orca"], ids[:1], None, 1)
+
+
 def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
     policy = (AGENTS / "policies" / "point_goal.onnx").read_bytes()
     for seed in ("0", "seed-3", "1"):
