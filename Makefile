@@ -106,8 +106,9 @@ licences: $(READY)  ## write docs/licences.md from what is installed
 reference: $(READY)  ## write what docs/reference shows of docstrings
 	$(BIN)/python tests/reference_tools.py
 
-pictures: $(READY)  ## draw the README's moving picture: one policy behind two links, in two minutes
+pictures: $(READY)  ## draw the README's moving pictures, and the one among people of docs, in three minutes
 	$(BIN)/python assets/pictures/three_views.py
+	$(BIN)/python assets/pictures/crowd.py
 
 $(READY): pyproject.toml constraints.txt
 	@.ci/venv $(VENV) "$(PYTHON)"

@@ -1,4 +1,4 @@
-"""Draws crowd.gif and crowd.png of the README: a robot among people, from above, with its rays.
+"""Draws a robot among people, from above, with its rays: a film for the README, a picture for docs.
 
 `make pictures` draws them; --help of this script lists policy, world and speed.
 """
@@ -33,22 +33,22 @@ class Options:
 
     film: Path = HERE / "crowd.gif"
     """File of the film."""
-    picture: Path = HERE / "crowd.png"
+    picture: Path = HERE.parents[1] / "docs" / "pictures" / "crowd.png"
     """File of the picture."""
-    policy: str = "dwa"
+    policy: str = "dwa_movers"
     env: str = "crowd"
-    worlds: str = "crowd:test"
-    world: int = 7
+    worlds: str = "crowd_reacting:test"
+    world: int = 55
     """Number of the world, and seed of the episode."""
-    every: int = 2
+    every: int = 4
     """The film shows every so many env steps (0.1 s each)."""
-    delay: int = 80
+    delay: int = 130
     """Time between pictures of the film [ms]; GIF knows whole hundredths of a second."""
-    size: tuple[int, int] = (600, 400)
+    size: tuple[int, int] = (600, 280)
     """Width and height of the film [pixels]; the picture is twice as large."""
     moment: float = 0.45
     """When the picture is, as a share of the episode."""
-    colours: int = 24
+    colours: int = 64
     """Colours of the film, at most 256."""
 
 
