@@ -137,7 +137,9 @@ def time_rays(bearings: Floats, times: Floats, now: float, rays: Rays, ages: Flo
     count = len(ages)
     ages[:] = times.mean() - now
     for k in range(len(bearings)):
-        ray = int(math.floor((bearings[k] - rays.start) / rays.step + 0.5)) % count  # noqa: RUF046
+        ray = int(math.floor((bearings[k] - rays.start) / rays.step + 0.5))  # noqa: RUF046
+        if ray < 0 or ray >= count:  # a remainder takes long
+            ray %= count
         ages[ray] = times[k] - now
 
 
@@ -160,7 +162,7 @@ def find_clusters(
         first = (begin + done) % n
         last, near, age, count = first, ranges[first], ages[first], 1
         while done + count < n:
-            ray = (last + 1) % n
+            ray = last + 1 if last + 1 < n else 0
             if abs(ranges[ray] - ranges[last]) > EDGE_GAP:
                 break
             near, age, last = min(near, ranges[ray]), age + ages[ray], ray
@@ -270,12 +272,14 @@ def correct_track(tracks: Floats, k: int, x: float, y: float, age: float, error:
 @subroutine
 def has_departed(track: Floats, eye: Eye, ranges: Floats, rays: Rays) -> bool:
     """Whether a track is fast and far from where it stood, and that can be seen."""
+    speed = math.sqrt(track[VX] * track[VX] + track[VY] * track[VY])
+    if track[AGE] < FIRST_AGE or speed < MOVING_SPEED:
+        return False
     dx, dy = track[X] - track[FROM_X], track[Y] - track[FROM_Y]
     apart = math.sqrt(dx * dx + dy * dy)
-    speed = math.sqrt(track[VX] * track[VX] + track[VY] * track[VY])
     deviations = speed / math.sqrt(track[SPEED_VAR])
     far_enough = apart > (DEPARTURE if deviations > SURE else FAR_DEPARTURE)
-    if track[AGE] < FIRST_AGE or speed < MOVING_SPEED or deviations < UNSURE or not far_enough:
+    if deviations < UNSURE or not far_enough:
         return False
     to_x, to_y = track[FROM_X] - eye.x, track[FROM_Y] - eye.y
     far = math.sqrt(to_x * to_x + to_y * to_y)
@@ -437,9 +441,9 @@ def add_traces(record: Any, k: int, first: int, count: int, xs: Floats, ys: Floa
     Returns:
         How many of the rays end in cells that the map remembers as occupied.
     """
-    track, known = record.tracks[k], 0
-    for step in range(count):
-        ray = (first + step) % len(xs)
+    track, known, ray = record.tracks[k], 0, first - 1
+    for _ in range(count):
+        ray = ray + 1 if ray + 1 < len(xs) else 0
         p = cell_at(xs[ray], record.side) & LAST_CELL
         q = cell_at(ys[ray], record.side) & LAST_CELL
         if record.counts[p, q] >= OCCUPIED:
