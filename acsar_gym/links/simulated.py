@@ -109,7 +109,7 @@ class SimulatedLink:
         """Free the body. Idempotent."""
         if self.body is not None:
             self.body.close()
-            self.body = self._firmware = None
+            self.body = self._firmware = self._crowd = None
 
 
 def _closed_error() -> LinkLostError:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from pathlib import Path
 from typing import Any, cast
 
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from env_tools import IDS, LINKS, SEEING, inner, make
 from gymnasium.envs.registration import EnvSpec
+from mover_tools import HALL
 
 from acsar_gym import World
 from acsar_gym.errors import ConfigError, WorldError
@@ -174,3 +177,42 @@ def test_a_collision_ends_the_episode_and_leaves_no_trace(link: str) -> None:
         episodes.append(seen)
     assert episodes[0] == episodes[1]
     env.close()
+
+
+def drive_on(env: Any, steps: int) -> list[Any]:
+    """All numbers that an env gives in some steps."""
+    rng, numbers = np.random.default_rng(0), []
+    for _ in range(steps):
+        seen, reward, *ends, info = env.step(rng.uniform(-0.5, 0.5, 2).astype(np.float32))
+        numbers.append((seen.tolist(), reward, ends, sorted(info.items())))
+    return numbers
+
+
+@pytest.mark.parametrize("how", ["copy", "pickle"])
+def test_a_copy_among_movers_is_an_env_of_its_own(how: str) -> None:
+    env = inner(make(SEEING[0], worlds=HALL))
+    env.reset(seed=3)
+    drive_on(env, 10)
+    again = copy.copy(env) if how == "copy" else pickle.loads(pickle.dumps(env))  # noqa: S301
+    numbers = []
+    for one in (env, again):
+        seen, info = one.reset(seed=7)
+        numbers.append([(seen.tolist(), sorted(info.items())), *drive_on(one, 10)])
+        one.close()
+    assert repr(numbers[0]) == repr(numbers[1])  # some are NaN
+
+
+def test_a_reset_chooses_a_world_that_moves_or_stands() -> None:
+    crowd_keys = {"closest_person", "time_to_collision", "intrusions", "person_contact"}
+    moving, standing = make(SEEING[0], worlds=HALL), make(SEEING[0])
+    _, info = moving.reset(options={"world": World()})
+    assert [info[key] for key in sorted(crowd_keys)] == [100.0, 0.0, 0.0, 10.0]
+    _, info = moving.reset()
+    assert info["closest_person"] < 3.0
+    _, info = standing.reset(options={"world": HALL})
+    assert not crowd_keys & info.keys()
+    assert inner(standing).robot.link.truth.crowd is not None  # type: ignore[union-attr]
+    standing.reset()
+    assert inner(standing).robot.link.truth.crowd is None  # type: ignore[union-attr]
+    for env in (moving, standing):
+        env.close()

@@ -134,3 +134,6 @@ def test_movers_advance_once_a_control_period_however_time_is_cut(link: Simulate
     assert places[0][1][:2] == pytest.approx(walker.position(1.0))
     link.reset(Scene())
     assert link.truth.crowd is None
+    link.reset(scene)
+    link.close()
+    assert link.truth.crowd is None

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from mover_tools import HALL
 from varied import RANGES
 
 from acsar_gym import RobotConfig, RobotEnv, World
@@ -123,6 +124,15 @@ def test_results_do_not_depend_on_threads_or_history(randomization: Any) -> None
     rollout_twice = (rollout(again, seed=99), rollout(again))[1]
     assert (one == two).all()
     assert (one == rollout_twice).all()
+
+
+def test_movers_do_not_depend_on_threads_or_history() -> None:
+    one, two = (ObstacleGoalVectorEnv(300, worlds=HALL, threads=count) for count in (1, 2))
+    first, second = rollout(one), rollout(two)
+    assert (first == second).all()
+    assert (rollout(one) == first).all()
+    for name, numbers in one.batch.info().items():
+        assert np.array_equal(numbers, two.batch.info()[name], equal_nan=True)
 
 
 class Interrupted:

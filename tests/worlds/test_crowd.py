@@ -81,7 +81,8 @@ def gaps_between(states: Floats, movers: Sequence[Mover]) -> Floats:
     one, other = np.array(pairs).T
     radii = np.array([mover.radius for mover in movers])
     apart = np.hypot(*np.moveaxis(states[:, one, :2] - states[:, other, :2], -1, 0))
-    return apart - radii[one] - radii[other]
+    gaps: Floats = apart - radii[one] - radii[other]
+    return gaps
 
 
 # People who react
@@ -287,14 +288,19 @@ def lies_within(point: Floats, config: RobotConfig) -> bool:
     """Whether a point of the base frame is within a footprint, by the winding number."""
     off = np.array([*config.outline, config.outline[0]]) - point
     angles = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
-    return abs(angles[-1] - angles[0]) > 3.0
+    return bool(abs(angles[-1] - angles[0]) > 3.0)
+
+
+RADII = 0.1, 0.3, 0.5
 
 
 @pytest.mark.parametrize("config", [ACSAR, FORK])
 def test_the_closest_one_is_as_far_as_sampled(config: RobotConfig) -> None:
     hull, rng = sample_hull(config), np.random.default_rng(8)
     for _ in range(40):
-        movers = [walk([p], radius=r) for p, r in zip(rng.uniform(-2, 2, (3, 2)), (0.1, 0.3, 0.5))]
+        movers = [
+            walk([p], radius=r) for p, r in zip(rng.uniform(-2, 2, (3, 2)), RADII, strict=True)
+        ]
         x, y, theta = rng.uniform(-1, 1, 3).tolist()
         crowd = Crowd(World(movers=movers), config, 0.0)
         closest, _ = crowd.survey((x, y, theta), (0.0, 0.0))
@@ -409,9 +415,10 @@ def test_looking_seldom_sees_the_same(config: RobotConfig) -> None:
             told = (NO_HIT, 0.0)
             if tick >= look:
                 before = seldom[:, LOOK].copy()
-                *told, look = advance_crowd(hall, seldom, tick, robot, TOP_SPEED)
+                hit, entered, look = advance_crowd(hall, seldom, tick, robot, TOP_SPEED)
+                told = hit, entered
                 looks += int((seldom[:, LOOK] > before).sum())
-            assert tuple(told) == expected
+            assert told == expected
             seen += sum(expected)
             if tick % 100 == 0:
                 place_crowd(hall.movers, hall.pieces, seldom, tick * PERIOD)

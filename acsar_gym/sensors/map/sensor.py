@@ -478,12 +478,15 @@ class MapSensor(Sensor):
     def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
         self.config = config
         self._records = make_record(config, period)
-        self._record = self._records.view(np.recarray)[0]
-        """The same memory, as Python reads it."""
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
         self._odometry = Odometry.of(config)
         self._goal = (0.0, 0.0)
+
+    @property
+    def _record(self) -> Any:
+        """The memory, as Python reads it: a view made anew, because copies share no memory."""
+        return self._records.view(np.recarray)[0]
 
     def watch(self, lidar: LidarSensor | None) -> None:
         """Take over the LiDAR whose scans are remembered.

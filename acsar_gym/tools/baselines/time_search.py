@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy, Privileged
@@ -18,14 +19,15 @@ from acsar_gym.worlds.world import World
 
 REPLAN_TIME, LEFT_PATH = 0.3, 0.4
 """It searches anew so often [s] where people react, or it is so far from its path [radius]."""
-KEEP_TIME = 2.0
-"""Else it keeps a path so long, as all will be where it was known to be [s]."""
-MARGINS = (0.6, 0.3, 0.1, 0.0)
-"""Margins around the disc of the robot that are tried, the widest first [radius]."""
-SPEED_SHARE, MOST_SPEED = 0.7, 0.8
+WIDEN_TIME = 2.0
+"""It looks so often for a path with a wider margin [s]."""
+MARGINS = ((0.4, 0.4), (0.2, 0.4), (0.1, 0.2), (0.05, 0.1), (0.0, 0.0))
+"""Margins around the disc of the robot from all, and beside them from movers, that are tried, the
+widest first [radius]."""
+SPEED_SHARE, MOST_SPEED = 0.8, 0.8
 """Speed of the path, so that the robot can turn and catch up: a part of its top speed, and the most
 [m/s]."""
-CATCH_UP = 1.4
+CATCH_UP = 1.25
 """It drives faster than the path by this factor at most, where it is late."""
 MOST_TURNING = 2.0
 """Its greatest yaw rate [rad/s]."""
@@ -33,6 +35,8 @@ TRACK_STEPS = 16
 """Arcs that follow the path are compared over so many steps of ARC_STEP."""
 MOST_SIDEWAYS = 1.0
 """Arcs have less acceleration sideways, where tyres would slide and odometry drift [m/s^2]."""
+TURN_COST = 1e-6
+"""So it stands still where it waits [m^2 s^2]."""
 LINEAR_SAMPLES, ANGULAR_SAMPLES = 21, 31
 """How many linear and angular velocities are tried."""
 
@@ -53,17 +57,22 @@ class TimeSearch(Privileged, BaselinePolicy):
         self._speed = min(SPEED_SHARE * self.units.speed, MOST_SPEED)
         self.reset()
 
+    def watch(self, env: RobotEnv) -> None:
+        """Take the env whose truth it knows, and how long an episode lasts."""
+        super().watch(env)
+        steps = None if env.spec is None else env.spec.max_episode_steps
+        self._last = math.inf if steps is None else (steps - 1) * self.setting.period
+
     def reset(self) -> None:
         """Forget the last path."""
         self._path = np.zeros((0, 3))
-        self._planned = -math.inf
+        self._planned, self._margin = -math.inf, len(MARGINS)
         self._sent = (0.0, 0.0)
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the arc that comes nearest to the path."""
         units, now = self.units, self.env.robot.link.now()
-        if self._needs_path(now):
-            self._path, self._planned = self._plan(seen, now), now
+        self._plan(seen, now)
         times = now + ARC_STEP * np.arange(1, TRACK_STEPS + 1)
         line = np.column_stack([np.interp(times, *self._path.T[[0, n]]) for n in (1, 2)])
         state = (*self.truth.pose, seen.linear, seen.angular, *self._sent)
@@ -81,40 +90,44 @@ class TimeSearch(Privileged, BaselinePolicy):
         )
         return self._sent
 
-    def _needs_path(self, now: float) -> bool:
-        """Whether it is time to search anew."""
-        age = now - self._planned + 1e-6
-        if age < REPLAN_TIME or age >= KEEP_TIME:
-            return age >= KEEP_TIME
-        world, (x, y, _) = self.env.episode.assignment.world, self.truth.pose
-        if world is not None and any(mover.reacts for mover in world.movers):
-            return True
-        there = place_on(self._path, now)
-        return math.dist((x, y), there) > LEFT_PATH * self.units.radius
-
-    def _plan(self, seen: DecodedObservation, now: float) -> Floats:
-        """(points, 3): the path with the widest margin: time [s], x, y [m]; else the last one."""
+    def _plan(self, seen: DecodedObservation, now: float) -> None:
+        """Search where the path doesn't do any more, or a wider margin may have become possible."""
         x, y, theta = self.truth.pose
         goal_x, goal_y = seen.goal
         cos, sin = math.cos(theta), math.sin(theta)
         goal = x + cos * goal_x - sin * goal_y, y + sin * goal_x + cos * goal_y
         assignment = self.env.episode.assignment
-        world, places = assignment.world or World(), self._foresee(now)
-        for margin in MARGINS:
+        world = assignment.world or World()
+        is_bad = (
+            not len(self._path)
+            or any(mover.reacts for mover in world.movers)
+            or math.dist((x, y), place_on(self._path, now)) > LEFT_PATH * self.units.radius
+            or math.dist(self._path[-1, 1:], goal) > self.setting.tolerance
+        )
+        if now - self._planned + 1e-6 < (REPLAN_TIME if is_bad else WIDEN_TIME):
+            return
+        places, self._planned = self._foresee(now), now
+        for number, (margin, mover_margin) in enumerate(MARGINS):
+            if not is_bad and number >= self._margin:
+                return
             path = search_time(
                 world,
                 (1.0 + margin) * self.units.radius,
                 self._speed,
                 (x, y),
                 goal,
+                margin=mover_margin * self.units.radius,
                 begin=now,
                 key=assignment.key,
                 places=places,
+                horizon=min(HORIZON, self._last - now),
                 tolerance=0.8 * self.setting.tolerance,
             )
             if path is not None:
-                return path
-        return self._path if len(self._path) else np.array([[now, x, y]])
+                self._path, self._margin = path, number
+                return
+        if not len(self._path):
+            self._path = np.array([[now, x, y]])
 
     def _foresee(self, now: float) -> Floats | None:
         """(steps, movers, 2): where people who react will be; None where nobody does."""
@@ -169,7 +182,7 @@ def choose_arc(
             w = turning * (2.0 * j / (ANGULAR_SAMPLES - 1) - 1.0)
             if abs(v * w) > MOST_SIDEWAYS:
                 continue
-            cost, there = 0.0, state
+            cost, there = TURN_COST * w * w, state
             for step in range(len(line)):
                 there = advance_arc(there, v, w, acceleration, spin, blend)
                 dx, dy = there[0] - line[step, 0], there[1] - line[step, 1]

@@ -115,7 +115,7 @@ class EpisodeLogger:
             columns = rr.TextLog.columns(text=[escape_unprintable(t) for t in texts], level=levels)
             self._send("log", np.array(times), columns)
 
-    def _colour(self, name: str) -> tuple[int, int, int]:
+    def _colour(self, name: str) -> tuple[int, ...]:
         return COLOURS["other" if self._is_other else name]
 
     def _log_beginning(self, block: Block) -> None:
