@@ -188,7 +188,7 @@ def test_bounds_hold_a_motion_and_no_more(mover: Mover) -> None:
     places = np.array([mover.position(time) for time in times.tolist()])
     left, low, right, high = mover.bounds
     gaps = np.stack([places.min(axis=0) - (left, low), (right, high) - places.max(axis=0)])
-    near = mover.top_speed * mover.duration / 2000.0 + NEAR
+    near = mover.top_speed * mover.duration / 1999.0 + NEAR
     assert (gaps >= mover.radius - NEAR).all()
     assert (gaps <= mover.radius + near).all()
 

@@ -122,13 +122,13 @@ def predict_tracks(tracks: Floats, dt: float) -> None:
     """Move all tracks on by a time [s]."""
     noise = JOLT * JOLT * dt * dt
     for k in range(MOST_TRACKS):
-        track = tracks[k]
-        if track[AGE] > 0.0:
-            track[X] += dt * track[VX]
-            track[Y] += dt * track[VY]
-            track[VAR] += dt * (2.0 * track[COV] + dt * (track[SPEED_VAR] + 0.25 * noise))
-            track[COV] += dt * (track[SPEED_VAR] + 0.5 * noise)
-            track[SPEED_VAR] += noise
+        if tracks[k, AGE] > 0.0:
+            speed_var = tracks[k, SPEED_VAR]
+            tracks[k, X] += dt * tracks[k, VX]
+            tracks[k, Y] += dt * tracks[k, VY]
+            tracks[k, VAR] += dt * (2.0 * tracks[k, COV] + dt * (speed_var + 0.25 * noise))
+            tracks[k, COV] += dt * (speed_var + 0.5 * noise)
+            tracks[k, SPEED_VAR] += noise
 
 
 @subroutine
@@ -192,10 +192,10 @@ def place_error(near: float, rays: Rays) -> float:
 
 
 @jit
-def place_variance(track: Floats, age: float, error: float) -> float:
-    """Variance of the difference between a cluster's place and that of a track then [m^2]."""
-    variance: float = track[VAR] + age * (2.0 * track[COV] + age * track[SPEED_VAR]) + error
-    return variance
+def place_variance(tracks: Floats, k: int, age: float, error: float) -> float:
+    """Variance of the difference between a cluster's place and that of track k then [m^2]."""
+    doubt: float = 2.0 * tracks[k, COV] + age * tracks[k, SPEED_VAR]
+    return tracks[k, VAR] + age * doubt + error  # type: ignore[no-any-return]
 
 
 @subroutine
@@ -215,19 +215,27 @@ def match_clusters(  # noqa: C901 - one pass over tracks and clusters
     nearest = np.full(len(matches), np.inf)
     matches[:] = -1
     for k in range(MOST_TRACKS):
-        track = tracks[k]
-        if track[AGE] <= 0.0:
+        if tracks[k, AGE] <= 0.0:
             continue
+        radius, x, y, vx, vy = (
+            tracks[k, RADIUS],
+            tracks[k, X],
+            tracks[k, Y],
+            tracks[k, VX],
+            tracks[k, VY],
+        )
         for c in range(found):
-            far = clusters.near[c] + 0.5 * (clusters.radius[c] + track[RADIUS])
+            far = clusters.near[c] + 0.5 * (clusters.radius[c] + radius)
             age = clusters.age[c]
-            dx = eye.x + far * clusters.cos[c] - track[X] - age * track[VX]
-            dy = eye.y + far * clusters.sin[c] - track[Y] - age * track[VY]
+            dx = eye.x + far * clusters.cos[c] - x - age * vx
+            if abs(dx) > LARGEST_GATE:
+                continue
+            dy = eye.y + far * clusters.sin[c] - y - age * vy
             apart = dx * dx + dy * dy
             if apart > LARGEST_GATE * LARGEST_GATE:
                 continue
             gate = GATE_SIGMAS * math.sqrt(
-                place_variance(track, age, place_error(clusters.near[c], rays))
+                place_variance(tracks, k, age, place_error(clusters.near[c], rays))
             )
             if apart < max(gate, LEAST_GATE) ** 2:
                 if apart < nearest[k]:
@@ -244,9 +252,9 @@ def match_clusters(  # noqa: C901 - one pass over tracks and clusters
 
 
 @subroutine
-def correct_track(track: Floats, x: float, y: float, age: float, error: float) -> None:
-    """Correct a track by where it was measured, and when, from now on [s]."""
-    variance = place_variance(track, age, error)
+def correct_track(tracks: Floats, k: int, x: float, y: float, age: float, error: float) -> None:
+    """Correct track k by where it was measured, and when, from now on [s]."""
+    track, variance = tracks[k], place_variance(tracks, k, age, error)
     gain = (track[VAR] + age * track[COV]) / variance
     speed_gain = (track[COV] + age * track[SPEED_VAR]) / variance
     dx, dy = x - track[X] - age * track[VX], y - track[Y] - age * track[VY]
@@ -344,13 +352,13 @@ def update_tracks(  # noqa: C901 - one pass over tracks and clusters
         matches = np.empty(MOST_TRACKS + n, np.int64)
         match_clusters(tracks, clusters, found, eye, rays, matches)
         for k in range(MOST_TRACKS):
-            track = tracks[k]
-            if track[AGE] > 0.0 and matches[k] >= 0:
+            if tracks[k, AGE] > 0.0 and matches[k] >= 0:
                 follow_cluster(record, k, clusters, matches[k], eye, middle, ranges, rays, xs, ys)
-            elif track[AGE] > 0.0:
-                track[MISSES] += 1.0
-                if track[MISSES] > (MOST_MOVING_MISSES if track[MOVES] > 0.0 else MOST_MISSES):
-                    track[AGE] = 0.0
+            elif tracks[k, AGE] > 0.0:
+                tracks[k, MISSES] += 1.0
+                most = MOST_MOVING_MISSES if tracks[k, MOVES] > 0.0 else MOST_MISSES
+                if tracks[k, MISSES] > most:
+                    tracks[k, AGE] = 0.0
         free = 0
         for c in range(found):
             if matches[MOST_TRACKS + c] >= 0:
@@ -375,8 +383,8 @@ def mark_rays(tracks: Floats, xs: Floats, ys: Floats, ages: Floats, moving: Byte
     """Mark the rays that end in what moves, where it was when they were measured."""
     moving[:] = 0
     for k in range(MOST_TRACKS):
-        track = tracks[k]
-        if track[AGE] > 0.0 and track[MOVES] > 0.0:
+        if tracks[k, AGE] > 0.0 and tracks[k, MOVES] > 0.0:
+            track = tracks[k]
             reach = track[RADIUS] + HULL_MARGIN
             for ray in range(len(moving)):
                 dx = xs[ray] - track[X] - ages[ray] * track[VX]
@@ -405,7 +413,7 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     track[RADIUS] += max(1.0 / track[AGE], RADIUS_GAIN) * (clusters.radius[c] - track[RADIUS])
     far = clusters.near[c] + track[RADIUS]
     x, y = eye.x + far * clusters.cos[c], eye.y + far * clusters.sin[c]
-    correct_track(track, x, y, clusters.age[c], place_error(clusters.near[c], rays))
+    correct_track(record.tracks, k, x, y, clusters.age[c], place_error(clusters.near[c], rays))
     count = clusters.rays[c]
     known = FRESH * add_traces(record, k, clusters.first[c], count, xs, ys) >= count
     if track[MOVES] > 0.0:
