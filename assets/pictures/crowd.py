@@ -38,13 +38,13 @@ class Options:
     policy: str = "dwa_movers"
     env: str = "crowd"
     worlds: str = "crowd_reacting:test"
-    world: int = 55
+    world: int = 32
     """Number of the world, and seed of the episode."""
     every: int = 4
     """The film shows every so many env steps (0.1 s each)."""
     delay: int = 130
     """Time between pictures of the film [ms]; GIF knows whole hundredths of a second."""
-    size: tuple[int, int] = (600, 280)
+    size: tuple[int, int] = (600, 350)
     """Width and height of the film [pixels]; the picture is twice as large."""
     moment: float = 0.45
     """When the picture is, as a share of the episode."""
