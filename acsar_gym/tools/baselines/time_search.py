@@ -5,9 +5,10 @@ from __future__ import annotations
 import copy
 import math
 
+import gymnasium
 import numpy as np
 
-from acsar_gym.envs.robot_env import RobotEnv
+from acsar_gym.envs.ids import strip_module
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy, Privileged
@@ -55,13 +56,9 @@ class TimeSearch(Privileged, BaselinePolicy):
         """Prepare for a robot and a task."""
         super().equip(setting)
         self._speed = min(SPEED_SHARE * self.units.speed, MOST_SPEED)
+        steps = gymnasium.spec(strip_module(self.env_id)).max_episode_steps
+        self._last = math.inf if steps is None else (steps - 1) * setting.period
         self.reset()
-
-    def watch(self, env: RobotEnv) -> None:
-        """Take the env whose truth it knows, and how long an episode lasts."""
-        super().watch(env)
-        steps = None if env.spec is None else env.spec.max_episode_steps
-        self._last = math.inf if steps is None else (steps - 1) * self.setting.period
 
     def reset(self) -> None:
         """Forget the last path."""
