@@ -322,8 +322,8 @@ class CrowdEnv(RobotEnv):
     with doors or an open floor, in which people walk. Where they are at its begin is drawn anew for
     each episode. The robot stands at the world's start, which is the origin of the odometry frame.
     The episode terminates when odometry says that the robot is within 0.5 m of the goal (success),
-    or when a simulated robot and an obstacle or a person touch (collision, whoever ran into whom).
-    It is truncated after 800 steps.
+    or when a simulated robot and an obstacle or a person touch, whoever ran into whom
+    (`person_contact`). It is truncated after 800 steps.
     `reset(options={"world": 1017})` chooses the world, `{"goal": (x, y)}` sets the goal, as in
     `acsar_gym/ObstacleGoal-v1`.
 

@@ -47,6 +47,8 @@ class MoverFile(Section):
     times: list[Number] | None = Field(None, max_length=MAX_PIECES)
     smooth: bool = False
     """Whether the points at these times lie on a spline, as those of Gazebo."""
+    tension: Number = 0.0
+    """Of that spline, 0 to 1."""
     pieces: list[Row] | None = Field(None, max_length=MAX_PIECES)
     duration: Number | None = None
     repeat: Literal["stop", "back", "loop"] | None = None
@@ -71,12 +73,13 @@ class MoverFile(Section):
             "sees_robot": self.sees_robot,
         }
         given = {field for field in self.model_fields_set if getattr(self, field) is not None}
-        given &= {"points", "speed", "pauses", "times", "smooth", "pieces", "duration"}
+        given &= {"points", "speed", "pauses", "times", "smooth", "tension", "pieces", "duration"}
         if walks and given <= {"points", "speed", "pauses"}:
             speed = WALKING_SPEED if self.speed is None else self.speed
             return walk(self.points or [], speed, pauses=self.pauses, **common)
-        if {"points", "times"} <= given <= {"points", "times", "smooth"}:
-            return follow_keys(self.times or [], self.points or [], smooth=self.smooth, **common)
+        if {"points", "times"} <= given <= {"points", "times", "smooth", "tension"}:
+            common |= {"smooth": self.smooth, "tension": self.tension}
+            return follow_keys(self.times or [], self.points or [], **common)
         if given == {"pieces", "duration"}:
             return Mover(self.pieces, self.duration, **common)  # type: ignore[arg-type]
         raise WorldError(f"{FORMS}; has {', '.join(sorted(given)) or 'none of these'}")

@@ -248,7 +248,8 @@ def follow_keys(
         points: (n, 2), in the frame of the world [m].
         smooth: whether the points lie on a spline, as Gazebo's animations do, or on straight lines.
             In each piece the spline is a cubic Hermite polynomial, whose tangents are
-            (1 - tension) / 2 times the step between the neighbours of a point.
+            (1 - tension) / 2 times the step between the neighbours of a point, also at the ends
+            of a closed one, whose first and last points are the same (gz-math, src/Spline.cc).
         tension: of the spline, 0 to 1; 1 stands still at every point.
         repeat: what follows at the end; with LOOP it jumps to the first point.
         name: as in `Mover`.
@@ -275,7 +276,9 @@ def follow_keys(
     pieces[:, 0] = at[:-1] - at[0]
     pieces[:, [1, 5]] = places[:-1]
     if smooth:
-        around = np.concatenate([places[:1], places, places[-1:]])
+        closed = len(places) > 2 and bool((places[0] == places[-1]).all())
+        ends = (places[-2:-1], places[1:2]) if closed else (places[:1], places[-1:])
+        around = np.concatenate([ends[0], places, ends[1]])
         tangents = (1.0 - tension) / 2.0 * (around[2:] - around[:-2])
         leave, arrive = tangents[:-1], tangents[1:]
         pieces[:, [2, 6]] = leave / lengths

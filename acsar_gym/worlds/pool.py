@@ -231,7 +231,7 @@ def _parse_source(text: str, count: int | None) -> tuple[registry.WorldsName, ra
     if name is None:
         raise WorldError(
             f"worlds = {show_value(text)}: must be like 'clutter:test', 'clutter:50', "
-            "'clutter:50-99' or a path"
+            "'clutter:50-99', 'clutter+6:test' (1 to 99 walkers) or a path"
         )
     first, _, last = name.numbers.partition("-")
     if last:

@@ -368,3 +368,11 @@ def test_movers_of_a_world() -> None:
     for wrong in ([[0.0, 0.0]], ["Ann"]):
         with pytest.raises(WorldError, match=r"movers: .* must be of Mover"):
             World(movers=wrong)  # type: ignore[arg-type]
+
+
+def test_a_closed_spline_goes_on_where_it_began() -> None:
+    """As gz-math has it: both ends have the tangent of the neighbours beside the joint."""
+    closed = follow_keys([0, 1, 2, 3], [[0, 0], [2, 0], [1, 2], [0, 0]], smooth=True)
+    leaving, arriving = closed.velocity(0.0), closed.velocity(3.0 - 1e-9)
+    np.testing.assert_allclose(leaving, arriving, atol=1e-6)
+    np.testing.assert_allclose(leaving, (0.5, -1.0))
