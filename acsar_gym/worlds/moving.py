@@ -324,9 +324,9 @@ def add_walkers(
     for number in range(count):
         crowded = _add_walker(world, (left, low, right, high), rng, difficulty, radius)
         if crowded is None:
-            fewer = f"{number} at most" if number else "none, or another kind of world"
+            fewer = f"at most {number}" if number else "none, or another kind of world"
             raise WorldError(
-                f"{world.name}: nobody can cross it with {number + 1} walkers: use {fewer}"
+                f"{world.name}: nobody can cross it among so many walkers: use {fewer}"
             )
         world = crowded
     return world

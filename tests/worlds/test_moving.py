@@ -93,7 +93,7 @@ def test_a_world_that_nobody_can_cross_is_drawn_again(monkeypatch: pytest.Monkey
     monkeypatch.setattr(moving, "can_be_crossed", lambda world, radius: not world.movers)
     monkeypatch.setattr(moving, "DRAWS", 2)
     with pytest.raises(
-        WorldError, match=r"clutter\+2 0: nobody can cross it with more than 0 walk"
+        WorldError, match=r"clutter\+2 0: nobody can cross it among so many walkers: use none"
     ):
         generate_world("clutter+2", 0, 0.5)
 
