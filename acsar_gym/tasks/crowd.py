@@ -12,7 +12,7 @@ from typing import Any
 from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MOVERS
-from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
+from acsar_gym.sensors.map.movers import MOST_MOVERS, MOST_RADIUS, NUMBERS
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, NEAR_SHARE
 from acsar_gym.tasks.goal import goal_distance
 from acsar_gym.tasks.navigation import BARN_TOLERANCE, NavigationTask, navigation_reward
@@ -20,10 +20,10 @@ from acsar_gym.tasks.state import State
 from acsar_gym.tasks.task import Outcome
 from acsar_gym.worlds.crowd import PERSONAL_SPACE
 
-SEEN, AHEAD, LEFT, RADIUS = (
-    len(MAP_NAMES) + MOVER_NAMES.index(f"mover_{name}_0") for name in ("seen", "x", "y", "radius")
-)
-"""Places of the numbers of the nearest mover in `State.sensed`."""
+FIRST_MOVER = len(MAP_NAMES)
+"""Place of the first number of the first mover in `State.sensed`."""
+AHEAD, LEFT, RADIUS, MOVES = (NUMBERS.index(name) for name in ("x", "y", "radius", "moves"))
+"""Places of a mover's numbers among its own."""
 TOP_SPEED = MAP_NAMES.index("top_speed")
 """Place of the robot's top speed there, in ten radii of its footprint a second."""
 CROWDING_COST = 0.1
@@ -62,16 +62,19 @@ class DynaBarn(Crowd):
 
 @compilable
 def crowding(state: State) -> float:
-    """How deep the robot is in the personal space of the nearest mover that it observes, 0 to 1.
+    """How deep the robot is in the personal space of a mover that it observes, 0 to 1, at most.
 
-    0 where the mover's hull is PERSONAL_SPACE or more away from the circle around the robot, or
-    none is observed, and 1 where they touch.
+    0 where the hull of all that surely moves is PERSONAL_SPACE or more away from the circle around
+    the robot, and 1 where one touches it.
     """
-    if state.sensed[SEEN] == 0.0:
-        return 0.0
-    ahead, left = float(state.sensed[AHEAD]), float(state.sensed[LEFT])
-    share = math.sqrt(ahead * ahead + left * left)
-    apart: float = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
-    gap = apart - 1.0 - MOST_RADIUS * float(state.sensed[RADIUS])
     radius = state.max_twist[0] / (10.0 * float(state.sensed[TOP_SPEED]))
-    return 1.0 - min(max(gap * radius / PERSONAL_SPACE, 0.0), 1.0)
+    deepest = 0.0
+    for n in range(MOST_MOVERS):
+        first = FIRST_MOVER + n * len(NUMBERS)
+        if state.sensed[first + MOVES] > 0.0:
+            ahead, left = float(state.sensed[first + AHEAD]), float(state.sensed[first + LEFT])
+            share = math.sqrt(ahead * ahead + left * left)
+            apart: float = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
+            gap = apart - 1.0 - MOST_RADIUS * float(state.sensed[first + RADIUS])
+            deepest = max(deepest, 1.0 - max(gap * radius / PERSONAL_SPACE, 0.0))
+    return min(deepest, 1.0)

@@ -34,7 +34,7 @@ def sensed(gap: float | None = None, bearing: float = 0.0, radius: float = 0.25)
     movers = dict.fromkeys(MOVER_NAMES, 0.0)
     if gap is not None:
         length = log_share((gap + REACH + radius) / REACH, FARTHEST_CLEARANCE)
-        movers["mover_seen_0"] = 1.0
+        movers["mover_moves_0"] = 1.0
         movers["mover_x_0"] = length * math.cos(bearing)
         movers["mover_y_0"] = length * math.sin(bearing)
         movers["mover_radius_0"] = radius / REACH / MOST_RADIUS

@@ -1,4 +1,4 @@
-"""What moves around a robot, as a sensor: the nearest of the map's tracks."""
+"""What moves around a robot, as a sensor: tracks of the map, and courses that would meet them."""
 
 from __future__ import annotations
 
@@ -12,22 +12,82 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
+from acsar_gym.sensors.map.courses import COURSES, MOST_GAP, measure_courses
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MapSensor, log_share
-from acsar_gym.sensors.map.tracks import AGE, MOST_TRACKS, MOVES, RADIUS, VX, VY, X, Y
+from acsar_gym.sensors.map.tracks import (
+    AGE,
+    MOST_TRACKS,
+    MOVES,
+    RADIUS,
+    SPEED_VAR,
+    VX,
+    VY,
+    X,
+    Y,
+)
 from acsar_gym.sensors.sensor import MOVERS, Floats, Sensor
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.truth import GroundTruth
 
 MOST_MOVERS = 6
-"""So many of them are observed, the nearest ones."""
+"""So many of them are observed, those that the robot could meet first."""
 MOST_SPEED, MOST_RADIUS = 4.0, 4.0
 """Speeds and radii beyond count as these, in the robot's top speed and radii of its footprint."""
-NUMBERS = ("seen", "x", "y", "speed_x", "speed_y", "radius")
-MOVER_NAMES = tuple(f"mover_{name}_{n}" for n in range(MOST_MOVERS) for name in NUMBERS)
-"""The numbers that the sensor adds to the observation, the nearest mover first; all are 0 where
-there is none. Places and velocities are in the base frame. (x, y) points at the mover, and its
-length is that of `log_share`."""
-MOVER_LOW = np.array([0.0, -1.0, -1.0, -1.0, -1.0, 0.0] * MOST_MOVERS)
+NUMBERS = ("known", "x", "y", "speed_x", "speed_y", "radius", "moves", "doubt")
+MOVER_NAMES = (
+    *(f"mover_{name}_{n}" for n in range(MOST_MOVERS) for name in NUMBERS),
+    *(f"contact_{n}" for n in range(len(COURSES))),
+    *(f"gap_{n}" for n in range(len(COURSES))),
+)
+"""The numbers that the sensor adds to the observation: of each track, in the order in which the
+robot could meet them, all 0 where there is none, then of each of the `courses`. Places and
+velocities are in the base frame. (x, y) points at the mover, and its length is that of
+`log_share`. `known` grows to 1 in KNOWN_SCANS; `moves` is whether it is sure to move; `doubt` is
+the standard deviation of its speed [m/s]."""
+FIRST_COURSE = MOST_MOVERS * len(NUMBERS)
+MOVER_LOW = np.array(
+    [
+        -1.0 if name.startswith(("mover_x", "mover_y", "mover_speed")) else 0.0
+        for name in MOVER_NAMES
+    ]
+)
+LEAST_AGE, KNOWN_SCANS = 2, 10
+"""A track is observed that so many scans have matched; one that has as many as the second is well
+known."""
+LEAST_CLOSING = 0.1
+"""A robot and somebody else come nearer by at least so much, as far as one can know [m/s]."""
+COURSE_SPEED, COURSE_DEVIATIONS = 0.2, 1.5
+"""Who moves, or is faster than the first and than so many standard deviations of its speed, may be
+met on a course [m/s]."""
+
+
+@subroutine
+def list_tracks(record: Any, pose: tuple[float, float, float], rows: Floats) -> int:
+    """List all tracks that are observed in the base frame.
+
+    `rows`, (MOST_TRACKS, 9), gets x, y [m], velocity x, y [m/s], radius [m], age [scans], whether
+    it moves, the standard deviation of its speed [m/s], and when the robot could meet it at the
+    earliest [s].
+
+    Returns:
+        How many there are.
+    """
+    (cos, sin), count = cos_sin(pose[2]), 0
+    for k in range(MOST_TRACKS):
+        track = record.tracks[k]
+        if track[AGE] < LEAST_AGE:
+            continue
+        row, dx, dy = rows[count], track[X] - pose[0], track[Y] - pose[1]
+        row[0], row[1] = dx * cos + dy * sin, dy * cos - dx * sin
+        row[2] = track[VX] * cos + track[VY] * sin
+        row[3] = track[VY] * cos - track[VX] * sin
+        row[4], row[5], row[6] = track[RADIUS], track[AGE], track[MOVES]
+        row[7] = math.sqrt(track[SPEED_VAR])
+        far = math.sqrt(dx * dx + dy * dy)
+        closing = record.top_speed - (row[0] * row[2] + row[1] * row[3]) / max(far, 1e-9)
+        row[8] = max(far - track[RADIUS] - record.radius, 0.0) / max(closing, LEAST_CLOSING)
+        count += 1
+    return count
 
 
 @subroutine
@@ -37,27 +97,29 @@ def fill_movers(record: Any, pose: tuple[float, float, float], out: Floats) -> N
     `record` is the map's, which has been updated; `pose` is the robot's by odometry.
     """
     out[:] = 0.0
-    tracks, cos, sin = record.tracks, *cos_sin(pose[2])
-    farther_than, count = -1.0, len(NUMBERS)
-    for n in range(MOST_MOVERS):
-        nearest, best = math.inf, -1
-        for k in range(MOST_TRACKS):
-            dx, dy = tracks[k, X] - pose[0], tracks[k, Y] - pose[1]
-            far = dx * dx + dy * dy
-            if tracks[k, AGE] > 0.0 and tracks[k, MOVES] > 0.0 and farther_than < far < nearest:
-                nearest, best = far, k
-        if best < 0:
-            break
-        farther_than, track = nearest, tracks[best]
-        dx, dy, far = track[X] - pose[0], track[Y] - pose[1], math.sqrt(nearest)
+    rows, met, quick = np.empty((MOST_TRACKS, 9)), np.empty((MOST_TRACKS, 5)), 0
+    listed = rows[: list_tracks(record, pose, rows)]
+    scale, width = 1.0 / (MOST_SPEED * record.top_speed), len(NUMBERS)
+    for k in range(len(listed)):
+        speed = math.sqrt(listed[k, 2] * listed[k, 2] + listed[k, 3] * listed[k, 3])
+        least = max(COURSE_SPEED, COURSE_DEVIATIONS * listed[k, 7])
+        if listed[k, 6] > 0.0 or speed > least:
+            met[quick] = listed[k, :5]
+            quick += 1
+    measure_courses(record.courses, record.radius, met[:quick], out[FIRST_COURSE:])
+    for n in range(FIRST_COURSE + len(COURSES), len(MOVER_NAMES)):
+        out[n] = log_share(out[n], MOST_GAP)
+    for n in range(min(MOST_MOVERS, len(listed))):
+        row = listed[listed[:, 8].argmin()]
+        far = math.sqrt(row[0] * row[0] + row[1] * row[1])
         share = log_share(far / record.radius, FARTHEST_CLEARANCE) / max(far, 1e-9)
-        scale = 1.0 / (MOST_SPEED * record.top_speed)
-        out[n * count] = 1.0
-        out[n * count + 1] = (dx * cos + dy * sin) * share
-        out[n * count + 2] = (dy * cos - dx * sin) * share
-        out[n * count + 3] = limit((track[VX] * cos + track[VY] * sin) * scale)
-        out[n * count + 4] = limit((track[VY] * cos - track[VX] * sin) * scale)
-        out[n * count + 5] = limit(track[RADIUS] / (MOST_RADIUS * record.radius))
+        place = n * width
+        out[place] = min(row[5] / KNOWN_SCANS, 1.0)
+        out[place + 1], out[place + 2] = row[0] * share, row[1] * share
+        out[place + 3], out[place + 4] = limit(row[2] * scale), limit(row[3] * scale)
+        out[place + 5] = limit(row[4] / (MOST_RADIUS * record.radius))
+        out[place + 6], out[place + 7] = row[6], limit(row[7])
+        row[8] = math.inf
 
 
 @subroutine

@@ -24,6 +24,7 @@ from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.map.arcs import ARCS, BANDS, LONGEST_ARC, measure_arcs, tabulate_arcs
+from acsar_gym.sensors.map.courses import COURSE_STEPS, COURSES, tabulate_courses
 from acsar_gym.sensors.map.seen import (
     CELL_SHIFT,
     CELL_SIDE,
@@ -145,6 +146,7 @@ RECORD = np.dtype(
         ("reach", np.float64, (REACH_STEPS,)),  # of the footprint, from the base's middle [m]
         ("spans", np.float64, (ARCS, 2)),  # of the footprint beside arcs [m]
         ("fronts", np.float64, (ARCS, BANDS, 4)),  # of the footprint along arcs [m]
+        ("courses", np.float64, (len(COURSES), COURSE_STEPS, 2)),  # places on them [m]
         ("stamp", np.uint8, (2 * STAMP_REACH + 1, STAMP_WIDTH)),
         ("counts", np.uint8, (CELLS, CELLS)),
         ("costs", np.uint8, (CELLS, CELLS)),
@@ -178,6 +180,7 @@ def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
     made["pace"], made["top_speed"] = config.max_linear * period, config.max_linear
     made["body"], made["reach"] = describe_body(config), _reach(outline)
     made["spans"], made["fronts"] = tabulate_arcs(outline)
+    made["courses"] = tabulate_courses(radius, config.max_linear, config.max_angular)
     made["stamp"] = make_stamp(inner, radius)
     return made
 

@@ -71,7 +71,7 @@ SETTLING = 0.03
 FRESH = 2
 """What moves isn't where the map remembers something: at most one of so many of its rays is."""
 REACH = CELLS // 2 - 2
-"""Objects are followed within the map [cells]."""
+"""Cells that are farther from the robot's are beyond the map."""
 CLEAR_MARGIN = 0.2
 """A ray looks through a place if it ends so far behind it [m]."""
 STRAIGHT = 0.8
@@ -145,7 +145,7 @@ def time_rays(bearings: Floats, times: Floats, now: float, rays: Rays, ages: Flo
 
 @subroutine
 def find_clusters(
-    ranges: Floats, rays: Rays, ages: Floats, start: float, reach: float, clusters: Clusters
+    ranges: Floats, rays: Rays, ages: Floats, start: float, clusters: Clusters
 ) -> int:
     """Find the objects that a scan shows whole: both beside them is farther away.
 
@@ -171,7 +171,7 @@ def find_clusters(
         sine = math.sin(min(0.5 * count * rays.step, 1.0))
         radius = near * sine / (1.0 - sine)
         if (
-            near < reach
+            near < rays.farthest
             and radius < LARGEST
             and (whole or (first > 0 and last < n - 1))
             and ranges[first - 1] > ranges[first]
@@ -352,7 +352,7 @@ def update_tracks(  # noqa: C901 - one pass over tracks and clusters
         clusters = Clusters(
             numbers[3], numbers[4], numbers[5], numbers[6], np.empty(n), parts[0], parts[1]
         )
-        found = find_clusters(ranges, rays, ages, eye.start, REACH * record.side, clusters)
+        found = find_clusters(ranges, rays, ages, eye.start, clusters)
         matches = np.empty(MOST_TRACKS + n, np.int64)
         match_clusters(tracks, clusters, found, eye, rays, matches)
         for k in range(MOST_TRACKS):
@@ -378,7 +378,7 @@ def update_tracks(  # noqa: C901 - one pass over tracks and clusters
             track[RADIUS], track[AGE] = clusters.radius[c], 1.0
             track[VAR] = place_error(clusters.near[c], rays)
             track[SPEED_VAR] = NEW_SPEED * NEW_SPEED
-            add_traces(record, free, clusters.first[c], clusters.rays[c], xs, ys)
+            add_traces(record, free, clusters.first[c], clusters.rays[c], xs, ys, middle)
     mark_rays(tracks, xs, ys, ages, moving)
 
 
@@ -419,7 +419,7 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     x, y = eye.x + far * clusters.cos[c], eye.y + far * clusters.sin[c]
     correct_track(record.tracks, k, x, y, clusters.age[c], place_error(clusters.near[c], rays))
     count = clusters.rays[c]
-    known = FRESH * add_traces(record, k, clusters.first[c], count, xs, ys) >= count
+    known = FRESH * add_traces(record, k, clusters.first[c], count, xs, ys, middle) >= count
     if track[MOVES] > 0.0:
         slow = track[VX] * track[VX] + track[VY] * track[VY] < STANDING_SPEED * STANDING_SPEED
         if slow or known:
@@ -435,7 +435,15 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
 
 
 @subroutine
-def add_traces(record: Any, k: int, first: int, count: int, xs: Floats, ys: Floats) -> int:
+def add_traces(
+    record: Any,
+    k: int,
+    first: int,
+    count: int,
+    xs: Floats,
+    ys: Floats,
+    middle: tuple[int, int],
+) -> int:
     """Keep the cells that rays of a track which stands are the first to hit.
 
     Returns:
@@ -444,8 +452,10 @@ def add_traces(record: Any, k: int, first: int, count: int, xs: Floats, ys: Floa
     track, known, ray = record.tracks[k], 0, first - 1
     for _ in range(count):
         ray = ray + 1 if ray + 1 < len(xs) else 0
-        p = cell_at(xs[ray], record.side) & LAST_CELL
-        q = cell_at(ys[ray], record.side) & LAST_CELL
+        i, j = cell_at(xs[ray], record.side), cell_at(ys[ray], record.side)
+        if max(abs(i - middle[0]), abs(j - middle[1])) > REACH:
+            continue
+        p, q = i & LAST_CELL, j & LAST_CELL
         if record.counts[p, q] >= OCCUPIED:
             known += 1
         elif (

@@ -11,6 +11,7 @@ import pytest
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
+from acsar_gym.sensors.map.courses import COURSES
 from acsar_gym.sensors.map.movers import MOST_MOVERS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal
@@ -63,6 +64,11 @@ def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value(
     for stem in ("clearance", "arc", "wide_arc"):  # to the right becomes to the left
         group = [k for k, name in enumerate(names) if name.rpartition("_")[0] == stem]
         image[:, group] = seen[:, group[::-1]]
+    for stem in ("contact", "gap") if len(names) > WIDTH else ():
+        for course, (share, curvature) in enumerate(COURSES):
+            other = COURSES.index((share, -curvature))
+            place, source = (names.index(f"{stem}_{n}") for n in (course, other))
+            image[:, place] = seen[:, source]
     with torch.no_grad():
         actions, images = (policy.get_distribution(one).mode() for one in (seen, image))
         values, same = policy.predict_values(seen), policy.predict_values(image)
