@@ -295,26 +295,37 @@ class CrowdEnv(RobotEnv):
 
     ## Observation space
 
-    `Box((133 + rays,), float32)`, with the 64 rays of the ACSAR robot (197,). Numbers 0 to 96 are
-    those of `acsar_gym/ObstacleGoal-v1`, and the rays come last, as there. Between them stand the
-    six nearest of what moves around the robot, the nearest one first, six numbers each:
+    `Box((185 + rays,), float32)`, with the 64 rays of the ACSAR robot (249,). Numbers 0 to 96 are
+    those of `acsar_gym/ObstacleGoal-v1`, and the rays come last, as there. Between them stand six
+    tracks of what the LiDAR shows whole, eight numbers each, those first that the robot could meet
+    first if it drove there at its top speed:
 
-    | index | observation of the nearest one, and 6 on for each next one | range |
+    | index | observation of the first one, and 8 on for each next one | range |
     |---|---|---|
-    | 97 | 1, or 0 where none is seen: then the other five are 0, too | 0 to 1 |
+    | 97 | scans that have shown it / 10; 0 where there is none: then the others are 0, too | 0 to 1 |
     | 98, 99 | where it is from the base: a vector to its middle, ahead and to the left | -1 to 1 |
     | 100, 101 | its velocity over the floor, ahead and to the left / (4 `max_linear`) | -1 to 1 |
     | 102 | its radius / (4 R) | 0 to 1 |
+    | 103 | 1 where it surely moves, else 0 | 0 to 1 |
+    | 104 | standard deviation of its speed [m/s] | 0 to 1 |
 
     The length of the vector at 98 is log(1 + 4 d / R) / log(1 + 4 * 16), d being the distance from
-    the base's middle. They are tracked in the LiDAR's scans: who is hidden, or stands, isn't told,
-    and the map forgets whoever has moved on.
+    the base's middle. Who is hidden isn't told, and the map forgets whoever surely moves.
+
+    Then come 20 courses that the robot could take (`sensors/map/courses.py`): at its top speed on
+    the 11 arcs, at half of it on five, standing, and three backwards. If it did, and those who move
+    kept their velocities for 2.4 s:
+
+    | index | observation | range |
+    |---|---|---|
+    | 145 to 164 | when it would meet somebody, in parts of the 2.4 s; 1 for nobody | 0 to 1 |
+    | 165 to 184 | how near it would come to anybody: a gap of g is log(1 + 4 g / R) / log(17) | 0 to 1 |
 
     ## Reward
 
     As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
-    personal space of the nearest one that it sees moving: 0 where that one's hull is 0.45 m or more
-    from the circle around the robot, 1 where they touch, by observations 97 to 102.
+    personal space of one that it sees moving: 0 where the hulls of all six are 0.45 m or more from
+    the circle around the robot, 1 where one touches it, by observations 97 to 144.
 
     ## Start and end
 
