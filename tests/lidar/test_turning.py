@@ -18,8 +18,8 @@ from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.world import make_rectangle, to_odometry
 
 ROOM = World(
-    circles=((1.2, 0.9, 0.2), (-0.9, 1.1, 0.3), (0.3, -1.2, 0.15)),
-    segments=(*make_rectangle(-2.0, -1.6, 2.4, 1.8), (-2.0, 0.4, -1.2, 0.4)),
+    circles=np.array([(1.2, 0.9, 0.2), (-0.9, 1.1, 0.3), (0.3, -1.2, 0.15)]),
+    segments=np.array([*make_rectangle(-2.0, -1.6, 2.4, 1.8), (-2.0, 0.4, -1.2, 0.4)]),
 )
 START = (0.1, -0.2, 0.4)
 ROBOTS = {
