@@ -94,7 +94,7 @@ def compare_revolutions(
         trail: of odometry, as in `Trail`.
         newest: place of its newest row.
         rays: of the LiDAR.
-        turned: (rows, 4): written to; so many rows reach back to the older revolution.
+        turned: (rows, 4): written to; so many rows of the trail reach back to the older one.
         scans: (2, rays): written to.
         costs: (len(FACTORS),): gets the mean difference of the logarithms of two ranges.
 
@@ -109,7 +109,7 @@ def compare_revolutions(
         fill_scan(newer.bearings, newer.distances, newer.times, turned, last, rays, now)
         total, count = 0.0, 0
         for ray in range(scans.shape[1]):
-            if before[ray] < farthest and now[ray] < farthest:
+            if 0.0 < before[ray] < farthest and 0.0 < now[ray] < farthest:
                 total += min(abs(math.log(before[ray] / now[ray])), FARTHEST_APART)
                 count += 1
         if count < LEAST_RAYS:
@@ -150,8 +150,8 @@ class TurnCorrection:
         """As if nothing were corrected."""
         self._rays = make_rays(config)
         self._trail = Trail(HISTORY, config.period)
-        reach = PAUSE + config.lidar.timeout + 2.0 / config.lidar.rate
-        self._turned = np.empty((count_trail_rows(reach, config.period), 4))
+        self._reach = min(PAUSE + config.lidar.timeout + 2.0 / config.lidar.rate, HISTORY)
+        self._turned = np.empty((count_trail_rows(self._reach, config.period), 4))
         self._scans = np.empty((2, config.lidar.rays))
         self.reset(0.0)
         nothing = Revolution(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
@@ -197,7 +197,9 @@ class TurnCorrection:
         while len(seen) > 1 and seen[1][0].stamp <= latest:
             seen.popleft()
         older, angle = seen[0]
-        if older.stamp > latest or abs(self._angle - angle) < LEAST_TURN:
+        age = self._trail.rows[self._trail.newest, 0] - older.times.min(initial=latest)
+        turn = abs(self._angle - angle)
+        if older.stamp > latest or age > self._reach or turn < LEAST_TURN:
             return
         costs = self._compare(older, revolution)
         if costs is None:
