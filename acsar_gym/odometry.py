@@ -63,8 +63,8 @@ class Odometry:
         pose: x [m], y [m], theta [rad] within [-pi, pi].
         twist: linear [m/s], angular [rad/s], in the base frame.
         wheel_positions: integrated wheel angles [rad], in the order of `protocol.WHEELS`.
-        turn_factor: the robot turns by this factor more than its wheels and parameters say; 1.0
-            after a reset.
+        turn_factor: how far the robot turns, in parts of what its wheels and parameters say; 1.0
+            after a reset. `update` uses what it is set to.
         pose_covariance: row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).
         twist_covariance: likewise.
 
