@@ -14,7 +14,15 @@ from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.tasks.factory import explain_option
 
-ONE_MODE_OPTIONS = ("autoreset_mode", "lidar", "on_fault", "record", "threads", "view")
+ONE_MODE_OPTIONS = (
+    "autoreset_mode",
+    "correct_turns",
+    "lidar",
+    "on_fault",
+    "record",
+    "threads",
+    "view",
+)
 """Options that only batches or only single envs have."""
 MODE_DEFAULTS = "defaults"
 """The argument of both in which an id's registered defaults of such options are."""

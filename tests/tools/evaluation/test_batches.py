@@ -108,12 +108,14 @@ def test_named_worlds_alone_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
         ("point_goal", {}, [(0, {})] * 5),  # few
         ("point_goal", {}, [(0, {"goal": (1.0, 0.0)})] * 20),
         ("point_goal", {"faults": {"dropped_lines": 0.1}}, [(0, {})] * 20),
+        ("obstacle_goal", {"correct_turns": True}, [(0, {})] * 20),
     ],
 )
 def test_others_are_driven_one_by_one(
     policy: str, options: dict[str, Any], resets: list[Any]
 ) -> None:
-    loaded = runs.load_policy(policy, trust=False, env="point_goal")
+    env_id = "point_goal" if policy == "turn_drive" else ""
+    loaded = runs.load_policy(policy, trust=False, env=env_id)
     env = runs.make_env(loaded, "planar", None, options)
     assert not episodes.can_batch(env, loaded, resets)
     env.close()
