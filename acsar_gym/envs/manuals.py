@@ -305,11 +305,11 @@ class CrowdEnv(RobotEnv):
 
     | index | observation of the first one, and 8 on for each next one | range |
     |---|---|---|
-    | 97 | scans that have shown it / 10; 0 where there is none: then the others are 0, too | 0 to 1 |
+    | 97 | scans that have shown it / 10; 0 where there is none, and so are the others | 0 to 1 |
     | 98, 99 | where it is from the base: a vector to its middle, ahead and to the left | -1 to 1 |
     | 100, 101 | its velocity over the floor, ahead and to the left / (4 `max_linear`) | -1 to 1 |
     | 102 | its radius / (4 R) | 0 to 1 |
-    | 103 | 1 where it surely moves, else 0 | 0 to 1 |
+    | 103 | 1 where it surely moves, 0.5 where it has moved and stands now, else 0 | 0 to 1 |
     | 104 | standard deviation of its speed [m/s] | 0 to 1 |
 
     The length of the vector at 98 is log(1 + 4 d / R) / log(1 + 4 * 16), d being the distance from
@@ -322,13 +322,13 @@ class CrowdEnv(RobotEnv):
     | index | observation | range |
     |---|---|---|
     | 145 to 164 | when it would meet somebody, in parts of the 2.4 s; 1 for nobody | 0 to 1 |
-    | 165 to 184 | how near it would come to anybody: a gap of g is log(1 + 4 g / R) / log(17) | 0 to 1 |
+    | 165 to 184 | how near it would come to anybody: for g, log(1 + 4 g / R) / log(17) | 0 to 1 |
 
     ## Reward
 
     As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
-    personal space of one that it sees moving: 0 where the hulls of all six are 0.45 m or more from
-    the circle around the robot, 1 where one touches it, by observations 97 to 144.
+    personal space of one that it has seen moving: 0 where the hulls of all of them are 0.45 m or more
+    from the circle around the robot, 1 where one touches it, by observations 97 to 144.
 
     ## Start and end
 

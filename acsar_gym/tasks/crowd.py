@@ -64,7 +64,7 @@ class DynaBarn(Crowd):
 def crowding(state: State) -> float:
     """How deep the robot is in the personal space of a mover that it observes, 0 to 1, at most.
 
-    0 where the hull of all that surely moves is PERSONAL_SPACE or more away from the circle around
+    0 where the hull of all that has moved is PERSONAL_SPACE or more away from the circle around
     the robot, and 1 where one touches it.
     """
     radius = state.max_twist[0] / (10.0 * float(state.sensed[TOP_SPEED]))

@@ -16,6 +16,7 @@ from acsar_gym.sensors.map.courses import COURSES, MOST_GAP, measure_courses
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MapSensor, log_share
 from acsar_gym.sensors.map.tracks import (
     AGE,
+    HAS_MOVED,
     MOST_TRACKS,
     MOVES,
     RADIUS,
@@ -42,8 +43,9 @@ MOVER_NAMES = (
 """The numbers that the sensor adds to the observation: of each track, in the order in which the
 robot could meet them, all 0 where there is none, then of each of the `courses`. Places and
 velocities are in the base frame. (x, y) points at the mover, and its length is that of
-`log_share`. `known` grows to 1 in KNOWN_SCANS; `moves` is whether it is sure to move; `doubt` is
-the standard deviation of its speed [m/s]."""
+`log_share`. `known` grows to 1 in KNOWN_SCANS; `moves` is 1 where it is sure to move, and a half
+where it has moved and stands; `doubt` is the standard deviation of its speed across the ray to
+it [m/s]."""
 FIRST_COURSE = MOST_MOVERS * len(NUMBERS)
 MOVER_LOW = np.array(
     [
@@ -65,9 +67,9 @@ met on a course [m/s]."""
 def list_tracks(record: Any, pose: tuple[float, float, float], rows: Floats) -> int:
     """List all tracks that are observed in the base frame.
 
-    `rows`, (MOST_TRACKS, 9), gets x, y [m], velocity x, y [m/s], radius [m], age [scans], whether
-    it moves, the standard deviation of its speed [m/s], and when the robot could meet it at the
-    earliest [s].
+    `rows`, (MOST_TRACKS, 9), gets x, y [m], velocity x, y [m/s], radius [m], age [scans], what
+    `moves` tells, the standard deviation of its speed [m/s], and when the robot could meet it at
+    the earliest [s].
 
     Returns:
         How many there are.
@@ -81,7 +83,7 @@ def list_tracks(record: Any, pose: tuple[float, float, float], rows: Floats) -> 
         row[0], row[1] = dx * cos + dy * sin, dy * cos - dx * sin
         row[2] = track[VX] * cos + track[VY] * sin
         row[3] = track[VY] * cos - track[VX] * sin
-        row[4], row[5], row[6] = track[RADIUS], track[AGE], track[MOVES]
+        row[4], row[5], row[6] = track[RADIUS], track[AGE], 0.5 * (track[MOVES] + track[HAS_MOVED])
         row[7] = math.sqrt(track[SPEED_VAR])
         far = math.sqrt(dx * dx + dy * dy)
         closing = record.top_speed - (row[0] * row[2] + row[1] * row[3]) / max(far, 1e-9)
@@ -103,7 +105,7 @@ def fill_movers(record: Any, pose: tuple[float, float, float], out: Floats) -> N
     for k in range(len(listed)):
         speed = math.sqrt(listed[k, 2] * listed[k, 2] + listed[k, 3] * listed[k, 3])
         least = max(COURSE_SPEED, COURSE_DEVIATIONS * listed[k, 7])
-        if listed[k, 6] > 0.0 or speed > least:
+        if listed[k, 6] == 1.0 or speed > least:
             met[quick] = listed[k, :5]
             quick += 1
     measure_courses(record.courses, record.radius, met[:quick], out[FIRST_COURSE:])

@@ -37,21 +37,28 @@ MOST_TRACKS = 24
 MOST_TRACES = 32
 """Cells that are kept of a track that stands, to be cleared when it moves."""
 X, Y, VX, VY, RADIUS, VAR, COV, SPEED_VAR, AGE, MISSES, FROM_X, FROM_Y, MOVES, TRACES = range(14)
-TRACK_NUMBERS = 14
-"""Columns of a track: place [m], velocity [m/s], radius [m], variances of a coordinate, of it and
-its speed, and of the speed, matched scans (0: not in use), scans without a match since, the place
-where it stood [m], whether it moves, and how many traces it has."""
+RANGE_VAR, RANGE_COV, RANGE_SPEED_VAR, HAS_MOVED = range(14, 18)
+TRACK_NUMBERS = 18
+"""Columns of a track: place [m], velocity [m/s], radius [m], variances of the coordinate across the
+ray to it, of it and its speed, and of the speed, matched scans (0: not in use), scans without a
+match since, the place where it stood [m], whether it moves, how many traces it has, variances of
+the coordinate along the ray, and whether it has moved since it is followed."""
+AXES = ((VAR, COV, SPEED_VAR), (RANGE_VAR, RANGE_COV, RANGE_SPEED_VAR))
+"""Columns of the variances across and along the ray."""
 EDGE_GAP = 0.25
 """Rays beside each other that differ by more belong to two objects [m]."""
 LARGEST = 0.65
 """An object that looks larger than this radius isn't followed [m]; DynaBARN's have 0.5."""
 ERROR, ERROR_SHARE = 0.03, 0.3
-"""Standard deviation of a cluster's place: a part of its own, and one of the distance between two
-rays where it is [m]."""
+"""Standard deviation of a cluster's place across the ray: a part of its own, which is the one along
+the ray, and one of the distance between two rays where it is [m]."""
 NEW_SPEED = 1.0
 """Standard deviation of a coordinate of the velocity of what is new [m/s]."""
 JOLT = 0.7
 """Standard deviation of the acceleration that the filter expects [m/s^2]."""
+SURPRISE, SUDDEN_SPEED, SUDDEN_TIME = 2.5, 0.7, 0.1
+"""What is off by more standard deviations has turned, stopped or gone: its speed has changed by
+about the second [m/s] in the last moment [s]."""
 GATE_SIGMAS, LEAST_GATE, LARGEST_GATE = 3.0, 0.25, 0.5
 """A cluster belongs to a track within so many standard deviations, within limits [m]."""
 RADIUS_GAIN = 0.15
@@ -123,12 +130,13 @@ def predict_tracks(tracks: Floats, dt: float) -> None:
     noise = JOLT * JOLT * dt * dt
     for k in range(MOST_TRACKS):
         if tracks[k, AGE] > 0.0:
-            speed_var = tracks[k, SPEED_VAR]
             tracks[k, X] += dt * tracks[k, VX]
             tracks[k, Y] += dt * tracks[k, VY]
-            tracks[k, VAR] += dt * (2.0 * tracks[k, COV] + dt * (speed_var + 0.25 * noise))
-            tracks[k, COV] += dt * (speed_var + 0.5 * noise)
-            tracks[k, SPEED_VAR] += noise
+            for var, cov, speed in AXES:
+                speed_var = tracks[k, speed]
+                tracks[k, var] += dt * (2.0 * tracks[k, cov] + dt * (speed_var + 0.25 * noise))
+                tracks[k, cov] += dt * (speed_var + 0.5 * noise)
+                tracks[k, speed] += noise
 
 
 @subroutine
@@ -254,19 +262,37 @@ def match_clusters(  # noqa: C901 - one pass over tracks and clusters
 
 
 @subroutine
-def correct_track(tracks: Floats, k: int, x: float, y: float, age: float, error: float) -> None:
-    """Correct track k by where it was measured, and when, from now on [s]."""
-    track, variance = tracks[k], place_variance(tracks, k, age, error)
-    gain = (track[VAR] + age * track[COV]) / variance
-    speed_gain = (track[COV] + age * track[SPEED_VAR]) / variance
+def correct_track(
+    track: Floats, ray: tuple[float, float], x: float, y: float, age: float, error: float
+) -> None:
+    """Correct a track by where it was measured, and when, from now on [s].
+
+    A cluster's place is sharper along the ray, whose cosine and sine are given, than across it,
+    which has the variance `error`.
+    """
+    cos, sin = ray
     dx, dy = x - track[X] - age * track[VX], y - track[Y] - age * track[VY]
-    track[X] += gain * dx
-    track[Y] += gain * dy
-    track[VX] += speed_gain * dx
-    track[VY] += speed_gain * dy
-    track[VAR] -= gain * gain * variance
-    track[COV] -= gain * speed_gain * variance
-    track[SPEED_VAR] -= speed_gain * speed_gain * variance
+    off, shift, gained = (dy * cos - dx * sin, dx * cos + dy * sin), np.zeros(2), np.zeros(2)
+    for axis in range(2):
+        var, cov, speed = AXES[axis]
+        noise = error if axis == 0 else ERROR * ERROR
+        variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + noise
+        if off[axis] * off[axis] > SURPRISE * SURPRISE * variance:
+            sudden = SUDDEN_SPEED * SUDDEN_SPEED
+            track[var] += 0.25 * SUDDEN_TIME * SUDDEN_TIME * sudden
+            track[cov] += 0.5 * SUDDEN_TIME * sudden
+            track[speed] += sudden
+            variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + noise
+        gain = (track[var] + age * track[cov]) / variance
+        speed_gain = (track[cov] + age * track[speed]) / variance
+        shift[axis], gained[axis] = gain * off[axis], speed_gain * off[axis]
+        track[var] -= gain * gain * variance
+        track[cov] -= gain * speed_gain * variance
+        track[speed] -= speed_gain * speed_gain * variance
+    track[X] += shift[1] * cos - shift[0] * sin
+    track[Y] += shift[1] * sin + shift[0] * cos
+    track[VX] += gained[1] * cos - gained[0] * sin
+    track[VY] += gained[1] * sin + gained[0] * cos
 
 
 @subroutine
@@ -277,7 +303,7 @@ def has_departed(track: Floats, eye: Eye, ranges: Floats, rays: Rays) -> bool:
         return False
     dx, dy = track[X] - track[FROM_X], track[Y] - track[FROM_Y]
     apart = math.sqrt(dx * dx + dy * dy)
-    deviations = speed / math.sqrt(track[SPEED_VAR])
+    deviations = speed / math.sqrt(max(track[SPEED_VAR], track[RANGE_SPEED_VAR]))
     far_enough = apart > (DEPARTURE if deviations > SURE else FAR_DEPARTURE)
     if deviations < UNSURE or not far_enough:
         return False
@@ -377,7 +403,8 @@ def update_tracks(  # noqa: C901 - one pass over tracks and clusters
             track[Y] = track[FROM_Y] = eye.y + far * clusters.sin[c]
             track[RADIUS], track[AGE] = clusters.radius[c], 1.0
             track[VAR] = place_error(clusters.near[c], rays)
-            track[SPEED_VAR] = NEW_SPEED * NEW_SPEED
+            track[RANGE_VAR] = ERROR * ERROR
+            track[SPEED_VAR] = track[RANGE_SPEED_VAR] = NEW_SPEED * NEW_SPEED
             add_traces(record, free, clusters.first[c], clusters.rays[c], xs, ys, middle)
     mark_rays(tracks, xs, ys, ages, moving)
 
@@ -414,10 +441,14 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     track = record.tracks[k]
     track[AGE] += 1.0
     track[MISSES] = 0.0
-    track[RADIUS] += max(1.0 / track[AGE], RADIUS_GAIN) * (clusters.radius[c] - track[RADIUS])
+    wider = max(1.0 / track[AGE], RADIUS_GAIN) * (clusters.radius[c] - track[RADIUS])
+    track[RADIUS] += wider
+    ray = clusters.cos[c], clusters.sin[c]
+    track[X] += wider * ray[0]  # its near side stays where it is
+    track[Y] += wider * ray[1]
     far = clusters.near[c] + track[RADIUS]
-    x, y = eye.x + far * clusters.cos[c], eye.y + far * clusters.sin[c]
-    correct_track(record.tracks, k, x, y, clusters.age[c], place_error(clusters.near[c], rays))
+    x, y = eye.x + far * ray[0], eye.y + far * ray[1]
+    correct_track(track, ray, x, y, clusters.age[c], place_error(clusters.near[c], rays))
     count = clusters.rays[c]
     known = FRESH * add_traces(record, k, clusters.first[c], count, xs, ys, middle) >= count
     if track[MOVES] > 0.0:
@@ -426,7 +457,7 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
             track[MOVES] = track[TRACES] = 0.0
             track[FROM_X], track[FROM_Y] = track[X], track[Y]
     elif not known and has_departed(track, eye, ranges, rays):
-        track[MOVES] = 1.0
+        track[MOVES] = track[HAS_MOVED] = 1.0
         grid = Grid(record.counts, record.costs)
         clear_cells(grid, record.stamp, record.traces[k], int(track[TRACES]), middle)
     else:

@@ -28,7 +28,7 @@ from acsar_gym.sensors.map.movers import (
     fill_alone,
 )
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, MapSensor, log_share
-from acsar_gym.sensors.map.tracks import AGE, MOVES, RADIUS, SPEED_VAR
+from acsar_gym.sensors.map.tracks import AGE, HAS_MOVED, MOVES, RADIUS, SPEED_VAR
 from acsar_gym.worlds import World
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import Region
@@ -57,7 +57,7 @@ def told_all(tracks: Sequence[tuple[float, ...]], pose: Any, moves: float = 1.0)
     record: Any = MapSensor(None, ACSAR).records
     for row, numbers in zip(record["tracks"][0], tracks, strict=False):
         row[: RADIUS + 1] = numbers
-        row[AGE], row[MOVES], row[SPEED_VAR] = 5.0, moves, 0.04
+        row[AGE], row[MOVES], row[HAS_MOVED], row[SPEED_VAR] = 5.0, moves, moves, 0.04
     out = np.full(len(MOVER_NAMES), np.nan)
     fill_alone(record, pose, out)
     assert (out >= MOVER_LOW).all()
