@@ -327,8 +327,8 @@ class CrowdEnv(RobotEnv):
     ## Reward
 
     As in `acsar_gym/ObstacleGoal-v1`, and less 0.1 c, where c says how deep the robot is in the
-    personal space of one that it has seen moving: 0 where the hulls of all of them are 0.45 m or more
-    from the circle around the robot, 1 where one touches it, by observations 97 to 144.
+    personal space of one that it has seen moving: 0 where all their hulls are 0.45 m or more from
+    the circle around the robot, 1 where one touches it, by observations 97 to 144.
 
     ## Start and end
 

@@ -13,7 +13,7 @@ from acsar_gym.errors import TaskError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MOVERS
 from acsar_gym.sensors.map.movers import MOST_MOVERS, MOST_RADIUS, NUMBERS
-from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, NEAR_SHARE
+from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, length_of_share
 from acsar_gym.tasks.goal import goal_distance
 from acsar_gym.tasks.navigation import BARN_TOLERANCE, NavigationTask, navigation_reward
 from acsar_gym.tasks.state import State
@@ -74,7 +74,7 @@ def crowding(state: State) -> float:
         if state.sensed[first + MOVES] > 0.0:
             ahead, left = float(state.sensed[first + AHEAD]), float(state.sensed[first + LEFT])
             share = math.sqrt(ahead * ahead + left * left)
-            apart: float = NEAR_SHARE * ((1.0 + FARTHEST_CLEARANCE / NEAR_SHARE) ** share - 1.0)
+            apart = length_of_share(share, FARTHEST_CLEARANCE)
             gap = apart - 1.0 - MOST_RADIUS * float(state.sensed[first + RADIUS])
             deepest = max(deepest, 1.0 - max(gap * radius / PERSONAL_SPACE, 0.0))
     return min(deepest, 1.0)

@@ -328,6 +328,13 @@ def log_share(value: float, most: float) -> float:
     return share
 
 
+@jit
+def length_of_share(share: float, most: float) -> float:
+    """Length in radii whose `log_share` this is."""
+    length: float = NEAR_SHARE * ((1.0 + most / NEAR_SHARE) ** share - 1.0)
+    return length
+
+
 @subroutine
 def weigh_way(
     grid: Grid,
