@@ -49,16 +49,13 @@ EDGE_GAP = 0.25
 """Rays beside each other that differ by more belong to two objects [m]."""
 LARGEST = 0.65
 """An object that looks larger than this radius isn't followed [m]; DynaBARN's have 0.5."""
-ERROR, ERROR_SHARE = 0.03, 0.3
-"""Standard deviation of a cluster's place across the ray: a part of its own, which is the one along
-the ray, and one of the distance between two rays where it is [m]."""
+RANGE_ERROR, ERROR, ERROR_SHARE = 0.04, 0.03, 0.3
+"""Standard deviations of a cluster's place: along the ray [m]; and across it a part of its own [m],
+and one of the distance between two rays where it is."""
 NEW_SPEED = 1.0
 """Standard deviation of a coordinate of the velocity of what is new [m/s]."""
 JOLT = 0.7
 """Standard deviation of the acceleration that the filter expects [m/s^2]."""
-SURPRISE, SUDDEN_SPEED, SUDDEN_TIME = 2.5, 0.7, 0.1
-"""What is off by more standard deviations has turned, stopped or gone: its speed has changed by
-about the second [m/s] in the last moment [s]."""
 GATE_SIGMAS, LEAST_GATE, LARGEST_GATE = 3.0, 0.25, 0.5
 """A cluster belongs to a track within so many standard deviations, within limits [m]."""
 RADIUS_GAIN = 0.15
@@ -262,6 +259,25 @@ def match_clusters(  # noqa: C901 - one pass over tracks and clusters
 
 
 @subroutine
+def correct_axis(
+    track: Floats, axis: tuple[int, int, int], off: float, age: float, error: float
+) -> tuple[float, float]:
+    """Correct the variances along one of AXES by a place of variance `error`, which is `off` [m].
+
+    Returns:
+        By how much the place [m] and the speed [m/s] change.
+    """
+    var, cov, speed = axis
+    variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + error
+    gain = (track[var] + age * track[cov]) / variance
+    speed_gain = (track[cov] + age * track[speed]) / variance
+    track[var] -= gain * gain * variance
+    track[cov] -= gain * speed_gain * variance
+    track[speed] -= speed_gain * speed_gain * variance
+    return gain * off, speed_gain * off
+
+
+@subroutine
 def correct_track(
     track: Floats, ray: tuple[float, float], x: float, y: float, age: float, error: float
 ) -> None:
@@ -272,27 +288,13 @@ def correct_track(
     """
     cos, sin = ray
     dx, dy = x - track[X] - age * track[VX], y - track[Y] - age * track[VY]
-    off, shift, gained = (dy * cos - dx * sin, dx * cos + dy * sin), np.zeros(2), np.zeros(2)
-    for axis in range(2):
-        var, cov, speed = AXES[axis]
-        noise = error if axis == 0 else ERROR * ERROR
-        variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + noise
-        if off[axis] * off[axis] > SURPRISE * SURPRISE * variance:
-            sudden = SUDDEN_SPEED * SUDDEN_SPEED
-            track[var] += 0.25 * SUDDEN_TIME * SUDDEN_TIME * sudden
-            track[cov] += 0.5 * SUDDEN_TIME * sudden
-            track[speed] += sudden
-            variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + noise
-        gain = (track[var] + age * track[cov]) / variance
-        speed_gain = (track[cov] + age * track[speed]) / variance
-        shift[axis], gained[axis] = gain * off[axis], speed_gain * off[axis]
-        track[var] -= gain * gain * variance
-        track[cov] -= gain * speed_gain * variance
-        track[speed] -= speed_gain * speed_gain * variance
-    track[X] += shift[1] * cos - shift[0] * sin
-    track[Y] += shift[1] * sin + shift[0] * cos
-    track[VX] += gained[1] * cos - gained[0] * sin
-    track[VY] += gained[1] * sin + gained[0] * cos
+    across, across_speed = correct_axis(track, AXES[0], dy * cos - dx * sin, age, error)
+    sharp = RANGE_ERROR * RANGE_ERROR
+    along, along_speed = correct_axis(track, AXES[1], dx * cos + dy * sin, age, sharp)
+    track[X] += along * cos - across * sin
+    track[Y] += along * sin + across * cos
+    track[VX] += along_speed * cos - across_speed * sin
+    track[VY] += along_speed * sin + across_speed * cos
 
 
 @subroutine
@@ -403,7 +405,7 @@ def update_tracks(  # noqa: C901 - one pass over tracks and clusters
             track[Y] = track[FROM_Y] = eye.y + far * clusters.sin[c]
             track[RADIUS], track[AGE] = clusters.radius[c], 1.0
             track[VAR] = place_error(clusters.near[c], rays)
-            track[RANGE_VAR] = ERROR * ERROR
+            track[RANGE_VAR] = RANGE_ERROR * RANGE_ERROR
             track[SPEED_VAR] = track[RANGE_SPEED_VAR] = NEW_SPEED * NEW_SPEED
             add_traces(record, free, clusters.first[c], clusters.rays[c], xs, ys, middle)
     mark_rays(tracks, xs, ys, ages, moving)
@@ -446,6 +448,8 @@ def follow_cluster(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
     ray = clusters.cos[c], clusters.sin[c]
     track[X] += wider * ray[0]  # its near side stays where it is
     track[Y] += wider * ray[1]
+    track[FROM_X] += wider * ray[0]
+    track[FROM_Y] += wider * ray[1]
     far = clusters.near[c] + track[RADIUS]
     x, y = eye.x + far * ray[0], eye.y + far * ray[1]
     correct_track(track, ray, x, y, clusters.age[c], place_error(clusters.near[c], rays))
