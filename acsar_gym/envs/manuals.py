@@ -43,8 +43,9 @@ class PointGoalEnv(RobotEnv):
 
     Twice the metres gained on the goal, less 0.02 a step and 0.05 times the backward part of the
     action (sensors look ahead); +2 at the goal, -2 out of bounds.
-    `reward_threshold` 4: of every id that a policy comes along for, it's about nine tenths of that
-    policy's mean `episode_return` (4.5: `acsar-gym evaluate --policy point_goal --episodes 200`).
+    `reward_threshold` 4: of every id that a policy comes along for, but those among people, it's
+    about nine tenths of that policy's mean `episode_return` (4.5: `acsar-gym evaluate --policy
+    point_goal --episodes 200`).
 
     ## Start and end
 

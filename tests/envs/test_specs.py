@@ -53,10 +53,11 @@ def test_a_batchs_spec_goes_through_json() -> None:
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_an_id_has_a_reward_threshold_where_a_policy_comes_along(env_id: str) -> None:
-    """Below what that policy reaches; a straight drive doesn't."""
+    """Below what that policy reaches; a straight drive doesn't. Among people nobody solves all."""
     threshold = gymnasium.spec(env_id).reward_threshold
     name = snake_case(env_id.removeprefix("acsar_gym/").partition("-")[0])
-    assert (threshold is not None) == (AGENTS / "policies" / f"{name}.onnx").exists()
+    solved = (AGENTS / "policies" / f"{name}.onnx").exists() and name not in ("crowd", "dyna_barn")
+    assert (threshold is not None) == solved
     manual = inspect.getdoc(type(make(env_id).unwrapped)) or ""
     told = f"`reward_threshold` {threshold:g}" if threshold else "`reward_threshold`"
     assert (told in manual) == (threshold is not None)
