@@ -32,8 +32,6 @@ from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
 
-SHARED_POLICIES = {"acsar_gym/DynaBarn-v0": "crowd"}
-"""Ids without a packaged file of their own, and the one that drives there."""
 PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
 LEARNED, BASELINE, CEILING = "learned", "baseline", "ceiling"
 """Kinds of agents; a ceiling is a baseline that knows what only a simulator does."""
@@ -105,10 +103,6 @@ def choose_agents(
     agents = [
         _read_agent(PACKAGED, str(file), None)
         for file in sorted((AGENTS / "policies").glob("*.onnx"))
-    ]
-    agents += [
-        _read_agent(PACKAGED, str(AGENTS / "policies" / f"{name}.onnx"), None, env_id)
-        for env_id, name in SHARED_POLICIES.items()
     ]
     agents += [] if trained is None else trained_agents(trained, seeds, ids)
     for name in BASELINES:
