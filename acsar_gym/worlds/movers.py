@@ -32,6 +32,7 @@ WALKING_SPEED = 1.34
 MAX_MOVERS = 200  # movers of a world, at most
 MAX_PIECES = 10_000  # pieces of all motions of a world, at most
 MAX_MOVER_SPEED = 20.0  # faster motions are refused, but for jumps [m/s]
+LEAST_LINE_TIME = 1e-6  # a line that takes less is left out [s]
 MAX_PLACE = 1e4  # motions beyond this are refused, as obstacles are [m]
 SPEED_SAMPLES = 8  # parts of a piece between which its speed is computed
 PIECE_NUMBERS = 9
@@ -222,7 +223,7 @@ def walk(
         if number < line_count:
             target = ways[(number + 1) % len(ways)]
             arrival = times[-1] + math.dist(place, target) / float(speeds[number])
-            if arrival > times[-1]:
+            if arrival > times[-1] + LEAST_LINE_TIME:
                 times.append(arrival)
                 places.append(target)
     if len(times) == 1:

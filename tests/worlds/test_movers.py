@@ -376,3 +376,9 @@ def test_a_closed_spline_goes_on_where_it_began() -> None:
     leaving, arriving = closed.velocity(0.0), closed.velocity(3.0 - 1e-9)
     np.testing.assert_allclose(leaving, arriving, atol=1e-6)
     np.testing.assert_allclose(leaving, (0.5, -1.0))
+
+
+def test_a_line_of_next_to_no_length_is_left_out() -> None:
+    mover = walk([(0.0, 0.0), (0.0, 1e-308)], 1.0, spread=3.0)
+    assert mover.duration == 1.0
+    assert np.isfinite(mover.position(0.5, 0.3)).all()
