@@ -199,10 +199,11 @@ def place_error(near: float, rays: Rays) -> float:
 
 
 @jit
-def place_variance(tracks: Floats, k: int, age: float, error: float) -> float:
-    """Variance of the difference between a cluster's place and that of track k then [m^2]."""
-    doubt: float = 2.0 * tracks[k, COV] + age * tracks[k, SPEED_VAR]
-    return tracks[k, VAR] + age * doubt + error  # type: ignore[no-any-return]
+def place_variance(track: Floats, axis: tuple[int, int, int], age: float, error: float) -> float:
+    """Variance of what is measured less a track's place then, along one of AXES [m^2]."""
+    var, cov, speed = axis
+    doubt: float = 2.0 * track[cov] + age * track[speed]
+    return track[var] + age * doubt + error  # type: ignore[no-any-return]
 
 
 @subroutine
@@ -242,7 +243,7 @@ def match_clusters(  # noqa: C901 - one pass over tracks and clusters
             if apart > LARGEST_GATE * LARGEST_GATE:
                 continue
             gate = GATE_SIGMAS * math.sqrt(
-                place_variance(tracks, k, age, place_error(clusters.near[c], rays))
+                place_variance(tracks[k], AXES[0], age, place_error(clusters.near[c], rays))
             )
             if apart < max(gate, LEAST_GATE) ** 2:
                 if apart < nearest[k]:
@@ -268,7 +269,7 @@ def correct_axis(
         By how much the place [m] and the speed [m/s] change.
     """
     var, cov, speed = axis
-    variance = track[var] + age * (2.0 * track[cov] + age * track[speed]) + error
+    variance = place_variance(track, axis, age, error)
     gain = (track[var] + age * track[cov]) / variance
     speed_gain = (track[cov] + age * track[speed]) / variance
     track[var] -= gain * gain * variance
