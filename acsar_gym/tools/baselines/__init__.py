@@ -28,10 +28,11 @@ BASELINES = {
     "dwa_movers": "dwa:DwaMovers",
     "orca": "orca:Orca",
     "orca_true": "orca:OrcaTrue",
+    "search_true": "time_search:SearchTrue",
     "time_search": "time_search:TimeSearch",
 }
 """What `--policy` calls each, and its module in this package and class."""
-CEILINGS = ("orca_true", "time_search")
+CEILINGS = ("orca_true", "search_true", "time_search")
 """Those that know what only a simulator does."""
 AMONG_MOVERS = ("dwa_movers", "orca")
 """Those that are made for worlds with movers, and decide by their tracks."""

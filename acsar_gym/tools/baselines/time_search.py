@@ -1,9 +1,10 @@
-"""The ceiling: a search through space and time that knows where everybody will be."""
+"""The ceilings: a search through space and time that knows where everybody will be, or is."""
 
 from __future__ import annotations
 
 import copy
 import math
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
@@ -20,6 +21,10 @@ from acsar_gym.worlds.world import World
 
 REPLAN_TIME, LEFT_PATH = 0.3, 0.4
 """It searches anew so often [s] where people react, or it is so far from its path [radius]."""
+TRUST_TIME = 4.0
+"""So long velocities of now count as kept; then nobody is in the way any more [s]."""
+NOWHERE = 1e4
+"""Place of those who aren't in the way [m]."""
 WIDEN_TIME = 2.0
 """It looks so often for a path with a wider margin [s]."""
 MARGINS = ((0.4, 0.4), (0.2, 0.4), (0.1, 0.2), (0.05, 0.1), (0.0, 0.0))
@@ -51,6 +56,7 @@ class TimeSearch(Privileged, BaselinePolicy):
 
     name = "time_search"
     needs = GOAL_NUMBERS
+    replan_time: ClassVar[float] = REPLAN_TIME
 
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
@@ -97,11 +103,11 @@ class TimeSearch(Privileged, BaselinePolicy):
         world = assignment.world or World()
         is_bad = (
             not len(self._path)
-            or any(mover.reacts for mover in world.movers)
+            or self._may_err()
             or math.dist((x, y), place_on(self._path, now)) > LEFT_PATH * self.units.radius
             or math.dist(self._path[-1, 1:], goal) > self.setting.tolerance
         )
-        if now - self._planned + 1e-6 < (REPLAN_TIME if is_bad else WIDEN_TIME):
+        if now - self._planned + 1e-6 < (self.replan_time if is_bad else WIDEN_TIME):
             return
         places, self._planned = self._foresee(now), now
         for number, (margin, mover_margin) in enumerate(MARGINS):
@@ -126,10 +132,14 @@ class TimeSearch(Privileged, BaselinePolicy):
         if not len(self._path):
             self._path = np.array([[now, x, y]])
 
+    def _may_err(self) -> bool:
+        """Whether somebody may be elsewhere than foreseen."""
+        world = self.env.episode.assignment.world
+        return world is not None and any(mover.reacts for mover in world.movers)
+
     def _foresee(self, now: float) -> Floats | None:
         """(steps, movers, 2): where people who react will be; None where nobody does."""
-        world = self.env.episode.assignment.world
-        if world is None or not any(mover.reacts for mover in world.movers):
+        if not self._may_err():
             return None
         crowd = copy.deepcopy(self.truth.crowd)
         assert crowd is not None  # noqa: S101 - the world has movers
@@ -145,6 +155,31 @@ class TimeSearch(Privileged, BaselinePolicy):
             if tick % every == 0:
                 places.append(crowd.states[:, :2].copy())
         return np.array(places)
+
+
+class SearchTrue(TimeSearch):
+    """As `TimeSearch`, from the true places and velocities of now, which it supposes are kept.
+
+    It says how far a robot comes that sees everything, plans with it at every step, and doesn't
+    know what people will do.
+    """
+
+    name = "search_true"
+    replan_time = 0.0
+
+    def _may_err(self) -> bool:
+        return True
+
+    def _foresee(self, now: float) -> Floats | None:
+        """(steps, movers, 2): where all will be if they keep their velocities."""
+        if self.truth.crowd is None:
+            return None
+        states = self.truth.crowd.states
+        places = np.full((round(HORIZON / TIME_STEP) + 1, len(states), 2), NOWHERE)
+        known = round(TRUST_TIME / TIME_STEP) + 1
+        times = TIME_STEP * np.arange(known)[:, None, None]
+        places[:known] = states[:, :2] + times * states[:, 2:4]
+        return places
 
 
 def place_on(path: Floats, time: float) -> tuple[float, float]:

@@ -130,7 +130,7 @@ def cross(name: str) -> Any:
     return info
 
 
-@pytest.mark.parametrize("name", ["dwa_movers", "orca", "orca_true", "time_search"])
+@pytest.mark.parametrize("name", ["dwa_movers", "orca", *baselines.CEILINGS])
 def test_walkers_who_cross_are_let_pass(name: str) -> None:
     assert cross(name)["is_success"] == 1.0
 
@@ -152,6 +152,22 @@ def test_people_who_react_are_foreseen() -> None:
     there = policy.truth.crowd.states[0, :2]
     assert abs(there - begin[0, :2]).max() > 0.5
     assert foreseen[10, 0] == pytest.approx(there, abs=0.3)
+    env.close()
+
+
+def test_who_searches_by_what_is_true_now_foresees_straight_ways() -> None:
+    """Who turns in 1 s is foreseen as going on, for 4 s, and then is nowhere near."""
+    policy: Any = runs.load_policy("search_true", trust=False, env="obstacle_goal")
+    movers = (walk([[3.0, -1.0], [3.0, 0.0], [5.0, 0.0]], 1.0),)
+    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
+    env = runs.make_env(policy, "planar", None, {"worlds": world})
+    seen, _ = env.reset(seed=0)
+    policy.reset()
+    policy(seen)
+    foreseen = policy._foresee(policy.env.robot.link.now())
+    x, y, vx, vy = policy.truth.crowd.states[0, :4]
+    assert foreseen[40, 0] == pytest.approx((x + 4.0 * vx, y + 4.0 * vy))
+    assert abs(foreseen[41, 0]).min() > 1000.0
     env.close()
 
 
