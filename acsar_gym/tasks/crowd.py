@@ -58,6 +58,7 @@ class DynaBarn(Crowd):
     id = "acsar_gym/DynaBarn-v0"
     worlds = "dynabarn:train"
     goal_tolerance = BARN_TOLERANCE
+    crash = 30.0
 
 
 @compilable

@@ -37,7 +37,7 @@ class Pool:
     Attributes: `kind`, the generator's name or where the worlds come from; `numbers`, a range;
     `split`, such as "test" where all of them belong to it, otherwise empty; `difficulty`;
     `radius`, of the footprint that they were made or checked for [m]; `generated`, whether a
-    generator makes them.
+    generator makes them; `parts`, the pools that are joined in this one, if any.
     """
 
     def __init__(
@@ -49,13 +49,17 @@ class Pool:
         difficulty: Level = None,
         *,
         generated: bool = False,
+        parts: tuple[Pool, ...] = (),
     ) -> None:
         self.kind = kind
         self.numbers = numbers
         self.radius = radius
         self.difficulty = difficulty
         self.generated = generated
-        self.split = registry.find_split(kind, numbers) if generated else ""
+        self.parts = parts
+        self.split = registry.find_split(kind, numbers) if generated and not parts else ""
+        if len({part.split for part in parts}) == 1:
+            self.split = parts[0].split
         self._made_by = make
         self._make = lru_cache(KEPT_WORLDS)(make)
 
@@ -74,6 +78,7 @@ class Pool:
         and "clutter:100-149" those with these numbers. "clutter" alone is the training split.
         "mine.module:corridors:50" imports the module first, which registers the generator. In
         "clutter+6:test" six people walk in the worlds of "clutter:test".
+        "clutter:train,barn:train" are the worlds of both, numbered from 0.
         {"path": "hall.world", "start": (0, 0, 1.57), "goal": (3, 1)} is a file with what it doesn't
         say; "models" names folders of Gazebo's models.
 
@@ -87,6 +92,9 @@ class Pool:
         Raises:
             WorldError: for anything else.
         """
+        names = source.split(",") if isinstance(source, str) else []
+        if len(names) > 1 and all(map(registry.parse_known_name, names)):
+            return cls.join([cls.of(name, difficulty, radius, count, height) for name in names])
         kind, worlds = "given", None
         if isinstance(source, str | Path | Mapping):
             kind = str(source.get("path") if isinstance(source, Mapping) else source)
@@ -108,13 +116,26 @@ class Pool:
         make = partial(_make_world, module, name.kind, difficulty, radius)
         return cls(name.kind, numbers, make, radius, difficulty, generated=True)
 
+    @classmethod
+    def join(cls, parts: Sequence[Pool]) -> Pool:
+        """Make a pool of all worlds of generators' pools, numbered from 0."""
+        places = [(part, number) for part in parts for number in part.numbers]
+        kind = ",".join(part.kind for part in parts)
+        first, numbers = parts[0], range(len(places))
+        make = partial(_find_world, places)
+        return cls(
+            kind, numbers, make, first.radius, first.difficulty, generated=True, parts=(*parts,)
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles make their worlds again."""
         arguments = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
-        return partial(Pool, generated=self.generated), arguments
+        return partial(Pool, generated=self.generated, parts=self.parts), arguments
 
     def __str__(self) -> str:
         """Title of a table, such as "clutter 0 to 199 (test split)"."""
+        if self.parts:
+            return " and ".join(map(str, self.parts))
         split = f" ({self.split} split)" if self.split else ""
         return f"{self.kind} {self.numbers[0]} to {self.numbers[-1]}{split}"
 
@@ -132,9 +153,15 @@ class Pool:
             )
         return self._make(number)
 
+    def name_split(self, split: str) -> str:
+        """Name the worlds of the same generators in another split."""
+        return ",".join(f"{part.kind}:{split}" for part in self.parts or (self,))
+
     @cached_property
     def moves(self) -> bool:
         """Whether something moves in these worlds; generated ones are like their first one."""
+        if self.parts:
+            return any(part.moves for part in self.parts)
         numbers = self.numbers[:1] if self.generated else self.numbers
         return any(self[number].movers for number in numbers)
 
@@ -148,7 +175,11 @@ class Pool:
                 f"difficulty: {len(self):,} worlds, at most {MAX_RANKED:,} can be ordered"
             )
         levels = np.array(
-            [generators.draw_difficulty(self.kind, n, self.difficulty) for n in self.numbers]
+            [
+                generators.draw_difficulty(pool.kind, number, pool.difficulty)
+                for pool in self.parts or (self,)
+                for number in pool.numbers
+            ]
         )
         order = np.argsort(levels, kind="stable").astype(np.int64)
         return order, levels[order]
@@ -164,6 +195,12 @@ class Pool:
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
         return range(int(first), int(last))
+
+
+def _find_world(places: Sequence[tuple[Pool, int]], number: int) -> World:
+    """The world of a joined pool, from its part."""
+    part, own_number = places[number]
+    return part[own_number]
 
 
 def _make_world(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
@@ -231,7 +268,8 @@ def _parse_source(text: str, count: int | None) -> tuple[registry.WorldsName, ra
     if name is None:
         raise WorldError(
             f"worlds = {show_value(text)}: must be like 'clutter:test', 'clutter:50', "
-            "'clutter:50-99', 'clutter+6:test' (1 to 99 walkers) or a path"
+            "'clutter:50-99', 'clutter+6:test' (1 to 99 walkers), several of these with commas "
+            "between them, or a path"
         )
     first, _, last = name.numbers.partition("-")
     if last:

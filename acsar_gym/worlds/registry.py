@@ -246,7 +246,9 @@ def find_split(kind: str, some: range) -> str:
 
 
 def add_test_split(source: Any) -> Any:
-    """Replace a generator's name without numbers by its test split; anything else stays."""
+    """Replace generators' names without numbers by their test split; anything else stays."""
+    if isinstance(source, str) and "," in source:
+        return ",".join(map(add_test_split, source.split(",")))
     name = parse_known_name(source) if isinstance(source, str) else None
     return source if name is None or name.numbers else f"{name.generator}:{TEST}"
 

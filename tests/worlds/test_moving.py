@@ -141,6 +141,7 @@ def test_names_with_walkers() -> None:
     assert str(Pool.of("barn+12:test")) == "barn+12 0 to 299 (test split)"
     assert registry.parse_name("my.mod:halls+3:5") == registry.WorldsName("my.mod", "halls+3", "5")
     assert registry.add_test_split("clutter+2") == "clutter+2:test"
+    assert registry.add_test_split("clutter+2,barn:3") == "clutter+2:test,barn:3"
     for bad in ("clutter+0:2", "clutter+:2", "clutter+100:2", "+3", "clutter+-1"):
         with pytest.raises(WorldError):
             Pool.of(bad)

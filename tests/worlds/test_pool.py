@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import pickle
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[tuple[Any, ...]]:
         ("clutter:50-99", range(50, 100), "clutter 50 to 99 (test split)"),
         ("open:007", range(7), "open 0 to 6 (test split)"),
         ([SOUND, SOUND], range(2), "given 0 to 1"),
+        (
+            "clutter:train,barn:train",
+            range(800),
+            "clutter 1000 to 1399 (train split) and barn 1000 to 1399 (train split)",
+        ),
     ],
 )
 def test_names_numbers_and_splits(source: Any, numbers: range, title: str) -> None:
@@ -75,9 +81,38 @@ def test_worlds_are_made_when_they_are_needed_and_once(calls: Counter[tuple[Any,
     assert [world.name for world in Pool.of("open:2")] == ["open 0", "open 1"]
 
 
+def test_worlds_of_several_generators_are_one_pool() -> None:
+    joined = Pool.of("clutter:7-8,open:3,clutter+2:1", 0.2, 0.3)
+    names = ["clutter 7", "clutter 8", "open 0", "open 1", "open 2", "clutter+2 0"]
+    assert [world.name for world in joined] == names
+    assert (joined.kind, joined.split) == ("clutter,open,clutter+2", "test")
+    assert joined.moves
+    assert not Pool.of("clutter:7-8,open:3").moves
+    assert Pool.of("clutter:train,barn:test").split == ""
+    assert joined.name_split("validation") == (
+        "clutter:validation,open:validation,clutter+2:validation"
+    )
+    copied = pickle.loads(pickle.dumps(joined))
+    assert [world.name for world in copied] == names
+    with pytest.raises(WorldError, match="must be 0 to 5"):
+        joined[7]
+
+
+def test_worlds_of_several_generators_are_ordered_by_difficulty_together() -> None:
+    joined = Pool.of("clutter:20,barn:20")
+    order, levels = joined.by_difficulty
+    assert sorted(order) == list(range(40))
+    for kind, first in (("clutter", 0), ("barn", 20)):
+        alone, own_levels = Pool.of(f"{kind}:20").by_difficulty
+        of_kind = (order >= first) & (order < first + 20)
+        assert (order[of_kind] - first).tolist() == alone.tolist()
+        assert levels[of_kind].tolist() == own_levels.tolist()
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
+        ("clutter:3,cluter:3", "worlds = 'clutter:3,cluter:3': must be like"),
         ("cluter:5", "unknown kind of world 'cluter'; did you mean 'clutter'?"),
         ("xyzzy", "unknown kind of world 'xyzzy'; known: barn, clutter, crowd, crowd_reacting"),
         ("clutter:valid", "worlds = 'clutter:valid'"),

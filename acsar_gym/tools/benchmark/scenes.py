@@ -279,9 +279,9 @@ def task_worlds(env_id: str) -> str:
     pool = _make_planar(env_id).pool
     if pool is None:
         return ""
-    if pool.kind == "given":
+    if pool.kind == "given" or pool.parts:
         raise ConfigError(
-            f"--env {show_value(env_id)}: its worlds are objects without a name: name a generator "
+            f"--env {show_value(env_id)}: its worlds have no name, or several: name one generator "
             "or a folder, as in acsar_gym.register(..., scenes={'test': {'worlds': ...}})"
         )
     module = registry.home_module(pool.kind) if pool.generated else ""

@@ -125,7 +125,7 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
         "radius": pool.radius,
     }
     content: list[Any] = [about, hash_source(pool.kind)]
-    if not (pool.generated and hash_source(pool.kind)):
+    if pool.parts or not (pool.generated and hash_source(pool.kind)):
         content = [
             [
                 world.circles.tolist(),

@@ -180,7 +180,7 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         pool = getattr(env.unwrapped, "pool", None)
         if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
             env.close()
-            env = gymnasium.make(env_id, **given, worlds=f"{pool.kind}:{registry.TEST}")
+            env = gymnasium.make(env_id, **given, worlds=pool.name_split(registry.TEST))
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from error
     except TypeError as error:

@@ -104,11 +104,14 @@ def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> 
 
     Returns:
         Generated worlds of the same kind, none of which is in `pool`: those of the validation
-        split, or those behind the pool's where it holds some of them. None for files and an open
-        floor, which have no others, so that only the seeds differ.
+        split, or those behind the pool's where it holds some of them; beside several kinds some of
+        each. None for files and an open floor, which have no others, so that only the seeds differ.
     """
     if pool is None or not pool.generated:
         return None
+    if pool.parts:
+        each = [choose_held_out_worlds(part, robots // len(pool.parts)) for part in pool.parts]
+        return ",".join(filter(None, each))
     own = registry.split_numbers(pool.kind, registry.VALIDATION)
     apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
     first = own[0] if apart else pool.numbers[-1] + 1

@@ -75,6 +75,7 @@ def test_every_robot_counts_once_and_always_the_same() -> None:
         ("clutter:963-1100", "clutter:1101-1164"),
         ("clutter:964-1100", "clutter:900-963"),
         ("rooms:train", "rooms:900-963"),
+        ("clutter:train,barn:train", "clutter:900-931,barn:900-931"),
     ],
 )
 def test_held_out_worlds_are_others(trained: str, beside: str) -> None:
