@@ -393,7 +393,7 @@ class DynaBarnEnv(RobotEnv):
 
     ## Reward
 
-    As in `acsar_gym/Crowd-v0`.
+    As in `acsar_gym/Crowd-v0`, but -30 for a collision.
 
     ## Start and end
 

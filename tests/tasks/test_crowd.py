@@ -16,7 +16,7 @@ from acsar_gym.config.footprint import outline_radius
 from acsar_gym.errors import TaskError
 from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, log_share
-from acsar_gym.tasks import Crowd, ObstacleGoal
+from acsar_gym.tasks import Crowd, DynaBarn, ObstacleGoal, Task
 from acsar_gym.tasks.crowd import CROWDING_COST, TOP_SPEED
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.crowd import PERSONAL_SPACE
@@ -60,6 +60,13 @@ def test_the_personal_space_of_who_is_observed_costs_reward(
     plain = Played(ObstacleGoal(), {}, WORLD).step(sensed=sensed())[0]
     paid = Played(Crowd(), {}, WORLD).step(sensed=sensed(**known))[0]
     assert plain - paid == pytest.approx(CROWDING_COST * share)
+
+
+@pytest.mark.parametrize(("task", "cost"), [(Crowd(), 15.0), (DynaBarn(), 30.0)])
+def test_what_a_collision_costs(task: Task, cost: float) -> None:
+    plain = Played(task, {}, WORLD).step(sensed=sensed())[0]
+    paid = Played(task, {}, WORLD).step(sensed=sensed(), contact=1.0)[0]
+    assert plain - paid == pytest.approx(cost)
 
 
 @pytest.mark.parametrize("robot", ["acsar", "jackal"])

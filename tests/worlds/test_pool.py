@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import copy
 import functools
-import pickle
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,7 @@ def test_worlds_of_several_generators_are_one_pool() -> None:
     assert joined.name_split("validation") == (
         "clutter:validation,open:validation,clutter+2:validation"
     )
-    copied = pickle.loads(pickle.dumps(joined))
+    copied = copy.deepcopy(joined)
     assert [world.name for world in copied] == names
     with pytest.raises(WorldError, match="must be 0 to 5"):
         joined[7]
