@@ -57,9 +57,10 @@ class Pool:
         self.difficulty = difficulty
         self.generated = generated
         self.parts = parts
-        self.split = registry.find_split(kind, numbers) if generated and not parts else ""
-        if len({part.split for part in parts}) == 1:
-            self.split = parts[0].split
+        splits = {part.split for part in parts}
+        if generated and not parts:
+            splits = {registry.find_split(kind, numbers)}
+        self.split = splits.pop() if len(splits) == 1 else ""
         self._made_by = make
         self._make = lru_cache(KEPT_WORLDS)(make)
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from acsar_gym.jit import jit, subroutine
-from acsar_gym.lidar.simulated import Passers, begin_passing
+from acsar_gym.lidar.simulated import Passers
 from acsar_gym.trigonometry import sincos
-from acsar_gym.vector.kernel.layout import Crowds, Floats, Robots, Scans, Setup, to_world
+from acsar_gym.vector.kernel.layout import Crowds, Robots, Scans, Setup, to_world
 from acsar_gym.worlds.crowd import (
     Hall,
     RobotMotion,
@@ -120,10 +120,3 @@ def passers_of(crowds: Crowds, robot: int, world: int) -> Passers:
     return Passers(
         motions.movers[world], motions.pieces[world], crowds.states[robot], crowds.trails[robot]
     )
-
-
-@subroutine
-def begin_trails(crowds: Crowds, robot: int, world: int, trail: Floats) -> None:
-    """Begin the trails of a robot's movers where its own has begun."""
-    begin_passing(passers_of(crowds, robot, world), trail)
-    mark_movers(crowds, robot, 0)

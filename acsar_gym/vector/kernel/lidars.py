@@ -6,11 +6,17 @@ import numpy as np
 
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import begin_trail, fill_scan
-from acsar_gym.lidar.simulated import LidarTraits, make_beams, measure_revolution, see_nobody
+from acsar_gym.lidar.simulated import (
+    LidarTraits,
+    begin_passing,
+    make_beams,
+    measure_revolution,
+    see_nobody,
+)
 from acsar_gym.sensors.map.movers import MOVER_NAMES, fill_movers
 from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
 from acsar_gym.trigonometry import sincos
-from acsar_gym.vector.kernel.crowds import begin_trails, passers_of
+from acsar_gym.vector.kernel.crowds import passers_of
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
     Crowds,
@@ -61,7 +67,7 @@ def mark_trails(
 
 
 @loop
-def read_scans(  # noqa: C901, PLR0912 - as `drive.step`
+def read_scans(  # noqa: C901 - as `drive.step`
     tables: Tables,
     scans: Scans,
     crowds: Crowds | None,
@@ -87,13 +93,15 @@ def read_scans(  # noqa: C901, PLR0912 - as `drive.step`
             if robots.silent[i] > 0.0 if begins else tables.idle[robot]:
                 continue
             tick = 0.0 if begins else robots.steps[i] * setup.ticks
+            passers = nobody
+            if crowds is not None:
+                passers = passers_of(crowds, robot, int(robots.world[i]))
             if begins:
                 robots.scan_start[i] = robots.loops[i] * setup.dt
                 robots.scan_phase[i] = uniform(tables.random, robot)
                 robots.scan_key[i] = uniform(tables.random, robot)
                 mark_trails(robots, i, trails, robot, tick, setup)
-                if crowds is not None:
-                    begin_trails(crowds, robot, int(robots.world[i]), trails[1, robot])
+                begin_passing(passers, trails[1, robot])
             newest = int(tick) % trails.shape[2]
             physics = robots.physics
             kind, count = int(robots.kind[i]), int(robots.rays[i])
@@ -107,9 +115,6 @@ def read_scans(  # noqa: C901, PLR0912 - as `drive.step`
                 physics.range_dropouts[i],
                 physics.range_outliers[i],
             )
-            passers = nobody
-            if crowds is not None:
-                passers = passers_of(crowds, robot, int(robots.world[i]))
             robots.scan_stamp[i] = measure_revolution(
                 trails[1, robot],
                 newest,
