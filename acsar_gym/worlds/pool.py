@@ -60,7 +60,7 @@ class Pool:
         splits = {part.split for part in parts}
         if generated and not parts:
             splits = {registry.find_split(kind, numbers)}
-        self.split = splits.pop() if len(splits) == 1 else ""
+        self.split: str = splits.pop() if len(splits) == 1 else ""
         self._made_by = make
         self._make = lru_cache(KEPT_WORLDS)(make)
 
