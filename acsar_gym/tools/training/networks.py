@@ -86,10 +86,10 @@ class MirrorPolicy(ActorCriticPolicy):
         for even, odd in zip(hidden.actor.even, hidden.actor.odd, strict=True):
             a, b = even.weight @ to_even, odd.weight @ to_odd
             layers += [_dense(torch.cat((a + b, a - b)), even.bias.repeat(2)), self.activation_fn()]
-            half = torch.eye(len(even.bias)) / 2.0
+            half = torch.diag(torch.full_like(even.bias, 0.5))
             to_even, to_odd = torch.cat((half, half), 1), torch.cat((half, -half), 1)
         rows = action.linear.weight @ to_even, action.angular.weight @ to_odd
-        biases = torch.cat((action.linear.bias, torch.zeros(1)))
+        biases = torch.cat((action.linear.bias, action.linear.bias.new_zeros(1)))
         return torch.nn.Sequential(*layers, _dense(torch.cat(rows), biases))
 
 
@@ -196,7 +196,7 @@ class _Action(torch.nn.Module):
 
 def _dense(weights: torch.Tensor, biases: torch.Tensor) -> torch.nn.Linear:
     """Make a layer of these weights and biases."""
-    layer = torch.nn.Linear(weights.shape[1], weights.shape[0])
+    layer = torch.nn.Linear(weights.shape[1], weights.shape[0], device=weights.device)
     with torch.no_grad():
         layer.weight.copy_(weights)
         layer.bias.copy_(biases)

@@ -90,6 +90,12 @@ def test_numbers_that_there_are_not_are_refused(given: dict[str, Any]) -> None:
         mirrored(**given)
 
 
+def test_what_is_exported_is_made_where_the_policy_is() -> None:
+    """As on a GPU: torch's meta device refuses to mix its tensors with those of the CPU, too."""
+    actor = mirrored().to("meta").plain_actor()
+    assert {weight.device.type for weight in actor.parameters()} == {"meta"}
+
+
 def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     import torch
 
