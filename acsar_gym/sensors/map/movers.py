@@ -118,15 +118,15 @@ def fill_movers(record: Any, pose: tuple[float, float, float], out: Floats) -> N
         place = n * width
         out[place] = min(row[5] / KNOWN_SCANS, 1.0)
         out[place + 1], out[place + 2] = row[0] * share, row[1] * share
-        out[place + 3], out[place + 4] = limit(row[2] * scale), limit(row[3] * scale)
-        out[place + 5] = limit(row[4] / (MOST_RADIUS * record.radius))
-        out[place + 6], out[place + 7] = row[6], limit(row[7])
+        out[place + 3], out[place + 4] = clip_to_one(row[2] * scale), clip_to_one(row[3] * scale)
+        out[place + 5] = clip_to_one(row[4] / (MOST_RADIUS * record.radius))
+        out[place + 6], out[place + 7] = row[6], clip_to_one(row[7])
         row[8] = math.inf
 
 
 @subroutine
-def limit(value: float) -> float:
-    """A value within -1 to 1."""
+def clip_to_one(value: float) -> float:
+    """Clip a value to -1 to 1."""
     return min(max(value, -1.0), 1.0)
 
 
