@@ -61,6 +61,14 @@ def test_scans_say_how_far_it_turns(name: str, factor: float) -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+def test_a_small_error_shows_after_more_pairs(name: str) -> None:
+    config = ROBOTS[name]
+    unmeasured = config.with_(wheel_separation_multiplier=turn_factor(config) * 0.95)
+    assert drive(unmeasured, (0.3, 0.8), 1.0)[0].odometry.turn_factor == 1.0
+    assert drive(unmeasured, (0.3, 0.8), 6.0)[0].odometry.turn_factor == pytest.approx(0.95, 0.01)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("twist", [(0.1, 0.8), (0.0, -1.5), (0.2, 0.0)])
 def test_nothing_changes_for_a_calibrated_robot(name: str, twist: tuple[float, float]) -> None:
     config = ROBOTS[name]
