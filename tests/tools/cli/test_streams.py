@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import signal
 import sys
 import termios
 import warnings
@@ -151,6 +152,7 @@ def test_a_terminal_echoes_again_whatever_ends_a_drive(way: str, place: Path) ->
     line = f"{command}; echo code $?; stty -a; echo done"
     shell, terminal = pty.fork()
     if shell == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup
         os.execvp("bash", ["bash", "-c", line])  # noqa: S606
 
     def echoes() -> bool:
