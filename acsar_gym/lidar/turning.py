@@ -51,7 +51,7 @@ LEAST_PAIRS, MOST_PAIRS = 5, 50
 LEAST_EVIDENCE = 0.1
 """With the first correction ranges must agree better by so much of their length, added up over the
 pairs: an error of 30 %, as on MuJoCo's floor without calibration, shows after 5 pairs, which agree
-better by 0.02 to 0.11 each, and one of 5 % in a room after 15 to 55."""
+better by 0.02 to 0.11 each, and one of 5 % in a room after 19 to 29."""
 HISTORY = 60.0
 """It moves odometry to where it would be had it known the factor for so long [s]."""
 
