@@ -47,7 +47,7 @@ FARTHEST_APART = 0.2
 """Largest difference that counts of the logarithms of two ranges: rays that differ by more have met
 two things, one of which may walk."""
 LEAST_PAIRS, MOST_PAIRS = 5, 50
-"""So many pairs are compared before the first correction, and are averaged: floors change."""
+"""So many pairs are compared before the first correction, and count at most: floors change."""
 LEAST_EVIDENCE = 0.1
 """With the first correction ranges must agree better by so much of their length, added up over the
 pairs: an error of 30 %, as on MuJoCo's floor without calibration, shows after 5 pairs, which agree
@@ -203,8 +203,8 @@ class TurnCorrection:
         costs = self._compare(older, revolution)
         if costs is None:
             return
-        self._pairs += 1
-        self._costs += (costs - self._costs) / min(self._pairs, MOST_PAIRS)
+        self._pairs = min(self._pairs + 1, MOST_PAIRS)
+        self._costs += (costs - self._costs) / self._pairs
         self._correct()
 
     def _compare(self, older: Revolution, newer: Revolution) -> Floats | None:

@@ -68,6 +68,12 @@ def test_a_small_error_shows_after_more_pairs(name: str) -> None:
     assert drive(unmeasured, (0.3, 0.8), 6.0)[0].odometry.turn_factor == pytest.approx(0.95, 0.01)
 
 
+def test_weak_evidence_does_not_add_up_for_ever() -> None:
+    config = ROBOTS["acsar"]
+    unmeasured = config.with_(wheel_separation_multiplier=turn_factor(config) * 0.97)
+    assert drive(unmeasured, (0.3, 0.8), 30.0)[0].odometry.turn_factor == 1.0
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("twist", [(0.1, 0.8), (0.0, -1.5), (0.2, 0.0)])
 def test_nothing_changes_for_a_calibrated_robot(name: str, twist: tuple[float, float]) -> None:

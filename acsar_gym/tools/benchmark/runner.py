@@ -104,7 +104,10 @@ def run_job(job: BenchmarkJob) -> CellResult:
         return CellResult(cell, refused=why)
     try:  # for the port in a simulation that checks whether the policy fits
         env: Any = runs.make_env(
-            policy, PLANAR if over_port else cell.link, config, condition.options(scenes, config)
+            policy,
+            PLANAR if over_port else cell.link,
+            config,
+            condition.options(scenes, config, policy.env_id),
         )
     except PolicyError as error:
         return _refuse_cell(job, policy, error)
@@ -144,7 +147,7 @@ def _drive_over_port(
     Raises:
         LinkError: the emulator didn't start, or its port can't be opened.
     """
-    options = CONDITIONS[job.cell.condition].options(job.scenes, config)
+    options = CONDITIONS[job.cell.condition].options(job.scenes, config, policy.env_id)
     source = job.scenes.worlds
     with tempfile.TemporaryDirectory() as name:
         folder, around = Path(name), []

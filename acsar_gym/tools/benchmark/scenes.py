@@ -37,7 +37,6 @@ from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
-from acsar_gym.sensors import MOVERS
 from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.task import says_shortest_path
@@ -288,9 +287,9 @@ def task_worlds(env_id: str) -> str:
     return f"{module}:{pool.kind}" if module else pool.kind
 
 
-def senses_movers(env_id: str) -> bool:
-    """Whether the robot of an id's task senses movers, as worlds have some."""
-    return any(sensor.name == MOVERS for sensor in _make_planar(env_id).sensors)
+def has_sensor(env_id: str, name: str) -> bool:
+    """Whether the robot of an id's task has a sensor."""
+    return any(sensor.name == name for sensor in _make_planar(env_id).sensors)
 
 
 def _make_planar(env_id: str) -> RobotEnv:
