@@ -46,8 +46,8 @@ def cos_sin(theta: float) -> tuple[float, float]:
 
 
 @overloads(cos_sin)
-def _direction(theta: Any) -> Callable[..., Any]:
-    """Replacement for `direction` in compiled functions; equal to 1e-15."""
+def _cos_sin(theta: Any) -> Callable[..., Any]:
+    """Replacement for `cos_sin` in compiled functions; equal to 1e-15."""
 
     def compiled(theta: Any) -> Any:
         sine, cosine = sincos(theta)
