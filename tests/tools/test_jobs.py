@@ -28,12 +28,15 @@ def _workers_find_the_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
-    """The first job waits for the last one, which another process runs."""
+    """The first job waits for the last one, which another process begins after the three others.
+
+    Which of the first and the last one then arrives before the other is chance.
+    """
     waiting = Job(0, tmp_path, waits=tmp_path / "end-4")
     results = list(
         completed(square, [waiting, *(Job(n, tmp_path) for n in range(1, 5))], workers=2)
     )
-    assert results[-1] == (0, 0)
+    assert (0, 0) in results[3:]
     assert sorted(results) == [(n, n**2) for n in range(5)]
 
 
