@@ -35,9 +35,12 @@ def cluster() -> Iterator[Nodes]:
 def test_jobs_run_on_both_nodes_and_their_results_come_in_order_of_completion(
     cluster: Nodes, tmp_path: Path
 ) -> None:
-    """The first job waits for the second, which only another CPU can run."""
-    jobs = [Job(0, tmp_path, waits=tmp_path / "end-1"), Job(1, tmp_path)]
-    assert list(completed(square, jobs, address=cluster.address)) == [(1, 1), (0, 0)]
+    """The first job waits for the second's result, which only another CPU can compute."""
+    jobs = [Job(0, tmp_path, waits=tmp_path / "arrived"), Job(1, tmp_path)]
+    results = completed(square, jobs, address=cluster.address)
+    assert next(results) == (1, 1)
+    (tmp_path / "arrived").touch()
+    assert list(results) == [(0, 0)]
 
 
 def test_errors_are_those_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
