@@ -63,8 +63,6 @@ class Odometry:
         pose: x [m], y [m], theta [rad] within [-pi, pi].
         twist: linear [m/s], angular [rad/s], in the base frame.
         wheel_positions: integrated wheel angles [rad], in the order of `protocol.WHEELS`.
-        turn_factor: how far the robot turns, in parts of what its wheels and parameters say; 1.0
-            after a reset. `update` uses what it is set to.
         pose_covariance: row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).
         twist_covariance: likewise.
 
@@ -75,7 +73,6 @@ class Odometry:
     pose: tuple[float, float, float]
     twist: tuple[float, float]
     wheel_positions: Speeds
-    turn_factor: float
     pose_covariance = POSE_COVARIANCE
     twist_covariance = TWIST_COVARIANCE
 
@@ -119,11 +116,10 @@ class Odometry:
         )
 
     def reset(self) -> None:
-        """Set pose, twist and wheel angles to zero, and the turn factor to 1."""
+        """Set pose, twist and wheel angles to zero."""
         self.pose = (0.0, 0.0, 0.0)
         self.twist = (0.0, 0.0)
         self.wheel_positions = ZERO
-        self.turn_factor = 1.0
 
     def update(self, speeds: Sequence[float], dt: float) -> None:
         """Integrate wheel speeds over time.
@@ -139,7 +135,7 @@ class Odometry:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         a, b, c, d = speeds
         linear, angular = kinematics.compute_twist(
-            a, b, c, d, self._left_radius, self._right_radius, self._separation / self.turn_factor
+            a, b, c, d, self._left_radius, self._right_radius, self._separation
         )
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)

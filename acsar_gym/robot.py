@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
-    ConfigError,
     EmergencyStopError,
     LinkError,
     SafetyWarning,
@@ -24,7 +23,6 @@ from acsar_gym.errors import (
     escape_unprintable,
 )
 from acsar_gym.guard.estop import StopListener, check_released, release_process
-from acsar_gym.lidar.turning import TurnCorrection
 from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.links.recorded import record_link
@@ -82,11 +80,6 @@ class Robot:
         sensors: names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
             sensors. The robot owns them: it resets, polls and closes them.
         recorder: records what the robot does; the robot owns it as well.
-        correct_turns: whether odometry turns by what scans say where that is clearly something else
-            than the parameters say; see `lidar.turning`.
-
-    Raises:
-        ConfigError: `correct_turns` without a LiDAR among the sensors.
     """
 
     def __init__(
@@ -95,8 +88,6 @@ class Robot:
         config: RobotConfig | None = None,
         sensors: Iterable[str | Sensor | Factory] = (),
         recorder: Recorder | None = None,
-        *,
-        correct_turns: bool = False,
     ) -> None:
         self.config = RobotConfig.of(config)
         self.link = link = record_link(link, recorder, self.config)
@@ -115,9 +106,6 @@ class Robot:
         self._lateness: float | None = None
         self._period = self.config.period
         self._clocked = self.sensors.clocked
-        if correct_turns and find_lidar(self.sensors) is None:
-            raise ConfigError("correct_turns: the robot has no 'lidar', which it needs")
-        self._turns = TurnCorrection(self.config, self.odometry) if correct_turns else None
 
     def activate(self) -> None:
         """Reset, if the robot isn't active. Errors as for `reset`."""
@@ -187,8 +175,6 @@ class Robot:
         self._stopwatch = self._watch = None
         self.wire.settle()
         self.odometry.reset()
-        if self._turns is not None:
-            self._turns.reset(self.link.now())
         if self.link.lateness is not None:
             gc.collect()  # takes 60 ms, so it is done before the wheels turn
             self._stopwatch = EpisodeStopwatch(self.config)
@@ -206,9 +192,6 @@ class Robot:
             SensorError: a sensor gives something else than its finite numbers.
             LinkError: a sensor's device fails.
         """
-        lidar = find_lidar(self.sensors)
-        if self._turns is not None and lidar is not None:
-            self._turns.look(lidar.revolution)
         numbers = self.sensors.read()
         self._record_scan()
         return numbers
@@ -406,8 +389,6 @@ class Robot:
         self.shares = wire.shares(heard, dt)
         for wheel_speeds, share in self.shares:
             self.odometry.update(wheel_speeds, share)
-        if self._turns is not None:
-            self._turns.follow(self.shares, self.link.now())
         if self._stopwatch is not None:
             self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
             fastest = max(map(abs, wire.speeds))
@@ -459,8 +440,7 @@ class Robot:
 
     def __reduce__(self) -> tuple[Callable[..., Robot], tuple[Any, ...]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""
-        make = functools.partial(Robot, correct_turns=self._turns is not None)
-        return make, (self.link, self.config, tuple(self.sensors))
+        return Robot, (self.link, self.config, tuple(self.sensors))
 
     def __enter__(self) -> Self:
         self.activate()

@@ -200,9 +200,6 @@ class ObstacleGoalEnv(RobotEnv):
     - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
     - `lidar`: None for the simulated one, model and device like "rplidar:///dev/ttyUSB1" on
       hardware, "module:Class", or a Lidar.
-    - `correct_turns`: True for a floor on which nobody has calibrated the robot: where scans show
-      that it turns clearly farther, or less far, than its odometry says, odometry turns by what
-      they show, from the start of the episode on. Single environments only.
 
     ## Info
 
@@ -257,7 +254,7 @@ class BarnEnv(RobotEnv):
 
     - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
       `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`,
-      `lidar` and `correct_turns` as in `acsar_gym/ObstacleGoal-v1`.
+      `lidar` as in `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
       that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
       `path_N.npy` beside them or in `path_files`. More as in `acsar_gym/ObstacleGoal-v1`.
@@ -346,7 +343,7 @@ class CrowdEnv(RobotEnv):
 
     - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
       `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`,
-      `lidar` and `correct_turns` as in `acsar_gym/ObstacleGoal-v1`.
+      `lidar` as in `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "crowd:train" by default, the 400 worlds to train in, where people walk as if nobody
       else were there; "crowd:test" are the 200 that `acsar-gym evaluate` tests in. In
       "crowd_reacting" some people keep a distance from others, and most of these see the robot. In
@@ -405,7 +402,7 @@ class DynaBarnEnv(RobotEnv):
 
     - `link`, `robot`, `policy_rate`, `max_episode_steps`, `render_mode`, `view`, `faults`,
       `sensors`, `randomization`, `on_fault`, `record` as in `acsar_gym/PointGoal-v0`, `difficulty`,
-      `lidar` and `correct_turns` as in `acsar_gym/ObstacleGoal-v1`.
+      `lidar` as in `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "dynabarn:train", 400 worlds generated like the published ones, or "dynabarn:test",
       the 200 that `acsar-gym evaluate` tests in. More as in `acsar_gym/ObstacleGoal-v1`.
 

@@ -83,7 +83,6 @@ class EnvOptions(SharedOptions):
     view: Literal["top", "camera"] = "top"
     on_fault: Literal["raise", "truncate"] = "truncate"
     record: Any = None
-    correct_turns: bool = False
 
 
 class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -175,13 +174,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.render_mode is not None and chosen.view == "top" and not own_window:
             check_extra("pictures", "pictures", "PIL")
         factories = sensor_factories(sensors, chosen.lidar, step)
-        self.robot = Robot(
-            self._faulty or link,
-            config,
-            factories,
-            self._recorder,
-            correct_turns=chosen.correct_turns,
-        )
+        self.robot = Robot(self._faulty or link, config, factories, self._recorder)
         self._top = (config.max_linear, config.max_angular)
         self._screen = Screen(config, None if own_window else self.render_mode, chosen.view)
 
@@ -448,13 +441,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.__dict__.update(state)
         if self._recorder is not None:
             robot = self.robot
-            self.robot = Robot(
-                robot.link,
-                robot.config,
-                tuple(robot.sensors),
-                self._recorder,
-                correct_turns=self._options.correct_turns,
-            )
+            self.robot = Robot(robot.link, robot.config, tuple(robot.sensors), self._recorder)
 
     def __copy__(self) -> Self:
         """Every copy is a deep one, because two environments can't share a robot."""

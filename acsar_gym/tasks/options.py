@@ -16,7 +16,6 @@ from acsar_gym.tasks.factory import explain_option
 
 ONE_MODE_OPTIONS = (
     "autoreset_mode",
-    "correct_turns",
     "lidar",
     "on_fault",
     "record",

@@ -63,7 +63,7 @@ def test_the_class_is_the_manual(env_id: str) -> None:
     task = inner(env).task
     names = {"link", "robot", *EnvOptions.names(), *inspect.signature(type(task)).parameters}
     names -= set() if task.worlds else {"worlds", "difficulty"}
-    names -= set() if task.sensors else {"lidar", "correct_turns"}
+    names -= set() if task.sensors else {"lidar"}
     assert [name for name in names if f"`{name}`" not in manual] == []
     env.close()
 

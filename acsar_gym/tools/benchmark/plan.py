@@ -19,7 +19,7 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
-from acsar_gym.sensors import LIDAR, MOVERS
+from acsar_gym.sensors import MOVERS
 from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, CEILINGS
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.benchmark.scenes import (
@@ -199,9 +199,8 @@ class Condition:
     randomization: int = 0  # level of `physics.randomization`; 0 for none
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire; see `links.faults.Faults`."""
-    correct_turns: bool = False  # whether a robot with a LiDAR turns by what scans say
 
-    def options(self, scenes: SceneSet, config: RobotConfig, env_id: str) -> dict[str, Any]:
+    def options(self, scenes: SceneSet, config: RobotConfig) -> dict[str, Any]:
         """Return the options of an id's env besides the robot; None where nothing changes."""
         level = self.randomization
         return {
@@ -209,7 +208,6 @@ class Condition:
             "difficulty": scenes.difficulty,
             "randomization": randomization_level(config, level) if level else None,
             "faults": dict(self.faults) or None,
-            "correct_turns": (self.correct_turns and has_sensor(env_id, LIDAR)) or None,
         }
 
     def impossible(self, link: str) -> str:
@@ -232,12 +230,6 @@ CONDITIONS: dict[str, Condition] = {
         "randomization of training, 2 % of the lines lost",
         randomization=2,
         faults={"dropped_lines": 0.02},
-    ),
-    "level-2-dropped-2-corrected": Condition(
-        "randomization of training, 2 % of the lines lost, turns as far as scans say",
-        randomization=2,
-        faults={"dropped_lines": 0.02},
-        correct_turns=True,
     ),
     "late-lines": Condition("5 % of the lines 50 ms late", faults={"late_lines": 0.05}),
     "scan-dropouts": Condition(

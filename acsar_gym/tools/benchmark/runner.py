@@ -107,7 +107,7 @@ def run_job(job: BenchmarkJob) -> CellResult:
             policy,
             PLANAR if over_port else cell.link,
             config,
-            condition.options(scenes, config, policy.env_id),
+            condition.options(scenes, config),
         )
     except PolicyError as error:
         return _refuse_cell(job, policy, error)
@@ -147,7 +147,7 @@ def _drive_over_port(
     Raises:
         LinkError: the emulator didn't start, or its port can't be opened.
     """
-    options = CONDITIONS[job.cell.condition].options(job.scenes, config, policy.env_id)
+    options = CONDITIONS[job.cell.condition].options(job.scenes, config)
     source = job.scenes.worlds
     with tempfile.TemporaryDirectory() as name:
         folder, around = Path(name), []

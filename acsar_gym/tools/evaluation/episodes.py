@@ -36,7 +36,7 @@ MAX_LATE_SHARE = 0.01  # largest share of late ticks in a valid episode
 MIN_EPISODES = 16  # fewer episodes are driven one by one: making a batch takes longer than it saves
 MAX_BATCH = 128  # robots of a batch, at most; one that has ended begins the next episode
 MAX_BATCH_WORLDS = 10_000  # worlds that a batch takes, at most
-SINGLE_OPTIONS = ("correct_turns", "faults", "lidar", "on_fault", "record", "render_mode", "view")
+SINGLE_OPTIONS = ("faults", "lidar", "on_fault", "record", "render_mode", "view")
 """Options of an env whose episodes are driven one by one."""
 
 

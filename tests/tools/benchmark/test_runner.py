@@ -98,26 +98,6 @@ def test_every_condition_can_be_driven(name: str) -> None:
     assert episode.seed == SET.numbers[0]
 
 
-def test_turns_are_corrected_where_the_robot_has_a_lidar(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[Any] = []
-    make_env = runs.make_env
-
-    def remember(policy: Any, link: Any, robot: Any, options: Any) -> Any:
-        given.append(options["correct_turns"])
-        return make_env(policy, link, robot, options)
-
-    monkeypatch.setattr(runs, "make_env", remember)
-    for name in ("open/acsar", "clutter/acsar"):
-        some = set_named(name)
-        agents = plan.choose_agents(["turn_drive"], [f"acsar_gym/{some.id}"], None, 1)
-        for condition in ("level-2-dropped-2", "level-2-dropped-2-corrected"):
-            wanted = BenchmarkPlan(
-                tuple(agents), (some,), links=("planar",), conditions=(condition,), count=1
-            )
-            assert runner.run_job(next(wanted.jobs())).episodes
-    assert given == [None, None, None, True]
-
-
 def test_randomization_is_refused_behind_the_port() -> None:
     job = next(make_plan(links=("port",), conditions=("randomization-1",), count=1).jobs())
     assert "physics don't vary" in runner.run_job(job).refused

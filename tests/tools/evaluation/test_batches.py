@@ -108,7 +108,6 @@ def test_named_worlds_alone_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
         ("point_goal", {}, [(0, {})] * 5),  # few
         ("point_goal", {}, [(0, {"goal": (1.0, 0.0)})] * 20),
         ("point_goal", {"faults": {"dropped_lines": 0.1}}, [(0, {})] * 20),
-        ("obstacle_goal", {"correct_turns": True}, [(0, {})] * 20),
     ],
 )
 def test_others_are_driven_one_by_one(

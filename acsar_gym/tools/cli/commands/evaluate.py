@@ -54,9 +54,6 @@ class RobotOptions(RecordOptions):
     lidar: LidarArg = None
     """On hardware, if the policy needs a LiDAR: its model and device, such as
     rplidar:///dev/ttyUSB1 or ld06:///dev/ttyUSB1, or module:Class of your own."""
-    correct_turns: bool = False
-    """For policies with a LiDAR, on floors on which nobody has calibrated the robot: odometry turns
-    by what scans say, where that is clearly something else than the robot's file says."""
     late_share: float = 0.01
     """On hardware: largest share of late ticks in a valid episode."""
 
@@ -131,7 +128,6 @@ def evaluate_policy(
         worlds=worlds.place(worlds.worlds),
         difficulty=worlds.difficulty,
         lidar=robot.lidar,
-        correct_turns=robot.correct_turns or None,
         record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),
     )
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
@@ -179,7 +175,6 @@ def run_policy(
     recorder = robot.recorder("run", link=robot.link, policy=loaded.about)
     options = {
         "lidar": robot.lidar,
-        "correct_turns": robot.correct_turns or None,
         "record": recorder,
         "goal_distance": goal_distance,
     }
