@@ -70,8 +70,8 @@ class PointGoalEnv(RobotEnv):
     - `render_mode`: "rgb_array", or "human" for a live window, in real time; without a display it
       draws off-screen, with a warning.
     - `view`: "top", drawn from above for every link, or "camera", the simulator's behind the robot.
-    - `faults`: what goes wrong on the wire and the board, such as {"dropped_lines": 0.1,
-      "unplug_rate": 0.01}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
+    - `faults`: lines between driver and board that are lost or late, such as {"dropped_lines": 0.1,
+      "late_lines": 0.05}; see `acsar_gym.links.faults.Faults`. Drawn from the env's generator.
     - `sensors`: more sensors, such as [ThreeRays] or ["mine.rays:ThreeRays"], subclasses of
       `acsar_gym.Sensor`; their numbers follow in the observation.
     - `randomization`: what a simulated robot draws anew for every episode, such as {"friction":

@@ -18,8 +18,6 @@ from acsar_gym.tasks.options import SharedOptions, check_reset_options
 Array = NDArray[Any]
 ResetOptions = dict[str, Array]  # a field of `layout.Options` -> (robots,). Missing ones are zero
 MAX_ROBOTS = 1_000_000  # robots of a batch, at most; so many take about 2 GB
-BATCH_FAULTS = ("dropped_lines", "late_lines", "lateness", "episodes", "direction")
-"""Faults that a batch can simulate: lines that are lost or late."""
 
 
 class BatchOptions(SharedOptions):
@@ -51,13 +49,7 @@ def check_seeds(seed: Any, robots: int) -> list[int | None] | None:
 
 def check_faults(faults: Mapping[str, Any] | Faults | None, config: RobotConfig) -> Faults:
     """Check the faults of a batch."""
-    chosen, sound = Faults.of(faults), Faults()
-    for name in Faults.model_fields:
-        if name not in BATCH_FAULTS and getattr(chosen, name) != getattr(sound, name):
-            raise ConfigError(
-                f"faults: {name}: a batch knows {', '.join(BATCH_FAULTS)}; for others "
-                "make_vec with vectorization_mode='sync'"
-            )
+    chosen = Faults.of(faults)
     most = WIRE_BUFFER / (max(config.control_rate, config.feedback_rate) * (LINE_BYTES + 1))
     if chosen.late_lines > 0.0 and chosen.lateness > most:
         raise ConfigError(

@@ -15,7 +15,7 @@ from tapes import taped
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links.base import camera_of
-from acsar_gym.links.faults import FaultyLink
+from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.links.replay import ReplayLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
 from acsar_gym.worlds import Scene
@@ -30,7 +30,7 @@ SOUND = ("planar", "bullet", "mujoco", "replay", "serial")
 ALL = (*SOUND, *(f"faulty {name}" for name in SOUND))
 LIVE = tuple(name for name in ALL if "replay" not in name)
 """A recording can't be opened again or driven elsewhere."""
-DORMANT = {"dropped_lines": 1e-12, "unplug_at": 1e6, "dead_wheels": "a", "wheel_faults_at": 1e6}
+DORMANT = Faults(dropped_lines=1e-12, late_lines=1e-12)
 """Faults that are configured, but none of them due."""
 
 MakeLink = Callable[[], Link]
@@ -43,11 +43,11 @@ def make_link(request: pytest.FixtureRequest, config: RobotConfig, tmp_path: Pat
     if name == "replay":
         tape = taped(tmp_path / "tape.mcap", config)
         if faulty:
-            return lambda: FaultyLink(ReplayLink(tape, compare=False), DORMANT, 0)
+            return lambda: FaultyLink(ReplayLink(tape, compare=False), DORMANT)
         return lambda: ReplayLink(tape, compare=False)
     url = request.getfixturevalue("shared_device") if name == "serial" else name
     if faulty:
-        return lambda: FaultyLink(open_link(url, config), DORMANT, 0)
+        return lambda: FaultyLink(open_link(url, config), DORMANT)
     return lambda: open_link(url, config)
 
 

@@ -1,84 +1,130 @@
-"""What faults may be asked for, what broken wheels do to lines, and which lines suffer."""
+"""Lines that are lost or late."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 
+from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.faults import (
-    Faults,
-    WheelEditor,
-    WheelFaults,
-)
-from acsar_gym.protocol import Speeds, encode
+from acsar_gym.links.base import ForwardingLink
+from acsar_gym.links.faults import Faults, FaultyLink
+from acsar_gym.protocol import encode
+from acsar_gym.worlds import Scene
 
-LINE = encode((1.0, -2.0, 3.0, 0.0))
+PERIOD = 0.01
+LINES = 3000
 
 
 @pytest.mark.parametrize(
-    ("faults", "said"),
+    ("faults", "message"),
     [
-        ({"droped_lines": 0.1}, r"droped_lines'.*'dropped_lines'"),
-        ({3: 0.1}, "3"),
+        ({"droped_lines": 0.1}, "'faults.droped_lines'.*'dropped_lines' and 'late_lines'"),
+        ({"unplug_rate": 0.1, "garbage_rate": 0.1}, "'dropped_lines' and 'late_lines'"),
+        ({3: 0.1}, "'faults.3'"),
         ("dropped_lines", "mapping"),
         (["dropped_lines"], "mapping"),
     ],
 )
-def test_what_is_no_mapping_of_faults_is_refused(faults: Any, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_unknown_faults_are_refused(faults: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
         Faults.of(faults)
+    assert "\n" not in str(caught.value)
 
 
-BAD_FOR_ALL: tuple[Any, ...] = (-1.0, math.nan, True, "e", "aa", [1], -math.inf, {})
-OUT_OF_RANGE: dict[str, tuple[Any, ...]] = {
-    "dropped_lines": (1.01,),
-    "episodes": (2,),
-    "garbage_rate": (1e6,),
-    "garbage_bytes": (0, 8.0, 10**9),
-    "dead_wheels": (5, 1.0),
-    "stuck_encoders": (None,),
-    "lateness": (math.inf, None),
-    "unplug_at": (math.inf,),
-    "wheel_faults_at": (None,),
-    "direction": ("up",),
-}
+@pytest.mark.parametrize("name", Faults.model_fields)
+@pytest.mark.parametrize("value", [-1.0, math.nan, True, None, "e", 61.0, math.inf, {}])
+def test_bad_values_name_the_field(name: str, value: Any) -> None:
+    with pytest.raises(ConfigError, match=rf"faults\.{name} = "):
+        Faults.of({name: value})
 
 
-@pytest.mark.parametrize("name", list(Faults.model_fields))
-def test_bad_values_name_the_field(name: str) -> None:
-    for value in (*BAD_FOR_ALL, *OUT_OF_RANGE.get(name, ())):
-        with pytest.raises(ConfigError, match=rf"faults\.{name} = "):
-            Faults.of({name: value})
+def numbered_line(number: int) -> bytes:
+    return encode((number // 90 + 1.0, number % 90 + 1.0, 4.0, 5.0))
 
 
-def test_named_wheels_are_those_and_numbers_are_drawn() -> None:
-    rng = np.random.default_rng(1)
-    faults = Faults(stuck_encoders="db", reversed_encoders=0, dead_wheels=2)
-    drawn = [WheelFaults.draw(faults, rng) for _ in range(2000)]
-    assert {(wheels.stuck, wheels.reversed) for wheels in drawn} == {("db", "")}
-    pairs = Counter(wheels.dead for wheels in drawn)
-    assert set(pairs) == {"ab", "ac", "ad", "bc", "bd", "cd"}
-    assert min(pairs.values()) > 250
+class CountingBoard(ForwardingLink):
+    """Sends a numbered line in each period, and keeps the commands with their periods."""
+
+    def reset(self, scene: Scene) -> None:
+        self.link.reset(scene)
+        self.ticks = 0
+        self.commands: list[tuple[int, bytes]] = []
+
+    def write(self, data: bytes) -> None:
+        self.commands.append((self.ticks, data))
+
+    def advance(self, period: float) -> bytes:
+        self.link.advance(period)
+        self.ticks += 1
+        return numbered_line(self.ticks - 1)
 
 
-def edited(pieces: list[bytes], **wheels: str) -> bytes:
-    editor = WheelEditor(WheelFaults(**wheels), at=0.0)
-    return b"".join(editor.edit_commands(editor.edit_feedback(piece, 0.0), 0.0) for piece in pieces)
+Lines = list[tuple[int, bytes]]
+"""Lines with the numbers of the periods in which they arrived."""
+
+
+def exchange(link: FaultyLink, board: CountingBoard, ticks: int = LINES) -> tuple[Lines, Lines]:
+    """Send a numbered command in each period; returns feedback and commands that arrived."""
+    link.open()
+    link.reset(Scene())
+    feedback = []
+    for tick in range(ticks):
+        link.write(numbered_line(tick))
+        feedback.append((tick, link.advance(PERIOD)))
+    return split_lines(feedback), split_lines(board.commands)
+
+
+def split_lines(pieces: Lines) -> Lines:
+    return [(tick, line) for tick, piece in pieces for line in piece.splitlines(keepends=True)]
+
+
+def make_link(config: RobotConfig, seed: int, **faults: Any) -> tuple[FaultyLink, CountingBoard]:
+    board = CountingBoard(open_link("planar", config))
+    link = FaultyLink(board, Faults.of(faults))
+    link.seed(np.random.default_rng(seed))
+    return link, board
+
+
+@pytest.mark.parametrize("direction", ["feedback", "commands", "both"])
+def test_a_share_of_the_lines_is_lost(direction: str, config: RobotConfig) -> None:
+    link, board = make_link(config, 0, direction=direction, dropped_lines=0.1)
+    feedback, commands = exchange(link, board)
+    for name, lines in (("feedback", feedback), ("commands", commands)):
+        expected = 0.1 if direction in (name, "both") else 0.0
+        assert 1.0 - len(lines) / LINES == pytest.approx(expected, abs=0.02)
+        assert {line for _, line in lines} <= {numbered_line(tick) for tick in range(LINES)}
+
+
+def test_lines_behind_a_late_one_wait_and_keep_their_order(config: RobotConfig) -> None:
+    for lines in exchange(*make_link(config, 0, late_lines=0.05, lateness=0.03)):
+        assert [line for _, line in lines] == [numbered_line(n) for n in range(len(lines))]
+        delays = {tick - number for number, (tick, _) in enumerate(lines)}
+        assert delays == {0, 1, 2, 3}
 
 
 @pytest.mark.parametrize(
-    ("faults", "line"),
-    [
-        ({}, (1.0, -2.0, 3.0, 0.0)),
-        ({"reversed": "abcd"}, (-1.0, 2.0, -3.0, 0.0)),
-        ({"stuck": "ac"}, (0.0, -2.0, 0.0, 0.0)),
-        ({"dead": "b"}, (1.0, 0.0, 3.0, 0.0)),
-    ],
+    "faults",
+    [{"lateness": 1.0}, {"dropped_lines": 0.5, "episodes": 0.0}, {"dropped_lines": 1e-12}],
+    ids=["none", "sound episodes", "none due"],
 )
-def test_broken_wheels_in_a_line(faults: dict[str, str], line: Speeds) -> None:
-    assert edited([LINE], **faults) == encode(line)
+def test_without_faults_every_line_arrives_in_time(faults: Any, config: RobotConfig) -> None:
+    expected = [(tick, numbered_line(tick)) for tick in range(100)]
+    link, board = make_link(config, 3, **faults)
+    assert exchange(link, board, 100) == (expected, expected)
+
+
+def test_episodes_differ_and_their_seed_repeats_them(config: RobotConfig) -> None:
+    faults = {"dropped_lines": 0.1, "late_lines": 0.1}
+    link, board = make_link(config, 4, **faults)
+    first = exchange(link, board, 300)
+    second = exchange(link, board, 300)
+    assert first != second
+
+    link.seed(np.random.default_rng(4))
+    assert [exchange(link, board, 300), exchange(link, board, 300)] == [first, second]
+    assert exchange(*make_link(config, 4, **faults), 300) == first
+    assert exchange(*make_link(config, 5, **faults), 300) != first

@@ -23,7 +23,7 @@ from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
 from acsar_gym.guard.watchdog_child import BEAT
 from acsar_gym.links import serial
-from acsar_gym.links.faults import FaultyLink
+from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording import Recorder
@@ -86,7 +86,9 @@ def test_a_board_without_a_time_out_and_without_a_watchdog_is_told(
     recorder = Recorder(tmp_path / "drive.mcap", {})
     with (
         pytest.warns(SafetyWarning, match=r"no watchdog \(not on this system") as said,
-        Robot(FaultyLink(open_link(shared_device, config), {}), config, recorder=recorder) as one,
+        Robot(
+            FaultyLink(open_link(shared_device, config), Faults()), config, recorder=recorder
+        ) as one,
     ):
         one.drive(0.0, 0.0)
     assert len(said) == 1

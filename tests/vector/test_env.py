@@ -180,7 +180,7 @@ def test_after_ctrl_c_a_seeded_reset_begins_anew(place: str) -> None:
         ({"randomization": {"frictoin": (0.5, 1.0)}}, "'friction'"),
         ({"render_mode": "human"}, "render_mode"),
         ({"link": "bullet"}, "link"),
-        ({"faults": {"unplug_rate": 0.1}}, "unplug_rate: a batch knows dropped_lines, late_lines"),
+        ({"faults": {"unplug_rate": 0.1}}, "'dropped_lines' and 'late_lines'"),
         ({"faults": {"late_lines": 0.1, "lateness": 50.0}}, "lateness"),
     ],
 )

@@ -10,7 +10,9 @@ from typing import Any
 
 import pytest
 from cli_tools import Call, assert_one_line
+from failing_link import FailingLink
 
+from acsar_gym import open_link
 from acsar_gym.errors import BoardSilentError, EmergencyStopError
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
@@ -73,8 +75,7 @@ def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.Mon
     whole = runs.make_env
 
     def made(policy: Any, link: Any, robot: Any, options: Any) -> Any:
-        faults = {"unplug_at": 0.2, "replug_time": 0.1, "episodes": 0.5}
-        return whole(policy, link, robot, {**options, "faults": faults})
+        return whole(policy, FailingLink(open_link(link, robot), 0.2), robot, options)
 
     monkeypatch.setattr(runs, "make_env", made)
     status, output, message = call(*EVALUATE)

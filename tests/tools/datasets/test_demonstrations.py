@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from failing_link import FailingLink
 from recording_tools import drive, record_drive, record_env
 
 from acsar_gym import Robot, RobotConfig, open_link
@@ -122,9 +123,8 @@ def test_what_was_not_driven_is_no_demonstration(tmp_path: Path) -> None:
     """A step that a fault ended, and what a person asked for after an emergency stop."""
     env = gymnasium.make(
         full_id("point_goal"),
-        link="planar",
+        link=FailingLink(open_link("planar"), 1.0),
         record=tmp_path / "env.mcap",
-        faults={"unplug_at": 1.0},
     )
     env.reset(seed=0)
     steps = 0

@@ -11,8 +11,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from failing_link import FailingLink
 
-from acsar_gym import RobotConfig
+from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.envs import PointGoalEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episode import (
@@ -76,7 +77,7 @@ def slow(_: Any) -> Any:
     return CURVE
 
 
-def run(link: str, policy: Any = lambda _: CURVE, **options: Any) -> Episode:
+def run(link: str | Link, policy: Any = lambda _: CURVE, **options: Any) -> Episode:
     """One short episode of a robot that has a busy machine's patience."""
     robot = RobotConfig.preset("acsar").with_(
         connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=None
@@ -128,17 +129,17 @@ def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
 
 
 def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
-    episode = run("planar", faults={"unplug_at": 0.25, "replug_time": 0.1})
+    episode = run(FailingLink(open_link("planar"), 0.25))
     assert "lost while in use" in episode.fault
     assert (episode.valid, episode.success) == (False, False)
     assert as_json(episode)["fault"] == episode.fault
     assert summarise_episodes([episode]).invalid == 1
-    assert run("planar", faults={"unplug_at": 60.0}).valid
+    assert run(FailingLink(open_link("planar"), 60.0)).valid
 
 
 def test_after_a_fault_the_next_episode_connects_again() -> None:
-    options: dict[str, Any] = {"faults": {"unplug_at": 0.25, "replug_time": 0.1}}
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=5, **options)
+    link = FailingLink(open_link("planar"), 0.25)
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, max_episode_steps=5)
     results = list(run_episodes(env, lambda _: CURVE, 3, seed=0))
     env.close()
     assert [bool(one.fault) for one in results] == [True] * 3
