@@ -172,18 +172,6 @@ def test_bags_are_read_where_recordings_are(call: Call, tmp_path: Path) -> None:
     assert_one_line(error, f"{tape}: --topics is for ROS 2 bags; this is a recording")
 
 
-def test_the_doctor_tells_how_late_ticks_are(
-    call: Call, shared_device: str, robot_file: RobotFile, tmp_path: Path
-) -> None:
-    file = tmp_path / "timing.json"
-    options = ("--robot", robot_file(), "--timing", "--duration", "0.1", "--json", file)
-    code, output, _ = call("doctor", shared_device, *options)
-    assert code == 0
-    for word in ("lateness", "bare loop", "feedback age", "baud rate"):
-        assert word in output
-    assert json.loads(file.read_text())["lateness"]["ticks"] == 50
-
-
 TYPED = """
 source "$1"; shift
 COMP_WORDS=("$@")

@@ -47,19 +47,8 @@ class SpinOptions(RecordOptions):
     """Write what was found to differ into this robot's file; if it exists, its comments stay."""
 
 
-@dataclass(frozen=True)
-class TimingOptions:
-    """Timing of the control loop."""
-
-    timing: bool = False
-    """Measure how late the control loop's ticks are, compared with a bare loop."""
-    duration: float = 10.0
-    """Duration of --timing [s]."""
-
-
 @command("doctor", "robots", drives=True)
 def examine_robot(
-    timing: TimingOptions,
     spinning: SpinOptions,
     host: HostOptions,
     output: ResultOptions,
@@ -72,7 +61,6 @@ def examine_robot(
     With ros2 or ros2:/NAMESPACE as device it examines a robot in ROS 2: its topics and clock.
 
     Args:
-        timing: timing of the control loop.
         spinning: turning of the wheels, and recording.
         host: process priority and cores; whether the emergency stop may be missing.
         output: results in a file.
@@ -89,7 +77,6 @@ def examine_robot(
     output.check()
     if device is not None and (device == "ros2" or device.startswith("ros2:")):
         serial = (
-            ("--timing", timing.timing),
             ("--spin", spinning.spin),
             ("--saw", spinning.saw),
             ("--out", spinning.out),
@@ -100,12 +87,6 @@ def examine_robot(
         host.prepare()
         return _examine_ros(device, config, output, spinning)
     host.prepare(device if spinning.spin else None)
-    if timing.timing:
-        from acsar_gym.tools.commission import timing as timings  # noqa: PLC0415
-
-        timed = timings.examine_timing(device, config, timing.duration)
-        print_results(*timed.tables(), json=output.json, data=timed.as_dict())
-        return 0
     return _run_checks(device, config, output, spinning)
 
 

@@ -133,8 +133,8 @@ def identify_robot(
         if found.duration > LATE_MANOEUVRE * duration:
             late = (
                 f"acsar-gym: the manoeuvre took {found.duration:.1f} s instead of {duration:g}: "
-                f"this computer was late, and the figures are worse for it; {BUSY_HINT}; "
-                f"see 'acsar-gym doctor {device} --timing', and drive again"
+                f"this computer was late, and the figures are worse for it; {BUSY_HINT}, and drive "
+                "again"
             )
             print(escape_unprintable(late), file=sys.stderr)
     print_results(identify.identification_table(found), json=output.json, data=found.as_dict())
