@@ -49,7 +49,6 @@ from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.robot import Robot
 from acsar_gym.testing import EmulatedBoard
 from acsar_gym.tools import teleop
-from acsar_gym.tools.gamepad import ABS_RZ, BTN_TL, EV_ABS, EV_KEY
 from acsar_gym.worlds import Scene
 
 KINDS = {
@@ -425,12 +424,11 @@ def _harm(kind: str, program: int, terminal: int, report: IO[str]) -> str:
 def _hold_and_let_go(kind: str, hands: gamepad_tools.EmulatedPad, report: IO[str]) -> str:
     """Drive by hand until the robot does, let go, and return the time."""
     if kind != "keys":
-        pressed, pulled = (EV_KEY, BTN_TL, 1), (EV_ABS, ABS_RZ, 255)
-        hands.send(gamepad_tools.event(*pressed) + gamepad_tools.event(*pulled))
+        hands.send(gamepad_tools.LB + gamepad_tools.FULL)
     patience = time.monotonic() + HOLD_TIMEOUT
     while not select.select([report], [], [], KEY_REPEAT)[0]:
         if kind == "keys":
-            hands.send(b"w")
+            hands.type_keys(b"w")
         if time.monotonic() > patience:
             return "it doesn't drive"
     if (first := report.readline().strip()) != "drives":
@@ -438,9 +436,9 @@ def _hold_and_let_go(kind: str, hands: gamepad_tools.EmulatedPad, report: IO[str
     time.sleep(random.uniform(0.0, FAULT_JITTER))
     now = time.monotonic()
     if kind == "keys":
-        hands.send(b"w")  # for the last time
+        hands.type_keys(b"w")  # for the last time
     elif kind == "deadman":
-        hands.send(gamepad_tools.event(EV_KEY, BTN_TL, 0))
+        hands.send(gamepad_tools.LET_GO)
     else:
         hands.pull()
     return repr(now)
@@ -464,6 +462,7 @@ def _drive_by_hand(device: str, config: RobotConfig, kind: str, writer: int, han
         if kind == "keys":
             teleop.drive_keyboard(robot)
         else:
+            gamepad_tools.install()
             teleop.drive_gamepad(robot, str(hands))
 
 

@@ -8,10 +8,9 @@ import sys
 
 from blessed import Terminal
 
-from acsar_gym.errors import CommandError, escape_unprintable
+from acsar_gym.errors import CommandError, escape_unprintable, require_extra
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.gamepad import Gamepad, PadEvent
 from acsar_gym.worlds import Scene
 
 KEY_TIMEOUT = 0.5
@@ -97,8 +96,13 @@ def drive_keyboard(robot: Robot) -> None:
 def drive_gamepad(robot: Robot, device: str = "") -> None:
     """Drive with a gamepad, until its Back button or Ctrl-C.
 
-    Where the pad is lost, the robot is held at zero until it is back and LB is pressed anew.
+    If the pad is lost, the robot is held at zero until it is back and LB is pressed again.
     """
+    if sys.platform != "linux":
+        raise CommandError("--gamepad reads Linux's input events: drive with the keyboard here")
+    with require_extra("--gamepad", "gamepad"):
+        from acsar_gym.tools.gamepad import Gamepad, PadEvent  # noqa: PLC0415
+
     config = robot.config
     with Gamepad(device) as pad, robot:
         print(f"{escape_unprintable(pad.name)}: {GAMEPAD_HELP}")

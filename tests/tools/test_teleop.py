@@ -9,13 +9,15 @@ import pty
 import select
 import signal
 import subprocess
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import gamepad_tools
 import pytest
-from gamepad_tools import EmulatedPad, event
+from gamepad_tools import FULL, LB, LEFT, LET_GO, QUIT, REST, START, STOP, EmulatedPad
 from serial_tools import (
     CLI,
     HEEDING_CTRL_C,
@@ -34,22 +36,14 @@ from acsar_gym.recording import Recorder
 from acsar_gym.recording.reader import read
 from acsar_gym.testing import Command
 from acsar_gym.tools import gamepad, teleop
-from acsar_gym.tools.gamepad import (
-    ABS_RZ,
-    ABS_X,
-    BTN_EAST,
-    BTN_SELECT,
-    BTN_START,
-    BTN_TL,
-    EV_ABS,
-    EV_KEY,
-    Gamepad,
-)
+from acsar_gym.tools.gamepad import Gamepad
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
 
 ARROW_UP = "\x1b[A"
+WITH_PAD = (sys.executable, gamepad_tools.__file__)
+"""The command line with emulated gamepads."""
 
 
 def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
@@ -157,12 +151,12 @@ class Screen:
 
 
 @contextlib.contextmanager
-def open_screen(*arguments: str) -> Iterator[Screen]:
+def open_screen(*arguments: str, program: Sequence[str] = CLI) -> Iterator[Screen]:
     master, slave = pty.openpty()
     # Blessed asks the terminal what it can do; nobody is here to answer.
     env = {**os.environ, "TERM": "xterm", "BLESSED_QUERY_TIMEOUT_SECONDS": "0"}
     process = subprocess.Popen(
-        [*CLI, "drive", *arguments],
+        [*program, "drive", *arguments],
         stdin=slave,
         stdout=slave,
         stderr=slave,
@@ -248,12 +242,6 @@ def test_after_an_emergency_stop_the_person_at_the_keyboard_releases_it(
     assert screen.wait() == 0
 
 
-LB, LET_GO = event(EV_KEY, BTN_TL, 1), event(EV_KEY, BTN_TL, 0)
-FULL, REST = event(EV_ABS, ABS_RZ, 255), event(EV_ABS, ABS_RZ, 0)
-LEFT = event(EV_ABS, ABS_X, -32768)
-STOP, START, QUIT = (event(EV_KEY, code, 1) for code in (BTN_EAST, BTN_START, BTN_SELECT))
-
-
 @pytest.fixture
 def pad(tmp_path: Path) -> Iterator[EmulatedPad]:
     emulated = EmulatedPad(tmp_path / "pad")
@@ -281,6 +269,7 @@ def test_a_recorded_drive_stops_in_the_tick_in_which_the_deadman_is_let_go_or_th
             happening()
         return poll(opened)
 
+    monkeypatch.setattr(gamepad, "InputDevice", gamepad_tools.PadDevice)
     monkeypatch.setattr(Gamepad, "poll", scripted)
     path = tmp_path / "drive.mcap"
     robot = Robot(open_link("planar", config), config, recorder=Recorder(path, {"command": "test"}))
@@ -300,7 +289,7 @@ def test_real_wheels_stop_when_the_deadman_is_let_go_and_when_the_pad_is_lost(
 ) -> None:
     options = ("--link", emulator.device, "--robot", str(robot_file()))
     fastest = on_the_wire(config, config.max_linear, 0.0)
-    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
+    with open_screen(*options, "--gamepad", str(pad.path), program=WITH_PAD) as screen:
         wait_until(lambda: "feedback" in screen.look(), "the status line")
         stops: tuple[Callable[[], None], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
         for stop in stops:
@@ -325,7 +314,7 @@ def test_after_an_emergency_stop_start_releases_it_and_the_deadman_is_pressed_an
     pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile
 ) -> None:
     options = ("--link", emulator.device, "--robot", str(robot_file()))
-    with open_screen(*options, "--gamepad", str(pad.path)) as screen:
+    with open_screen(*options, "--gamepad", str(pad.path), program=WITH_PAD) as screen:
         wait_until(lambda: "feedback" in screen.look(), "the status line")
         for stop in (lambda: pad.send(STOP), lambda: stop_all(str(screen.process.pid))):
             screen.shown = ""
