@@ -189,7 +189,7 @@ class Robot:
         """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
 
         Raises:
-            SensorError: a sensor gives something else than its finite numbers.
+            AcsarError: a sensor gives something else than its finite numbers.
             LinkError: a sensor's device fails.
         """
         numbers = self.sensors.read()

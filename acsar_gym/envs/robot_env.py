@@ -114,7 +114,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, RenderError, WorldError: for unknown options, or values out of range.
-            TaskError: where a method of the task raises an error, or returns what can't be used.
+            ConfigError: where a method of the task raises an error, or returns what can't be used.
             MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
@@ -193,7 +193,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
             LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         self._halt()
         self._last_step = None
@@ -239,7 +240,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             ConfigError: before the first reset, or after the end of an episode; the wheels are
                 commanded to stop.
             LinkError: where the link or the board fails and `on_fault` is "raise".
-            TaskError, SensorError: where a task or sensor fails, or gives NaN.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         episode = self._episode
         if episode is None:

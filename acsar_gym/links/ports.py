@@ -21,15 +21,7 @@ import serial
 from serial.tools import list_ports
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import (
-    MORE_FILES_ADVICE,
-    ConfigError,
-    LinkError,
-    LinkLostError,
-    PortBusyError,
-    PortNotFoundError,
-    PortPermissionError,
-)
+from acsar_gym.errors import MORE_FILES_ADVICE, ConfigError, LinkError, LinkLostError, PortBusyError
 from acsar_gym.links.base import WHILE_WAITING
 
 SerialPort = Any  # an open port of pyserial, which has no type annotations
@@ -74,7 +66,7 @@ def find_ports() -> list[PortInfo]:
 
 
 def locate_port(name: str) -> str:
-    """The device of a name; ConfigError or PortNotFoundError unless one adapter has the number."""
+    """The device of a name; ConfigError or LinkError unless one adapter has the number."""
     if not name.startswith(SERIAL_NUMBER_PREFIX):
         return name
     number = name.removeprefix(SERIAL_NUMBER_PREFIX)
@@ -84,7 +76,7 @@ def locate_port(name: str) -> str:
         raise ConfigError(f"{name}: {', '.join(devices)} have this serial number: name one of them")
     if not devices:
         numbers = ", ".join(port.serial_number for port in ports if port.serial_number) or "none"
-        raise PortNotFoundError(
+        raise LinkError(
             f"{name}: no USB adapter with this serial number", f"serial numbers here: {numbers}"
         )
     return devices[0]
@@ -225,10 +217,10 @@ def _opening_error(device: str, error: Exception) -> LinkError:
     if gone or errno.ENOTTY in getattr(error.__context__, "args", ()):  # of termios
         ports = ", ".join(port.device for port in find_ports()) or "none"
         if gone:
-            return PortNotFoundError(f"{device}: no such device", f"serial ports here: {ports}")
+            return LinkError(f"{device}: no such device", f"serial ports here: {ports}")
         return LinkError(f"{device}: isn't a serial port", f"serial ports here: {ports}")
     if code in (errno.EACCES, errno.EPERM):
-        return PortPermissionError(
+        return LinkError(
             f"{device}: permission denied",
             "add yourself to the group that owns it, usually 'sudo usermod -aG dialout $USER', and "
             "log in again",

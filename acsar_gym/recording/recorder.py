@@ -14,8 +14,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning, show_value
-from acsar_gym.reading import explain_error
+from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, show_value
 from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, Exchange
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.sinks import McapFile, Sink, check_target, next_number

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import OffScreenWarning, RenderError
+from acsar_gym.errors import AcsarWarning, RenderError
 from acsar_gym.lidar.scan import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.links.base import camera_of
@@ -78,7 +78,7 @@ class Screen:
             except RenderError as error:
                 self._window.close()
                 told = f"{error}; pictures are drawn off-screen"
-                warnings.warn(told, OffScreenWarning, stacklevel=5)
+                warnings.warn(told, AcsarWarning, stacklevel=5)
 
     def _pose_in_world(self, state: State) -> Pose:
         """Convert the pose from the odometry frame to the frame of the world."""

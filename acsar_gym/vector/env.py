@@ -197,7 +197,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         mask, fields = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -255,7 +256,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
                 bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         batch, tables = self.batch, self.batch.tables
         actions = read_actions(actions, (self.num_envs, 2))

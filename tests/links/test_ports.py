@@ -15,7 +15,7 @@ import pytest
 from serial_tools import TIMEOUT, StartEmulator
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import ConfigError, LinkError, LinkLostError, PortNotFoundError
+from acsar_gym.errors import ConfigError, LinkError, LinkLostError
 from acsar_gym.guard import watchdog
 from acsar_gym.links import ports
 from acsar_gym.links.ports import PortInfo, find_lasting_name, locate_port
@@ -90,7 +90,7 @@ def test_a_serial_number_that_is_not_here_tells_those_that_are(
     numbers: tuple[str | None, ...], told: str, plugged: Plugged
 ) -> None:
     plugged += [PortInfo("/dev/null", "other", number) for number in numbers]
-    with pytest.raises(PortNotFoundError) as caught:
+    with pytest.raises(LinkError) as caught:
         locate_port("usb:A50285BI")
     assert "usb:A50285BI" in caught.value.found
     assert caught.value.fix.endswith(f": {told}")
