@@ -1,9 +1,9 @@
 r"""Codec of the serial protocol, without any I/O: speeds to lines, bytes to readings.
 
 A line is `ap12.50,bn08.75,cp15.00,dn10.25,\r\n`: motor letter (a front_right, b front_left,
-c rear_left, d rear_right), direction (p forward, n backward), speed in rad/s with two digits and
-two decimals; the last comma is optional. Feedback may also have unpadded numbers (`ap5.23`,
-`ap105.20`, `ap 5.00`, `ap-3.20`), which the robot's own driver reads, too.
+c rear_left, d rear_right), direction (p forward, n backward), and speed in rad/s with two digits
+and two decimals. The last comma is optional. Numbers in feedback may also be unpadded (`ap5.23`,
+`ap105.20`, `ap 5.00`, `ap-3.20`), as the robot's own driver reads these as well.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
 """
 
@@ -11,70 +11,73 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from acsar_gym.errors import CommandError
 
-__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "EchoDecoder", "Reading", "Speeds", "encode"]
+__all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "Reading", "Speeds", "encode"]
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99  # largest speed of the format [rad/s]
-MAX_LINE = 256  # longest accepted line [bytes]; longer ones are dropped up to the next line end
+MAX_LINE = 256  # longest accepted line [bytes]; longer lines are dropped up to the next line end
 
 Speeds = tuple[float, float, float, float]  # [rad/s], in the order of WHEELS
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
-PRINTED_STEP = 0.01  # resolution of the wire's numbers [rad/s]
+PRINTED_STEP = 0.01  # resolution of the numbers in a line [rad/s]
+ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"
+"""A zero command in an order that no feedback has: if it comes back, the board echoes."""
 
 _LINE = b"a%+06.2f,b%+06.2f,c%+06.2f,d%+06.2f"
-_LENGTH = len(_LINE % (0.0, 0.0, 0.0, 0.0))
-_LETTERS = b"abcd"
-_DIRECTIONS = bytes.maketrans(b"+-", b"pn")
-_PART = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
-_ENDS = (b"\n", b"\r")
-_TOLERATED = re.compile(rb"([abcd])([pn])( {0,3}[+-]?[0-9]{1,3}\.[0-9]{2,6})")
-"""Another number format; at least two decimals, since a cut number has fewer."""
-_BEGUN = re.compile(
+_LENGTH = len(_LINE % ZERO)
+_SIGNS_TO_DIRECTIONS = bytes.maketrans(b"+-", b"pn")
+
+_LETTERS = MOTORS.encode()
+_LINE_ENDS = (b"\n", b"\r")
+_PADDED = re.compile(rb"([abcd])([pn])([0-9]{2}\.[0-9]{2})")
+_UNPADDED = re.compile(rb"([abcd])([pn])( {0,3}[+-]?[0-9]{1,3}\.[0-9]{2,6})")
+"""Another number format. It has at least two decimals, since a truncated number has fewer."""
+_TRUNCATED_LINE = re.compile(
     rb"(?:[abcd][pn][ +-]*[0-9]+\.[0-9]+,){0,3}(?:[abcd](?:[pn][ +-]*[0-9.]{0,9})?)?"
 )
-"""A line that ends too early, as where the board was reset meanwhile."""
-_WHOLE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
-_PART_END = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")  # the end of a part
-SAMPLE_BYTES = 60  # how much of a damaged line, or of text, is kept for messages [bytes]
-MAX_NOTES = 8  # how many different texts are kept
-_KNOWN: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})  # cache of parsed parts
-_TURNING = re.compile(rb"(?<=[pn])(?!00\.00)[0-9]{2}\.[0-9]{2}")  # the speed of a wheel that turns
-_MAX_KNOWN = 5000  # largest number of cached parts per motor
-MAX_ECHOES = 100  # how many commands may wait for their echo
-FEWEST_ECHOES = 4  # without feedback; a board that is reset sends fewer
-ECHO_PROBE = b"dp00.00,cp00.00,bp00.00,ap00.00"  # zeros in an order that no feedback has
-ECHO_ZERO = b"an00.00,bn00.00,cn00.00,dn00.00"  # a zero command to a board that echoes
+_WHOLE_LINE = re.compile(rb"(?:[abcd][pn][ +-]*[0-9]{1,3}\.[0-9]{2,6},?){4}")
+_END_OF_PART = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
+
+SAMPLE_BYTES = 60  # length of the sample of a damaged line, and of a note [bytes]
+MAX_NOTES = 8  # number of different notes that are kept
+_MAX_CACHED = 5000  # largest number of cached parts per motor
+_CACHED_PARTS: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
-    """Encode four wheel speeds as one line, for commands and feedback alike.
+    r"""Encode four wheel speeds as one line, for commands and feedback alike.
 
     Args:
-        speeds: wheel speeds [rad/s] in the order a, b, c, d. They are rounded to two decimals
-            and saturate at +-99.99; what rounds to zero is `p00.00`.
-        trailing_comma: whether the line has a comma before its end.
+        speeds: Wheel speeds [rad/s] in the order a, b, c, d. They are rounded to two decimals
+            and saturate at +-99.99. A speed that rounds to zero becomes `p00.00`.
+        trailing_comma: Whether the line has a comma before its end.
 
     Returns:
         The line with CR LF.
 
     Raises:
-        CommandError: there aren't four speeds, or one isn't finite.
+        CommandError: There aren't four speeds, or a speed isn't finite.
+
+    Example:
+        >>> encode((12.5, -8.75, 15.0, -10.25), trailing_comma=False)
+        b'ap12.50,bn08.75,cp15.00,dn10.25\r\n'
     """
-    return encode_line(*check_speeds(speeds), line_end(trailing_comma=trailing_comma))
+    return encode_line(*check_speeds(speeds), end=line_end(trailing_comma=trailing_comma))
 
 
 def check_speeds(speeds: Sequence[float]) -> Speeds:
-    """Check four wheel speeds [rad/s]; CommandError where they aren't four or not finite."""
+    """Return four wheel speeds [rad/s] as floats; CommandError unless they are finite."""
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
+
     a, b, c, d = map(float, speeds)
-    if not math.isfinite(a + b + c + d):  # one check for all; a sum of finite ones may overflow
+    if not math.isfinite(a + b + c + d):  # a quick test, but the sum of finite speeds may overflow
         for wheel, speed in zip(WHEELS, (a, b, c, d), strict=True):
             if not math.isfinite(speed):
                 raise CommandError(f"{wheel} speed is {speed}: only finite rad/s can be sent")
@@ -82,7 +85,7 @@ def check_speeds(speeds: Sequence[float]) -> Speeds:
 
 
 def line_end(*, trailing_comma: bool) -> bytes:
-    """Return the end of a line, for `line_of`."""
+    """Return the end of a line, for `encode_line`."""
     return b",\r\n" if trailing_comma else b"\r\n"
 
 
@@ -92,7 +95,7 @@ def encode_line(a: float, b: float, c: float, d: float, end: bytes) -> bytes:
     if len(line) > _LENGTH:
         saturated = (min(max(speed, -MAX_SPEED), MAX_SPEED) for speed in (a, b, c, d))
         line = _LINE % tuple(saturated)
-    return line.replace(b"-00.00", b"+00.00").translate(_DIRECTIONS) + end
+    return line.replace(b"-00.00", b"+00.00").translate(_SIGNS_TO_DIRECTIONS) + end
 
 
 class Reading(NamedTuple):
@@ -102,7 +105,7 @@ class Reading(NamedTuple):
     """Wheel speeds [rad/s] in the order a, b, c, d; None for missing motors."""
 
     def over(self, old: Speeds) -> Speeds:
-        """Return all four speeds [rad/s]; missing motors keep the old ones."""
+        """Return all four speeds [rad/s]; missing motors keep the old speeds."""
         a, b, c, d = self.speeds
         return (
             old[0] if a is None else a,
@@ -113,218 +116,173 @@ class Reading(NamedTuple):
 
 
 class Decoder:
-    """Decodes a byte stream that arrives in chunks of any size; never raises an exception.
+    r"""Decodes a byte stream that arrives in chunks of any size; never raises an exception.
 
     Lines end with CR, LF or CRLF. Invalid parts are refused and counted; the other motors of the
-    line are still used. If a motor occurs twice, the last one counts. A line isn't damaged but cut
-    where the port was opened in mid-line, or where a reset of the board began a new line. Memory is
-    bounded by `MAX_LINE`. A line of text, which begins with # and has no valid part, isn't damaged.
+    line are still used. If a motor occurs twice, its last speed counts. Truncated lines aren't
+    counted as damaged if the port was opened in the middle of a line, or if a reset of the board
+    started a new line. Lines of text start with # and have no valid part. Memory is bounded.
 
     Attributes:
-        lines: number of lines with at least one valid part.
-        refused: number of refused parts by reason.
-        tolerated: number of parts whose number isn't two digits and two decimals.
-        cut: number of cut lines.
-        sample: beginning of the newest line with a refused part, for messages.
-        notes: what lines of text have said, each once, the newest last; at most `MAX_NOTES`.
+        lines: Number of lines with at least one valid part.
+        refused: Number of refused parts by reason.
+        damaged: Number of parts refused since the newest line with a valid part.
+        sample: Start of the newest line with a refused part, for messages.
+        notes: Different lines of text, the newest last; at most `MAX_NOTES`.
+
+    Example:
+        >>> decoder = Decoder()
+        >>> decoder.feed(b"ap01.00,bn02.00\r\nap0")
+        [Reading(speeds=(1.0, -2.0, None, None))]
+        >>> decoder.feed(b"3.00\r\n")
+        [Reading(speeds=(3.0, None, None, None))]
     """
 
     def __init__(self) -> None:
-        self._partial = b""
-        self._skipping = False
-        self._first = True
-        self._refused_at = -1
-        self._refused_before = 0
-        self.lines = 0
-        self.refused: Counter[str] = Counter()
-        self.tolerated = 0
-        self.cut = 0
-        self.sample = b""
-        self.notes: list[str] = []
+        self.reset()
 
     def reset(self) -> None:
         """Discard the partial line and all counters."""
-        self.__init__()  # type: ignore[misc]
+        self.lines = 0
+        self.refused: Counter[str] = Counter()
+        self.damaged = 0
+        self.sample = b""
+        self.notes: list[str] = []
+        self._partial = b""
+        self._is_skipping = False
+        self._is_first = True
 
     @property
-    def rest(self) -> bytes:
+    def partial(self) -> bytes:
         """The line that hasn't ended yet."""
         return self._partial
 
-    @property
-    def damaged(self) -> int:
-        """Number of parts refused since the newest line with a valid part."""
-        newer = self.lines == self._refused_at
-        return sum(self.refused.values()) - self._refused_before if newer else 0
-
     def feed(self, data: bytes) -> list[Reading]:
-        """Decode the lines that `data` completes: one reading for each valid one, oldest first."""
+        """Decode the lines that `data` completes.
+
+        Args:
+            data: Bytes as they arrived.
+
+        Returns:
+            A reading for each valid line, oldest first.
+        """
         stream = self._partial + data
         lines = stream.splitlines()
-        partial = b"" if not lines or stream.endswith(_ENDS) else lines.pop()
-        if lines and self._skipping:
-            self._skipping = False
+        partial = b"" if not lines or stream.endswith(_LINE_ENDS) else lines.pop()
+
+        if lines and self._is_skipping:
+            self._is_skipping = False
             lines[0] = b""
         readings = [reading for line in lines if line and (reading := self._read_line(line))]
-        if len(partial) > MAX_LINE and not self._skipping:
-            self._skipping = True
+
+        if len(partial) > MAX_LINE and not self._is_skipping:
+            self._is_skipping = True
             self._refuse(partial, ["line too long"])
-        self._partial = b"" if self._skipping else partial
+        self._partial = b"" if self._is_skipping else partial
         return readings
 
     def _read_line(self, line: bytes) -> Reading | None:
-        """Decode one line; four cached parts take the fast path."""
+        """Decode a line; four cached parts take the fast path."""
         parts = line.split(b",")
         if not parts[-1] and len(parts) > 1:
-            parts.pop()  # a trailing comma
+            parts.pop()  # after a trailing comma
         try:
             a, b, c, d = parts
-            speeds = _KNOWN[0][a], _KNOWN[1][b], _KNOWN[2][c], _KNOWN[3][d]
+            speeds = (
+                _CACHED_PARTS[0][a],
+                _CACHED_PARTS[1][b],
+                _CACHED_PARTS[2][c],
+                _CACHED_PARTS[3][d],
+            )
         except (ValueError, KeyError):
             return self._read_parts(line, parts)
+
         self.lines += 1
-        return tuple.__new__(Reading, (speeds,))  # twice as fast as a NamedTuple's own, every tick
+        self.damaged = 0
+        return tuple.__new__(Reading, (speeds,))  # twice as fast as the class, in every tick
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
-        first = self._first and self.lines == 0
-        self._first = False
+        is_first = self._is_first and self.lines == 0
+        self._is_first = False
         if len(line) > MAX_LINE:
             self._refuse(line, ["line too long"])
             return None
-        reading, refused, tolerated = _parse_parts(parts)
+
+        reading, refusals = _parse_parts(parts)
         if reading is None and line.startswith(b"#"):
-            note = line[1:SAMPLE_BYTES].decode("ascii", "backslashreplace").strip()
-            self.notes = [*(one for one in self.notes if one != note), note][-MAX_NOTES:]
+            self._keep_note(line)
             return None
-        if refused:  # perhaps only by what belongs to a cut line
-            begin = line.rfind(line[:1], 1)
-            if first and _PART_END.fullmatch(parts[0]):
-                self.cut += 1
-                reading, refused, tolerated = _parse_parts(parts[1:])
-            elif begin > 0 and _BEGUN.fullmatch(line, 0, begin) and _WHOLE.fullmatch(line, begin):
-                self.cut += 1
-                parts = line[begin:].rstrip(b",").split(b",")
-                reading, refused, tolerated = _parse_parts(parts)
-        self.tolerated += tolerated
-        if refused:
-            self._refuse(line, refused)
-        if reading:
+        if refusals:
+            reading, refusals = _parse_parts(_without_truncated(line, parts, is_first=is_first))
+        if refusals:
+            self._refuse(line, refusals)
+        if reading is not None:
             self.lines += 1
+            self.damaged = 0
         return reading
 
+    def _keep_note(self, line: bytes) -> None:
+        note = line[1:SAMPLE_BYTES].decode("ascii", "backslashreplace").strip()
+        older = [text for text in self.notes if text != note]
+        self.notes = [*older, note][-MAX_NOTES:]
+
     def _refuse(self, line: bytes, reasons: list[str]) -> None:
-        self._first = False
-        if self._refused_at != self.lines:
-            self._refused_at = self.lines
-            self._refused_before = sum(self.refused.values())
+        self._is_first = False
         self.refused.update(reasons)
+        self.damaged += len(reasons)
         self.sample = line[:SAMPLE_BYTES]
 
 
-class EchoDecoder(Decoder):
-    """Decodes what a board sends that also sends commands back, each once or again and again.
+def _without_truncated(line: bytes, parts: list[bytes], *, is_first: bool) -> list[bytes]:
+    """Return the parts of a line without the remains of a truncated line."""
+    # The port was opened in the middle of a line: only the end of its first part arrived.
+    if is_first and _END_OF_PART.fullmatch(parts[0]):
+        return parts[1:]
 
-    A line that holds a command which was sent, in the order of sending, is an echo, whatever the
-    board puts before it or does to its end; it is left out, and the rest of such a line is decoded.
-    A line with an invalid part isn't used at all, since it may be a damaged echo.
-
-    Attributes:
-        echoes: number of echoes.
-
-    Args:
-        sent: commands that were sent before, whose echo may still come.
-    """
-
-    def __init__(self, *sent: bytes) -> None:
-        super().__init__()
-        self._waiting: deque[bytes] = deque(maxlen=MAX_ECHOES)
-        self._command = self._newest = b""
-        self._repeats = self._echoes_before = 0
-        self.echoes = 0
-        for line in sent:
-            self.expect(line)
-
-    @property
-    def only_echoes(self) -> bool:
-        """Whether several echoes have come since the newest valid line."""
-        return self.echoes >= self._echoes_before + FEWEST_ECHOES
-
-    def mark(self, line: bytes) -> bytes:
-        """Change a command so that its echo is unlike feedback, and expect the echo.
-
-        Zeros get the direction n, which feedback of standing wheels doesn't have. Where the same is
-        commanded again, one of the wheels that turn gets 0.01 rad/s more and less in turns, so that
-        feedback of wheels that turn exactly as commanded isn't taken for an echo.
-
-        Args:
-            line: as of `encode`.
-
-        Returns:
-            The line to send.
-        """
-        line = line.replace(b"p00.00", b"n00.00")
-        self._repeats = self._repeats + 1 if line == self._command else 0
-        self._command = line
-        turning = _TURNING.search(line)
-        if self._repeats and turning:
-            step = 0.01 if self._repeats % 2 else -0.01
-            number = b"%05.2f" % min(float(turning[0]) + step, MAX_SPEED)
-            line = line[: turning.start()] + number + line[turning.end() :]
-        self.expect(line)
-        return line
-
-    def expect(self, line: bytes) -> None:
-        """Expect the echo of a command, as it was sent."""
-        self._waiting.append(line.strip(b",\r\n"))
-
-    def _read_line(self, line: bytes) -> Reading | None:
-        """Decode one line, less its echo."""
-        echo = next((text for text in self._waiting if text in line), None)
-        if echo is not None:
-            while self._waiting.popleft() != echo:
-                pass
-            self._newest = echo
-        elif self._newest and self._newest in line:
-            echo = self._newest
-        if echo is not None:
-            self.echoes += 1
-            rest = b"".join(line.partition(echo)[::2]).strip(b", ")
-            return self._read_line(rest) if _parse_parts(rest.split(b","))[0] else None
-        refused = sum(self.refused.values())
-        reading = super()._read_line(line)
-        if reading is None:
-            return None
-        if sum(self.refused.values()) > refused:
-            self.lines -= 1
-            return None
-        self._echoes_before = self.echoes
-        return reading
+    # The board was reset in the middle of a line, and a whole line follows.
+    start = line.rfind(line[:1], 1)
+    is_truncated = start > 0 and _TRUNCATED_LINE.fullmatch(line, 0, start)
+    if is_truncated and _WHOLE_LINE.fullmatch(line, start):
+        return line[start:].rstrip(b",").split(b",")
+    return parts
 
 
-def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str], int]:
-    """Parse parts such as `bn08.75`: a reading or None, refusals, and how many are tolerated."""
+def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str]]:
+    """Parse parts such as `bn08.75`; returns a reading or None, and reasons of refusals."""
     speeds: list[float | None] = [None, None, None, None]
-    refused, tolerated = [], 0
-    # Where other numbers are padded with zeros, one that isn't has lost a digit.
-    zeros = any(len(part) == 7 and part[2:3] == b"0" for part in parts)
+    refusals = []
+    # An unpadded number next to numbers that are padded with zeros has lost a digit.
+    is_padded = any(len(part) == 7 and part[2:3] == b"0" for part in parts)
+
     for part in parts:
-        padded = _PART.fullmatch(part)
-        match = padded or _TOLERATED.fullmatch(part)
-        if match is None or (zeros and not padded and match[3][:1].isdigit()):
-            is_motor = part[:1] in _LETTERS
-            wrong = "malformed number" if part[1:2] in (b"p", b"n") else "unknown direction"
-            refused.append((wrong if is_motor else "unknown motor") if part else "empty part")
+        padded = _PADDED.fullmatch(part)
+        match = padded or _UNPADDED.fullmatch(part)
+        if match is None or (is_padded and not padded and match[3][:1].isdigit()):
+            refusals.append(_explain_refusal(part))
             continue
+
         letter, direction, digits = match.groups()
         motor = _LETTERS.index(letter)
         value = float(digits)
         speed = 0.0 + value if direction == b"p" else 0.0 - value  # no negative zero
-        if padded and len(_KNOWN[motor]) < _MAX_KNOWN:
-            _KNOWN[motor][part] = speed
-        tolerated += not padded
+        if padded and len(_CACHED_PARTS[motor]) < _MAX_CACHED:
+            _CACHED_PARTS[motor][part] = speed
         if speeds[motor] is not None:
-            refused.append("duplicate motor")
+            refusals.append("duplicate motor")
         speeds[motor] = speed
+
+    if all(speed is None for speed in speeds):
+        return None, refusals
     a, b, c, d = speeds
-    named = not (a is b is c is d is None)
-    return Reading((a, b, c, d)) if named else None, refused, tolerated
+    return Reading((a, b, c, d)), refusals
+
+
+def _explain_refusal(part: bytes) -> str:
+    """Return why a part of a line can't be read."""
+    if not part:
+        return "empty part"
+    if part[:1] not in _LETTERS:
+        return "unknown motor"
+    if part[1:2] not in (b"p", b"n"):
+        return "unknown direction"
+    return "malformed number"

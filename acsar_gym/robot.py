@@ -7,7 +7,7 @@ import functools
 import gc
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -23,31 +23,59 @@ from acsar_gym.errors import (
     escape_unprintable,
 )
 from acsar_gym.guard.estop import StopListener, check_released, release_process
-from acsar_gym.links.base import WHILE_WAITING, Link, arrivals_of
+from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
-from acsar_gym.links.recorded import record_link
 from acsar_gym.odometry import Odometry
-from acsar_gym.protocol import ZERO, Decoder, Speeds
-from acsar_gym.recording import Recorder
-from acsar_gym.recording.encoder import Fault, Scanned, Tick
+from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.safety.layer import Safety
 from acsar_gym.safety.wheel_watch import WheelWatch
 from acsar_gym.sensors import Factory, Sensor, Sensors
-from acsar_gym.sensors.lidar import find_lidar
 from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.wire import Wire
 from acsar_gym.worlds import Scene
 
 NO_TIMEOUT = (
     "this robot's board doesn't stop by itself (firmware.command_timeout: null): its wheels keep "
-    "turning where the cable falls out or this computer fails; add a time-out to its program"
+    "turning if the cable falls out or this computer fails; add a time-out to its program"
 )
 UNWATCHED = (
-    "nothing stops this robot's wheels where this program hangs or is killed, the cable falls out "
+    "nothing stops this robot's wheels if this program hangs or is killed, the cable falls out "
     "or this computer fails: there is no watchdog ({}), and its board doesn't stop by itself "
     "(firmware.command_timeout: null); add a time-out to its program"
 )
 Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+class DriveObserver:
+    """Gets to know what a `Robot` does. A recorder is an observer.
+
+    A robot owns its observer, and closes it.
+    """
+
+    def watch(self, link: Link, config: RobotConfig) -> Link:
+        """Return the link that the robot shall use, such as a wrapper that records its bytes."""
+        return link
+
+    def after_reset(self, robot: Robot) -> None:
+        """Called when an episode has started."""
+
+    def after_tick(self, robot: Robot, linear: float, angular: float) -> None:
+        """Called after a control period.
+
+        Args:
+            robot: The robot.
+            linear: Commanded velocity [m/s]; NaN if nothing was sent.
+            angular: Commanded turn rate [rad/s]; NaN if nothing was sent.
+        """
+
+    def after_read(self, robot: Robot) -> None:
+        """Called when the sensors have been read."""
+
+    def after_error(self, robot: Robot, error: Exception) -> None:
+        """Called when an error has deactivated the robot."""
+
+    def close(self) -> None:
+        """Called when the robot is closed; idempotent."""
 
 
 def _deactivating(method: Method) -> Method:
@@ -65,21 +93,36 @@ def _deactivating(method: Method) -> Method:
 
 
 class Robot:
-    """Drives the robot, real or simulated, behind `link`.
+    """Drives the robot, real or simulated, behind a link.
 
-    Attributes: `link`, `config`, `odometry`; `wire`, the lines to and from the board; `safety`,
-    with the twist really sent and why it isn't the one asked for; `sensors`, the LiDAR first;
-    `shares`, the wheel speeds [rad/s] that odometry integrated in the newest tick, and for how long
-    each held [s].
+    As a context manager it is active inside the block, and stopped and closed on each way out.
 
-    As a context manager it is active inside the block, and stopped and closed on any way out of it.
+    Attributes:
+        link: The wire to the robot.
+        config: Robot configuration.
+        odometry: Pose and twist from the wheel speeds.
+        wire: Lines to and from the board.
+        safety: Safety layer, with the twist that was sent, and why it isn't the commanded twist.
+        sensors: Sensors, the LiDAR first.
+        shares: Wheel speeds [rad/s] that odometry integrated in the newest tick, and how long each
+            held [s].
+        lateness: Lateness of the newest tick [s]; None for the first tick, and in simulation.
+        active: Whether the link is open, and the robot can be driven.
 
     Args:
-        link: the wire to the robot.
-        config: its parameters; None is the ACSAR robot.
-        sensors: names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
+        link: The wire to the robot.
+        config: Robot configuration; None is the ACSAR robot.
+        sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
             sensors. The robot owns them: it resets, polls and closes them.
-        recorder: records what the robot does; the robot owns it as well.
+        recorder: Gets to know what the robot does.
+
+    Example:
+        >>> from acsar_gym import Robot, open_link
+        >>> with Robot(open_link("planar")) as robot:
+        ...     for _ in range(100):
+        ...         robot.drive(0.2, 0.0)
+        ...     round(robot.odometry.pose[0], 1)
+        0.2
     """
 
     def __init__(
@@ -87,28 +130,29 @@ class Robot:
         link: Link,
         config: RobotConfig | None = None,
         sensors: Iterable[str | Sensor | Factory] = (),
-        recorder: Recorder | None = None,
+        recorder: DriveObserver | None = None,
     ) -> None:
         self.config = RobotConfig.of(config)
-        self.link = link = record_link(link, recorder, self.config)
+        self._observer = recorder or DriveObserver()
+        self.link = self._observer.watch(link, self.config)
         self.odometry = Odometry.of(self.config)
-        self.sensors = Sensors(sensor_factories(sensors), link, self.config, self.odometry)
-        self.wire = Wire(link, self.config)
-        self.shares: list[tuple[Speeds, float]] = []
-        self.active = False
+        self.sensors = Sensors(
+            sensor_factories(sensors), self.link, self.config, odometry=self.odometry
+        )
+        self.wire = Wire(self.link, self.config)
         self.safety = Safety(self.config)
-        self._recorder = recorder
-        self._scanned = -math.inf
-        self._listener: StopListener | None = None
-        self._held = self._warned = False
+        self.shares: list[tuple[Speeds, float]] = []
+        self.lateness: float | None = None
+        self.active = False
+        self._polls_sensors = self.sensors.clocked
+        self._stops: StopListener | None = None
         self._stopwatch: EpisodeStopwatch | None = None
-        self._watch: WheelWatch | None = None
-        self._lateness: float | None = None
-        self._period = self.config.period
-        self._clocked = self.sensors.clocked
+        self._wheel_check: WheelWatch | None = None
+        self._is_held = False
+        self._has_warned = False
 
     def activate(self) -> None:
-        """Reset, if the robot isn't active. Errors as for `reset`."""
+        """Reset, unless the robot is active. Errors as for `reset`."""
         if not self.active:
             self.reset(Scene())
 
@@ -116,49 +160,59 @@ class Robot:
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
-        Warns (SafetyWarning) where `acsar-gym estop` can't reach a real robot, and where its board
-        has no command time-out, the more so where there is no watchdog either.
+        Warns (SafetyWarning) if `acsar-gym estop` can't reach a real robot, or if its board has no
+        command time-out.
 
         Args:
-            scene: start, goal, world and physics; only simulated links use it.
-            rng: for the noise of sensors; None for a new one with seed 0.
+            scene: Start, goal, world and physics; only simulated links use it.
+            rng: For the noise of sensors; None for a new generator with seed 0.
 
         Raises:
-            LinkError: link or sensors don't work, the board is silent, or the wheels keep turning.
-            EmergencyStopError: nobody has released an emergency stop, of any robot of this process.
+            LinkError: Link or sensors don't work, the board is silent, or the wheels keep turning.
+            EmergencyStopError: An emergency stop of any robot of this process isn't released yet.
         """
-        self._listen_for_stops()
-        token = WHILE_WAITING.set(self._check_released)
-        try:
-            self._begin(scene, np.random.default_rng(0) if rng is None else rng)
-        finally:
-            WHILE_WAITING.reset(token)
-        if self.link.truth is None and not self._warned:  # an open link knows its watchdog
-            self._warned = True
+        with self._heeding_stops():
+            self._open_link()
+            self._start_episode(scene, rng or np.random.default_rng(0))
+
+        if self.link.is_real and not self._has_warned:  # an open link knows its watchdog
+            self._has_warned = True
             if self.config.firmware.command_timeout is None:
-                unwatched = getattr(self.link, "unwatched", "")
-                said = UNWATCHED.format(unwatched) if unwatched else NO_TIMEOUT
-                warnings.warn(said, SafetyWarning, 3)
+                reason = self.link.unwatched
+                warnings.warn(
+                    UNWATCHED.format(reason) if reason else NO_TIMEOUT, SafetyWarning, stacklevel=3
+                )
 
     @_deactivating
     def connect(self) -> None:
-        """Open the link and hear emergency stops, before an episode. Errors as for `reset`."""
-        self._listen_for_stops()
+        """Open the link and listen for emergency stops before an episode. Errors as for `reset`."""
+        with self._heeding_stops():
+            self._open_link()
+
+    @contextlib.contextmanager
+    def _heeding_stops(self) -> Iterator[None]:
+        """Listen for emergency stops of a real robot, also while something is waited for."""
+        if self.link.is_real and self._stops is None:
+            check_released()
+            self._stops = StopListener(self.link.device, self.config.name)
+            self._stops.warn()
+            self._has_warned = False
+
         token = WHILE_WAITING.set(self._check_released)
         try:
-            self._open_link()
+            yield
         finally:
             WHILE_WAITING.reset(token)
 
-    def _listen_for_stops(self) -> None:
-        """Hear emergency stops of a real robot from now on."""
-        if self.link.truth is None and self._listener is None:
-            check_released()
-            file = "" if self._recorder is None else self._recorder.file
-            device = getattr(self.link, "device", "")
-            self._listener = StopListener(device, self.config.name, file)
-            self._listener.warn()
-            self._warned = False
+    def _check_released(self) -> None:
+        """Answer requests; raise EmergencyStopError while a stop holds."""
+        if self._stops is None:
+            if self._is_held:
+                raise EmergencyStopError
+            return
+        if self._stops.is_requested():
+            self._answer_stop(self._stops)
+        check_released()
 
     def _open_link(self) -> None:
         self._check_released()
@@ -166,65 +220,67 @@ class Robot:
             self.link.open()
             self.active = True
 
-    def _begin(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Open the link, and begin an episode; not after an emergency stop."""
-        self._open_link()
+    def _start_episode(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Wait until the wheels are at rest, and reset what belongs to an episode."""
         self.link.reset(scene)
         self.safety.reset()
         self.wire.reset()
-        self._stopwatch = self._watch = None
+        self._stopwatch = None
+        self._wheel_check = None
+        self.lateness = None
         self.wire.settle()
         self.odometry.reset()
+
         if self.link.lateness is not None:
-            gc.collect()  # takes 60 ms, so it is done before the wheels turn
+            gc.collect()  # it takes 60 ms, so do it before the wheels turn
             self._stopwatch = EpisodeStopwatch(self.config)
-            if self.link.truth is None and self.config.wheel_check:
-                self._watch = WheelWatch(self.config, getattr(self.link, "device", "DEVICE"))
+        if self.link.is_real and self.config.wheel_check:
+            self._wheel_check = WheelWatch(self.config, self.link.device or "DEVICE")
+
         self.sensors.reset(scene, rng)
-        self._scanned = -math.inf
-        self._record_scan()
+        self._observer.after_reset(self)
 
     @_deactivating
     def read(self) -> NDArray[np.float64]:
         """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
 
         Raises:
-            AcsarError: a sensor gives something else than its finite numbers.
-            LinkError: a sensor's device fails.
+            SensorError: A sensor returns something else than its finite numbers.
+            LinkError: A sensor's device fails.
         """
         numbers = self.sensors.read()
-        self._record_scan()
+        self._observer.after_read(self)
         return numbers
 
     @_deactivating
     def add_sensor_info(self, info: dict[str, float]) -> None:
-        """Add the sensors' info to an env's; ConfigError where it has one of the keys already."""
+        """Add the sensors' info to an env's; ConfigError if it has one of the keys already."""
         self.sensors.info(info)
 
     @_deactivating
     def tick(self, speeds: Sequence[float]) -> None:
         """Do one control period: send four wheel speeds, read feedback, update odometry.
 
-        All are scaled by one factor where one exceeds `max_wheel_speed`, or their twist the speed
-        limits; only `drive` limits acceleration. Zeros are sent while `safety` holds the robot. Any
-        error deactivates the robot.
+        All speeds are scaled by one factor if a speed exceeds `max_wheel_speed`, or their twist the
+        speed limits. Only `drive` limits acceleration. Zeros are sent while `safety` holds the
+        robot. Any error deactivates the robot.
 
         Args:
-            speeds: four [rad/s], in the order front right, front left, rear left, rear right.
+            speeds: Four speeds [rad/s], in the order front right, front left, rear left, rear
+                right.
 
         Raises:
-            CommandError: unless `speeds` are four finite numbers.
-            LinkError: not active, link lost or silent for `feedback_timeout`, or a sensor fails.
+            CommandError: `speeds` aren't four finite numbers.
+            LinkError: Not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
         self.check_estop()
-        pose, age = self.odometry.pose, self.wire.age
-        self._exchange(self.safety.bounded(speeds, pose, age))
-        if self._clocked:
-            self.sensors.poll()
-        if self._recorder is not None:
-            radii, separation = self.config.wheel_radii, self.config.effective_separation
-            a, b, c, d = map(float, speeds)
-            self._record_tick(*kinematics.compute_twist(a, b, c, d, *radii, separation))
+        self._exchange(self.safety.bounded(speeds, self.odometry.pose, self.wire.age))
+        a, b, c, d = map(float, speeds)
+        radii = self.config.wheel_radii
+        linear, angular = kinematics.compute_twist(
+            a, b, c, d, *radii, wheel_separation=self.config.effective_separation
+        )
+        self._observer.after_tick(self, linear, angular)
 
     @_deactivating
     def drive(self, linear: float, angular: float) -> None:
@@ -233,31 +289,58 @@ class Robot:
         Errors as for `tick`.
 
         Args:
-            linear: velocity [m/s], forward positive.
-            angular: velocity [rad/s], counter-clockwise positive.
+            linear: Velocity [m/s], forward positive.
+            angular: Turn rate [rad/s], counter-clockwise positive.
         """
         self.check_estop()
-        pose, age = self.odometry.pose, self.wire.age
-        self._exchange(self.safety.allowed(linear, angular, pose, age))
-        if self._clocked:
-            self.sensors.poll()
-        if self._recorder is not None:
-            self._record_tick(linear, angular)
+        self._exchange(self.safety.allowed(linear, angular, self.odometry.pose, self.wire.age))
+        self._observer.after_tick(self, linear, angular)
 
     @_deactivating
     def listen(self) -> None:
-        """Do one control period without a command, as where the board's own time-out is measured.
+        """Do one control period without a command, to measure the board's own time-out.
 
         Errors as for `tick`.
         """
         self.check_estop()
         self._exchange(None)
-        self._record_tick(math.nan, math.nan)
+        self._observer.after_tick(self, math.nan, math.nan)
 
-    @property
-    def decoder(self) -> Decoder:
-        """The wire's decoder."""
-        return self.wire.decoder
+    def _exchange(self, speeds: Speeds | None) -> None:
+        """Send wheel speeds, if any, let one control period pass, and update odometry."""
+        lines, duration = self.wire.exchange(speeds)
+        self.shares = self.wire.shares(lines, duration)
+        for wheel_speeds, share in self.shares:
+            self.odometry.update(wheel_speeds, share)
+
+        if self._stopwatch is not None:
+            self._measure_timing(self._stopwatch, speeds or ZERO)
+        if self._wheel_check is not None:
+            self._check_wheels(self._wheel_check, speeds, duration, fresh=bool(lines))
+        if self._polls_sensors:
+            self.sensors.poll()
+
+    def _measure_timing(self, stopwatch: EpisodeStopwatch, speeds: Speeds) -> None:
+        self.lateness = stopwatch.tick(self.link.lateness or 0.0, self.wire.age)
+        fastest = max(map(abs, self.wire.speeds))
+        if stopwatch.commanded(self.wire.written, fastest, drives=any(speeds)):
+            stopwatch.heard(self.link.arrivals, self.wire.stamp)
+
+    def _check_wheels(
+        self, check: WheelWatch, speeds: Speeds | None, duration: float, *, fresh: bool
+    ) -> None:
+        """Compare measured with commanded speeds; WheelError quotes what the board reports."""
+        if speeds is None:
+            check.reset()  # the board may stop the wheels by itself
+            return
+        try:
+            check.tick(speeds, self.wire.speeds, duration, fresh=fresh)
+        except WheelError as error:
+            notes = self.wire.decoder.notes
+            if not notes:
+                raise
+            report = f"{error.found}; the board reports {escape_unprintable(notes[-1])}"
+            raise WheelError(report, error.fix, error.wheel) from error
 
     @property
     def speeds(self) -> Speeds:
@@ -269,78 +352,65 @@ class Robot:
         """Time since the newest valid line [s]."""
         return self.wire.age
 
-    def check_estop(self) -> None:
-        """Stop where `acsar-gym estop` asks for it, as every tick does.
-
-        For programs that wait between two episodes: `safety.stopped` says whether it was asked for.
-
-        Raises:
-            LinkError: the robot isn't active.
-        """
-        if not self.active:
-            raise LinkError("the robot isn't active", "call activate() or env.reset() first")
-        if self._listener is not None and self._listener.is_requested():
-            self._answer_stop(self._listener)
-
-    def _answer_stop(self, listener: StopListener) -> None:
-        """Stop, and answer whether that has reached the board."""
-        reached = False
-        try:
-            self.safety.estop()
-            self.stop()
-            reached = self.active
-        finally:
-            listener.confirm(connected=reached)
-
-    def _check_released(self) -> None:
-        """Hear requests; raise EmergencyStopError where a stop holds."""
-        if self._listener is None:
-            if self._held:
-                raise EmergencyStopError
-            return
-        if self._held:
-            self._listener.hold()
-            self._held = False
-        if self._listener.is_requested():
-            self._answer_stop(self._listener)
-        check_released()
-
     @property
     def timing(self) -> EpisodeTiming | None:
-        """How late ticks were since the reset; None for simulated links, whose time is exact."""
+        """Timing of the ticks since the reset; None for simulated links, whose time is exact."""
         return self._stopwatch.summary() if self._stopwatch else None
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
         """Return the wheel speeds [rad/s] of a twist; `max_wheel_speed` keeps its turn radius.
 
         Args:
-            linear: velocity [m/s].
-            angular: velocity [rad/s].
+            linear: Velocity [m/s].
+            angular: Turn rate [rad/s].
         """
         return self.safety.wheels(linear, angular)
+
+    def check_estop(self) -> None:
+        """Stop if `acsar-gym estop` requests it, as every tick does.
+
+        Programs that wait between two episodes call this. `safety.stopped` is True after a request.
+
+        Raises:
+            LinkError: The robot isn't active.
+        """
+        if not self.active:
+            raise LinkError("the robot isn't active", "call activate() or env.reset() first")
+        if self._stops is not None and self._stops.is_requested():
+            self._answer_stop(self._stops)
+
+    def _answer_stop(self, stops: StopListener) -> None:
+        """Stop, and answer whether that has reached the board."""
+        is_stopped = False
+        try:
+            self.safety.estop()
+            self.stop()
+            is_stopped = self.active
+        finally:
+            stops.confirm(connected=is_stopped)
 
     def estop(self) -> None:
         """Emergency stop: command zero now, and hold zero.
 
-        `reset` and `activate` fail until somebody releases the stop: `release_estop`, `acsar-gym
+        `reset` and `activate` fail until a person releases the stop: `release_estop`, `acsar-gym
         estop --release`, or `r` in `acsar-gym drive`. With real wheels this holds for all robots of
         this process.
         """
-        if self._listener is None:
-            self._held = True
+        if self._stops is None:
+            self._is_held = True
         else:
-            self._listener.hold()
+            self._stops.hold()
         self.safety.estop()
         self.stop()
 
     def release_estop(self) -> None:
         """Release emergency stops; the next reset lets the robot drive again.
 
-        For a person to call, who has looked after the robot, and not for a program on its own. With
-        real wheels it releases all robots of this process.
+        For a person to call, who has looked after the robot, not for a program. With real wheels it
+        releases all robots of this process.
         """
-        self._held = False
-        if self.link.truth is None:
+        self._is_held = False
+        if self.link.is_real:
             release_process()
 
     def stop(self) -> None:
@@ -349,27 +419,11 @@ class Robot:
         if self.active:
             self.wire.send(ZERO)
 
-    def close(self, error: BaseException | None = None) -> None:
-        """Command zero, close link, sensors and recording; idempotent.
-
-        Args:
-            error: what ended the drive; the recording tells it.
-        """
-        try:
-            self.deactivate(error)
-        finally:
-            if self._listener is not None:
-                self._listener.close()
-                self._listener = None
-            self.sensors.close()
-            if self._recorder is not None:
-                self._recorder.close()
-
     def deactivate(self, error: BaseException | None = None) -> None:
         """Command zero and close the link; idempotent. Sensors stay open.
 
         Args:
-            error: what ended the episode; the recording tells it.
+            error: What ended the episode, for the recording.
         """
         if not self.active:
             return
@@ -379,66 +433,25 @@ class Robot:
         finally:
             self.active = False
             self.link.close()
-        if self._recorder is not None and isinstance(error, Exception):
-            self._recorder.add(Fault(self.link.now(), str(error)))
+        if isinstance(error, Exception):
+            self._observer.after_error(self, error)
 
-    def _exchange(self, speeds: Speeds | None) -> None:
-        """Send wheel speeds, if any, let one control period pass, and update odometry."""
-        wire = self.wire
-        heard, dt = wire.exchange(speeds)
-        self.shares = wire.shares(heard, dt)
-        for wheel_speeds, share in self.shares:
-            self.odometry.update(wheel_speeds, share)
-        if self._stopwatch is not None:
-            self._lateness = self._stopwatch.tick(self.link.lateness or 0.0, wire.age)
-            fastest = max(map(abs, wire.speeds))
-            if self._stopwatch.commanded(wire.written, fastest, drives=any(speeds or ZERO)):
-                self._stopwatch.heard(arrivals_of(self.link), wire.stamp)
-        if self._watch is not None and speeds is not None:
-            try:
-                self._watch.tick(speeds, wire.speeds, dt, fresh=bool(heard))
-            except WheelError as error:
-                if not wire.decoder.notes:
-                    raise
-                reported = (
-                    f"{error.found}; the board says {escape_unprintable(wire.decoder.notes[-1])}"
-                )
-                raise WheelError(reported, error.fix, error.wheel) from error
-        elif self._watch is not None:
-            self._watch.reset()  # the board may stop the wheels by itself
+    def close(self, error: BaseException | None = None) -> None:
+        """Command zero, close link, sensors and recording; idempotent.
 
-    def _record_tick(self, linear: float, angular: float) -> None:
-        """Record a tick in which a twist was asked for [m/s, rad/s]; NaN where none was."""
-        if self._recorder is None:
-            return
-        wire = self.wire
-        tick = Tick(
-            self._recorder.number - 1,
-            wire.stamp,
-            self.odometry.pose,
-            self.odometry.twist,
-            wire.speeds,
-            self.odometry.wheel_positions,
-            (float(linear), float(angular)),
-            self.safety.sent,
-            self.safety.reason,
-            self._lateness,
-            wire.age,
-            sum(wire.decoder.refused.values()),
-        )
-        self._recorder.add(tick)
-        self._record_scan(1.0 / self.config.lidar.rate - 0.5 * self._period)  # if nobody reads it
+        Args:
+            error: What ended the drive, for the recording.
+        """
+        try:
+            self.deactivate(error)
+        finally:
+            if self._stops is not None:
+                self._stops.close()
+                self._stops = None
+            self.sensors.close()
+            self._observer.close()
 
-    def _record_scan(self, pause: float = 0.0) -> None:
-        """Record the scan, unless the newest recorded one was read less than a pause before [s]."""
-        lidar, stamp = find_lidar(self.sensors), self.wire.stamp
-        if self._recorder is None or lidar is None or stamp - self._scanned <= pause:
-            return
-        self._scanned = stamp
-        number = self._recorder.number - 1
-        self._recorder.add(Scanned(number, stamp, lidar.scan.ranges, lidar.revolution))
-
-    def __reduce__(self) -> tuple[Callable[..., Robot], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[type[Robot], tuple[Any, ...]]:
         """Copies and pickles are inactive robots with a link and sensors of their own."""
         return Robot, (self.link, self.config, tuple(self.sensors))
 

@@ -19,8 +19,8 @@ from typing import Any
 
 from acsar_gym.config import RobotConfig, RobotSource
 from acsar_gym.errors import LinkError
+from acsar_gym.links.base import Link
 from acsar_gym.protocol import ZERO, Decoder
-from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
 __all__ = ["Command", "EmulatedBoard", "ScriptedLink", "emulated_board", "wait_until"]
@@ -31,7 +31,7 @@ Command = tuple[float | None, float | None, float | None, float | None]
 """Speeds of the wheels a to d in a line [rad/s]; None for a wheel that the line doesn't name."""
 
 
-class ScriptedLink:
+class ScriptedLink(Link):
     """A link in simulated time whose feedback is written beforehand.
 
     Args:
@@ -56,9 +56,6 @@ class ScriptedLink:
                 robot.drive(0.1, 0.0)
             assert link.commands[-1] == (0.0, 0.0, 0.0, 0.0)
     """
-
-    lateness: float | None = None
-    truth: GroundTruth | None = None
 
     def __init__(
         self, *answers: bytes, then: bytes | Callable[[Sequence[float]], bytes] = b""

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import MOTORS, Decoder, encode
 
 
-class LikeABoard:
-    """A simulated robot without truth, which is what a board is for the driver.
+class LikeABoard(LinkWrapper):
+    """A simulated robot that is real for the driver.
 
     `crossed` are two motors whose encoders are swapped, as letters.
     """
 
+    is_real = True
     truth = None
     lateness = 0.0
 
-    def __init__(self, link: Any, crossed: str = "") -> None:
-        self.link = link
+    def __init__(self, link: Link, crossed: str = "") -> None:
+        super().__init__(link)
         self._crossed = [MOTORS.index(motor) for motor in crossed]
         self._decoder = Decoder()
 
     def advance(self, period: float) -> bytes:
-        got: bytes = self.link.advance(period)
+        got: bytes = self.inner.advance(period)
         if not self._crossed:
             return got
         one, two = self._crossed
@@ -35,16 +35,13 @@ class LikeABoard:
             lines += encode(speeds)
         return lines
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.link, name)
-
 
 class Overshooting(LikeABoard):
     """A board whose speed loops overshoot, by a quarter of a step."""
 
     DAMPING, FREQUENCY, SUBSTEP = 0.4, 15.0, 0.001
 
-    def __init__(self, link: Any) -> None:
+    def __init__(self, link: Link) -> None:
         super().__init__(link)
         self._wanted, self._speeds, self._rates = np.zeros((3, 4))
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from acsar_gym.errors import LinkLostError
-from acsar_gym.links.base import ForwardingLink, Link
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.worlds import Scene
 
 
-class FailingLink(ForwardingLink):
+class FailingLink(LinkWrapper):
     """Fails in every episode, some time after the first command that turns wheels.
 
     Args:
@@ -31,34 +31,34 @@ class FailingLink(ForwardingLink):
 
     def open(self) -> None:
         self._fails_at = math.inf
-        self.link.open()
+        self.inner.open()
 
     def reset(self, scene: Scene) -> None:
         self._fails_at = math.inf
-        self.link.reset(scene)
+        self.inner.reset(scene)
 
     def write(self, data: bytes) -> None:
         if self._has_failed():
             return
         turning = any(reading.speeds != ZERO for reading in self._decoder.feed(data))
         if turning and self._fails_at == math.inf:
-            self._fails_at = self.link.now() + self._after
-        self.link.write(data)
+            self._fails_at = self.inner.now() + self._after
+        self.inner.write(data)
 
     def advance(self, period: float) -> bytes:
-        data = self.link.advance(period)
+        data = self.inner.advance(period)
         return b"" if self._has_failed() else data
 
     def _has_failed(self) -> bool:
         """Whether the board is silent; LinkLostError if the cable is out."""
-        failed = self.link.now() >= self._fails_at
+        failed = self.inner.now() >= self._fails_at
         if failed and not self._silent:
-            self.link.close()
+            self.inner.close()
             raise LinkLostError("robot0: lost while in use (unplugged)", "check the cable")
         return failed
 
 
-class DamagedLink(ForwardingLink):
+class DamagedLink(LinkWrapper):
     """Feedback of which each piece is damaged with a probability of 30 %."""
 
     def __init__(self, link: Link) -> None:
@@ -66,7 +66,7 @@ class DamagedLink(ForwardingLink):
         self._rng = np.random.default_rng(0)
 
     def advance(self, period: float) -> bytes:
-        data = self.link.advance(period)
+        data = self.inner.advance(period)
         if not data or self._rng.random() > 0.3:
             return data
         place = int(self._rng.integers(len(data)))

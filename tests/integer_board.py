@@ -21,7 +21,7 @@ from collections import deque
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from acsar_gym.links.base import Arrivals
+from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 
 BYTES_PER_MILLISECOND = 11.52
@@ -166,7 +166,7 @@ class IntegerBoard:
         return ("".join(parts) + "\r\n").encode() if parts else b""
 
 
-class IntegerLink:
+class IntegerLink(Link):
     """The board at the end of a wire, in simulated time: a `Link`.
 
     Args:
@@ -175,8 +175,7 @@ class IntegerLink:
         wire: whether bytes take their time.
     """
 
-    truth = None
-    lateness = None
+    arrivals: list[tuple[float, bytes]] = []  # noqa: RUF012 - set by each reset
 
     def __init__(self, program: BoardProgram, phase: float = 0.0, wire: bool = True) -> None:
         self._program, self._phase, self.wire = program, phase, wire
@@ -195,7 +194,7 @@ class IntegerLink:
         self._inbound: deque[tuple[float, int]] = deque()
         self._outbound: deque[tuple[float, int]] = deque()
         self._free = [0.0, 0.0]  # when each direction of the wire is free [ms]
-        self.arrivals: Arrivals = []
+        self.arrivals = []
         self.advance(1e-3 * self._program.boot)
 
     def now(self) -> float:

@@ -17,7 +17,7 @@ from typing import Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.links import open_link
-from acsar_gym.links.base import Arrivals, ForwardingLink, Link, arrivals_of
+from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.physics.bodies import make_body
 from acsar_gym.physics.body import Body
@@ -167,7 +167,7 @@ class QuirkyMotors:
         return aim
 
 
-class QuirkyLink(ForwardingLink):
+class QuirkyLink(LinkWrapper):
     """A simulated robot whose board differs in the bytes that it takes and sends."""
 
     def __init__(self, link: Link, config: RobotConfig, quirks: Quirks) -> None:
@@ -200,11 +200,11 @@ class QuirkyLink(ForwardingLink):
 
     def reset(self, scene: Scene) -> None:
         """Reset robot and board."""
-        self.link.reset(scene)
+        self.inner.reset(scene)
         self._input = b""
         self._decoder = Decoder()
         self._speeds: Speeds = ZERO
-        self._arrived: Arrivals = []
+        self._arrived: list[tuple[float, bytes]] = []
         self._echoes: list[tuple[float, bytes]] = []
         self._command = self._repeated = b""
         self._begun = self._off = False
@@ -222,7 +222,7 @@ class QuirkyLink(ForwardingLink):
         if self._off:
             return
         if not self._filters_input:
-            self.link.write(data)
+            self.inner.write(data)
             return
         *lines, self._input = (self._input + data).split(b"\n")
         for line in lines:
@@ -230,7 +230,7 @@ class QuirkyLink(ForwardingLink):
                 self._command = command + b"\r\n"
                 if "echo" in self._quirks:
                     self._echoes.append((self._clock + self._echo_delay, self._command))
-            self.link.write(self.take_line(line) + b"\n")
+            self.inner.write(self.take_line(line) + b"\n")
 
     def take_line(self, line: bytes) -> bytes:
         """Return what the board takes of a line."""
@@ -253,7 +253,7 @@ class QuirkyLink(ForwardingLink):
 
     def advance(self, period: float) -> bytes:
         """Let time pass, and return what the board sends meanwhile."""
-        heard = self.link.advance(period).splitlines(keepends=True)
+        heard = self.inner.advance(period).splitlines(keepends=True)
         lines = [self._send(line) for line in heard]
         self._arrived = []
         self._clock += period
@@ -264,12 +264,12 @@ class QuirkyLink(ForwardingLink):
         if self._off:
             return b""
         if lines and self._elapsed >= self._stops_at:  # in mid-line, with the motors off
-            self.link.write(b"\n" + encode(ZERO))
+            self.inner.write(b"\n" + encode(ZERO))
             self._off = True
             if "resets" in self._quirks:
                 self._wakes_at = self._elapsed + BOOT_TIME
             return lines[0][: len(lines[0]) // 2]
-        stamps = [stamp for stamp, _ in arrivals_of(self.link)]
+        stamps = [stamp for stamp, _ in self.inner.arrivals]
         self._arrived = list(zip(stamps, lines, strict=False))
         due = sum(when <= self._clock for when, _ in self._echoes)
         echoes, self._echoes = self._echoes[:due], self._echoes[due:]

@@ -11,10 +11,10 @@ import numpy as np
 
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import Speeds
 from acsar_gym.recording.types import Episode, Exchanges, Recording, Scans, WireLog
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Pose, Scene
 
 SLICES = 20
 """Parts of a tick whose bytes have stamps of their own."""
@@ -26,7 +26,7 @@ NOTHING = np.zeros(0, np.int64)
 NO_EXCHANGES = Exchanges(NOTHING, np.zeros(0), NOTHING, NOTHING, np.zeros(0), np.zeros((0, 6)))
 
 
-class Tap:
+class Tap(LinkWrapper):
     """Forwards to a simulated link, and keeps the bytes with their times.
 
     Args:
@@ -34,44 +34,30 @@ class Tap:
         phase: time from the board's start to the log's first stamp [s].
     """
 
-    lateness = None
-
     def __init__(self, link: Link, phase: float = 0.0) -> None:
-        self._link, self._phase = link, phase
+        super().__init__(link)
+        self._phase = phase
         self.sent: list[tuple[float, bytes]] = []
         self.got: list[tuple[float, bytes]] = []
 
-    @property
-    def truth(self) -> Any:
-        return self._link.truth
-
-    def open(self) -> None:
-        self._link.open()
-
     def reset(self, scene: Scene) -> None:
-        self._link.reset(scene)
+        self.inner.reset(scene)
         if self._phase:
-            self._link.advance(self._phase)
+            self.inner.advance(self._phase)
         self.sent, self.got = [], []
 
     def write(self, data: bytes) -> None:
-        self._link.write(data)
+        self.inner.write(data)
         self.sent.append((self.now(), data))
 
     def advance(self, period: float) -> bytes:
         arrived = b""
         for _ in range(SLICES):
-            data = self._link.advance(period / SLICES)
+            data = self.inner.advance(period / SLICES)
             if data:
                 self.got.append((self.now(), data))
             arrived += data
         return arrived
-
-    def now(self) -> float:
-        return self._link.now()
-
-    def close(self) -> None:
-        self._link.close()
 
     @property
     def log(self) -> WireLog:
@@ -94,6 +80,11 @@ def random_steps(seed: int, duration: float, config: RobotConfig) -> list[Speeds
     return ticks[: int(duration * config.control_rate)]
 
 
+def true_pose(link: Link) -> Pose:
+    assert link.truth is not None
+    return link.truth.pose
+
+
 def driven(
     config: RobotConfig,
     ticks: Iterable[Speeds],
@@ -110,7 +101,7 @@ def driven(
     for speeds in ticks:
         robot.tick(speeds)
         rows.append((tap.now(), robot.odometry.pose, robot.odometry.twist, robot.speeds))
-        rows[-1] += (tap.truth.pose,)
+        rows[-1] += (true_pose(tap),)
     episode = of_rows(tap.log, rows, dict(info or {}))
     robot.close()
     return episode
@@ -139,7 +130,7 @@ def _rollout(env: Any, tap: Tap, seed: int) -> Episode:
         seen.append(observation)
         rewards.append(reward)
         pose = robot.odometry.pose
-        rows.append((tap.now(), pose, robot.odometry.twist, robot.speeds, tap.truth.pose))
+        rows.append((tap.now(), pose, robot.odometry.twist, robot.speeds, true_pose(tap)))
     arrays = {"observations": np.array(seen), "actions": np.array(acted)}
     arrays |= {"rewards": np.array(rewards), "success": info["is_success"] == 1.0}
     return of_rows(tap.log, rows, {"seed": seed}, **arrays)

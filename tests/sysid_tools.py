@@ -12,8 +12,9 @@ import numpy as np
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
-from acsar_gym.links.recorded import RecordedLink, WireTape
+from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
+from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.calibration import (

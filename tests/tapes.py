@@ -13,10 +13,10 @@ from typing import Any
 import serial
 
 from acsar_gym import Link, RobotConfig, open_link
-from acsar_gym.links.recorded import RecordedLink
-from acsar_gym.links.replay import ReplayLink, Tape
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.recorded import RecordedLink
+from acsar_gym.recording.replay import ReplayLink, Tape
 from acsar_gym.worlds import Scene
 
 PERIOD = 0.01
@@ -53,7 +53,7 @@ def play(tape: Path, master: int, heard: Any) -> None:
             sent, got = player.next()
             wrong += _heard(master, len(sent)) != sent
             os.write(master, got)
-        wrong += _heard(master, len(player.rest)) != player.rest
+        wrong += _heard(master, len(player.remaining_writes)) != player.remaining_writes
     heard.put(wrong)
 
 

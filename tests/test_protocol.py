@@ -149,7 +149,7 @@ def test_beside_padded_numbers_nothing_else_is_a_number(number: str) -> None:
 @given(hundredths=st.tuples(*[st.integers(-12_000, 12_000)] * 4), spaces=st.integers(0, 3))
 @example(hundredths=(0, 523, 10520, -320), spaces=0)
 @example(hundredths=(0, 0, 0, 0), spaces=1)
-def test_unpadded_numbers_are_read_and_counted(hundredths: Speeds, spaces: int) -> None:
+def test_unpadded_numbers_are_read(hundredths: Speeds, spaces: int) -> None:
     speeds = [value / 100 for value in hundredths]
     parts = [
         f"{motor}{'n' if speed < 0 else 'p'}{' ' * spaces}{abs(speed):.2f}"
@@ -160,7 +160,6 @@ def test_unpadded_numbers_are_read_and_counted(hundredths: Speeds, spaces: int) 
     assert read[0].speeds == tuple(speeds)
     assert "-0.0" not in map(str, read[0].speeds)
     assert not decoder.refused
-    assert decoder.tolerated == sum(len(part) != 7 or " " in part for part in parts)
 
 
 @pytest.mark.parametrize("place", range(len(GOOD)))
@@ -168,7 +167,6 @@ def test_a_first_line_without_its_beginning_is_cut_but_not_damaged(place: int) -
     decoder = Decoder()
     decoder.feed(GOOD[place:] + b"\r\n" + GOOD + b"\r\n")
     assert not decoder.refused
-    assert decoder.cut <= 1
     decoder.feed(b"12.50,bn08.75\r\n")
     assert decoder.refused == {"unknown motor": 1}
 
@@ -180,7 +178,7 @@ def test_a_line_cut_by_a_reset_is_not_damaged_and_the_next_is_read(good: bytes, 
     whole = decoder.feed(good + b"\r\n")[0].speeds
     (reading,) = decoder.feed(good[:place] + good + b",\r\n")
     assert reading.speeds == whole
-    assert (decoder.refused, decoder.cut, decoder.lines) == ({}, 1, 2)
+    assert (decoder.refused, decoder.lines) == ({}, 2)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, MAX_LINE, 10 * MAX_LINE])

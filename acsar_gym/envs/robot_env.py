@@ -114,7 +114,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             ConfigError, RenderError, WorldError: for unknown options, or values out of range.
-            ConfigError: where a method of the task raises an error, or returns what can't be used.
+            TaskError: where a method of the task raises an error, or returns what can't be used.
             MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
@@ -158,7 +158,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             )
         has_own_window = simulator is not None and simulator.has_window
         own_window = human and has_own_window and body.has_display()
-        if isinstance(link, str | os.PathLike) or not hasattr(link, "advance"):
+        if isinstance(link, str | os.PathLike) or not isinstance(link, Link):
             link = open_link(link, config, window=own_window, realtime=human)
         step = self.ticks_per_step * config.period
         simulated = link.truth is not None
@@ -193,8 +193,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
             LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
-            ConfigError: The task fails, or returns NaN.
-            AcsarError: A sensor fails, or returns NaN.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         self._halt()
         self._last_step = None
@@ -240,8 +239,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             ConfigError: before the first reset, or after the end of an episode; the wheels are
                 commanded to stop.
             LinkError: where the link or the board fails and `on_fault` is "raise".
-            ConfigError: The task fails, or returns NaN.
-            AcsarError: A sensor fails, or returns NaN.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN.
         """
         episode = self._episode
         if episode is None:

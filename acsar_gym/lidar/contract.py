@@ -8,8 +8,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LidarError, show_value
-from acsar_gym.lidar.scan import FULL_TURN, Revolution
-from acsar_gym.recording.types import MAX_DISTANCE, MAX_STAMP
+from acsar_gym.lidar.scan import FULL_TURN, MAX_DISTANCE, MAX_STAMP, Revolution
 from acsar_gym.worlds import Scene
 
 MAX_AHEAD = 60.0
@@ -102,5 +101,5 @@ def check_age(source: str, revolution: Revolution, now: float, config: RobotConf
     if newest - now > MAX_AHEAD + config.reconnect_timeout:
         raise LidarError(
             f"{source}: measured {newest - now:g} s after now by the link's clock",
-            "its times and stamp must be on that clock: see acsar_gym.links.base.clock_of",
+            "its times and stamp must be on that clock: see acsar_gym.Link.clock",
         )

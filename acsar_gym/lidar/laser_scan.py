@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym.errors import LidarError, show_value
-from acsar_gym.lidar.scan import FULL_TURN, Floats, Revolution
-from acsar_gym.recording.types import MAX_DISTANCE
+from acsar_gym.lidar.scan import FULL_TURN, MAX_DISTANCE, Floats, Revolution
 
 MOST_TURNS = 2.0
 """A scan goes round at most as often; angles in degrees are more."""

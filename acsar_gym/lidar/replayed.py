@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.simulated import OLDEST_SIMULATED, draw_episode
-from acsar_gym.links.base import Link, ScannedLink
+from acsar_gym.links.base import Link, RecordedScans
 from acsar_gym.worlds import Scene
 
 
@@ -18,7 +18,7 @@ class ReplayedLidar:
     oldest = 0.0
     """Age that a measurement of a simulated LiDAR reaches in the episode, at most [s]."""
 
-    def __init__(self, tape: ScannedLink, link: Link) -> None:
+    def __init__(self, tape: RecordedScans, link: Link) -> None:
         self._tape = tape
         self._link = link
         self._measured: NDArray[np.float64] | None = None

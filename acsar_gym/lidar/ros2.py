@@ -19,7 +19,7 @@ from acsar_gym.lidar.laser_scan import (
     read_scan,
 )
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.links.base import WHILE_WAITING, Link, clock_of, ros_link_of
+from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.ros.node import NANOSECONDS, RosNode, read_stamp
 from acsar_gym.worlds import Scene
 
@@ -68,22 +68,22 @@ class RosLidar:
         """
         node = self._find_node()
         self._newest = self._problem = None
-        self._since = clock_of(self._link)()
+        self._since = self._link.clock()
         timeout = self._config.connect_timeout
         if not node.wait_until(lambda: self._newest, timeout, WHILE_WAITING.get()):
             self.scan()
 
     def _find_node(self) -> RosNode:
         """Return the node, with its subscriptions."""
-        inner = ros_link_of(self._link)
+        inner = self._link.ros
         theirs = None if inner is None else inner.node
         if self._node is not None and (self._is_own or self._node is theirs):
             return self._node
         self._forget()
         self._is_own = theirs is None
         self._node = node = theirs or RosNode("acsar_gym_lidar")
-        if self._is_own:
-            self._offset = node.now() - round(clock_of(self._link)() * NANOSECONDS)
+        if inner is None or self._is_own:
+            self._offset = node.now() - round(self._link.clock() * NANOSECONDS)
         else:
             self._offset = inner.epoch
         topic = self._config.ros2.scan_topic
@@ -139,7 +139,7 @@ class RosLidar:
             transform = find_transform(self._transforms, frame, config.base_frame, self.topic)
         except LidarError:
             # The transform may come after the first scan.
-            waited = clock_of(self._link)() - self._since > BESIDE_TIMEOUT
+            waited = self._link.clock() - self._since > BESIDE_TIMEOUT
             if frame.lstrip("/") == config.lidar_frame and waited:
                 return Mount(config.lidar_x_offset, config.lidar_y_offset)
             raise
@@ -164,7 +164,7 @@ class RosLidar:
                 self._node.problem
                 or f"start its node, or set ros2.scan_topic (ros2 topic hz {self.topic})",
             )
-        check_age(f"LiDAR {self.topic}", self._newest, clock_of(self._link)(), self._config)
+        check_age(f"LiDAR {self.topic}", self._newest, self._link.clock(), self._config)
         return self._newest
 
     def close(self) -> None:

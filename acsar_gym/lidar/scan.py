@@ -21,6 +21,8 @@ from acsar_gym.worlds.geometry import RaySpec
 
 Floats = NDArray[np.float64]
 FULL_TURN = 2.0 * math.pi
+MAX_STAMP = 4e9  # largest time on a link's clock, either sign [s]: 126 years
+MAX_DISTANCE = 1e6  # largest distance of a measurement [m]
 MISS_HANDICAP = math.radians(0.75)
 """A ray prefers a measured distance to a miss that is nearer in direction by up to this angle: one
 failed measurement among many isn't free space [rad]."""

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LidarError, LinkError, format_error, require_extra
+from acsar_gym.errors import LidarError, LinkError, require_extra, shorten_text
 from acsar_gym.guard.shutdown import close_at_exit, forget_link, install_handlers
 from acsar_gym.lidar.contract import check_age
 from acsar_gym.lidar.scan import Revolution
@@ -365,7 +365,8 @@ class SerialLidar:
     def _open(self, driver: Driver) -> None:
         """Open the port, start LiDAR and reader thread, and wait for a complete revolution."""
         try:
-            self._port = self._location.opened(self._config.with_(baud_rate=115200))
+            self._open_port = self._location.open(115200, self._config.reconnect_timeout)
+            self._port = self._open_port.serial
         except LinkError as error:
             raise LidarError(f"LiDAR {error.found}", error.fix) from error
         close_at_exit(self)
@@ -447,7 +448,8 @@ class SerialLidar:
                 self._driver.stop(port)
 
     def _release(self, port: Any) -> None:
-        self._location.left(lost=self._reader is not None and bool(self._reader.lost))
+        if self._reader is not None and self._reader.lost:
+            self._location.note_loss(self._open_port)
         self._port = self._driver = self._reader = None
         forget_link(self)
         with contextlib.suppress(*PORT_ERRORS):
@@ -512,7 +514,7 @@ class _Reader(threading.Thread):
                 turns = self._stream.feed(data, now)
             except Exception as error:  # noqa: BLE001 - a driver of the user's own; `scan` tells it
                 driver = self._stream.driver
-                why = format_error(error)
+                why = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
                 self.lost = f"{type(driver).__name__}.parse() raised {why}"
                 self.fix = "mend that driver"
                 return

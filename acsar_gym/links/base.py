@@ -1,10 +1,10 @@
-"""The contract of links, what some of them can do besides, and a link around another one."""
+"""The contract of links: what every link does, and what some of them can do in addition."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,225 +13,218 @@ from acsar_gym.physics.body import Camera
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 
+if TYPE_CHECKING:
+    from acsar_gym.links.ros2 import Ros2Link
+
 WHILE_WAITING: ContextVar[Callable[[], None]] = ContextVar("while_waiting", default=lambda: None)
-"""Called again and again while a reset waits for a port, board, standing wheels or LiDAR; what it
-raises ends the wait."""
+"""Called repeatedly while a reset waits for a port, a board, wheels or a LiDAR. An exception that
+it raises ends the wait."""
 
-Arrivals = list[tuple[float, bytes]]  # pieces, and when the last byte of each arrived [s]
+Arrivals = Sequence[tuple[float, bytes]]
+"""Pieces of feedback, each with the time at which its last byte arrived [s]."""
 
 
-class Link(Protocol):
-    """A connection to a robot, real or simulated. Time passes only in `advance`."""
+class RecordedScans(Protocol):
+    """The LiDAR of a recording."""
 
-    @property
-    def lateness(self) -> float | None:
-        """Time from the newest period's deadline to its end [s]; None if time is simulated."""
+    def revolution(self) -> tuple[float, NDArray[np.float64]] | None:
+        """Return the newest revolution; None if there is none.
+
+        Returns:
+            Its end [s], and bearings [rad], distances [m] and times [s], of shape (3, n).
+        """
+
+    def oldest_measurement(self) -> float:
+        """Return the largest age of a measurement whose revolution is the newest one [s]."""
+
+
+class Link:
+    """A connection to a robot, real or simulated. Time passes only in `advance`.
+
+    A subclass overrides the methods, and the abilities that it has.
+
+    Attributes:
+        is_real: Whether its wheels can hurt people. A replay of a real drive isn't real.
+        device: Name of the device, or the URL; empty if the link has none.
+        stamped: Whether `arrivals` are lines, each with the time at which the robot measured it.
+            Odometry then integrates each line up to its own time, as the robot's driver does.
+        lateness: Time from the newest period's deadline to its end [s]; None if time is simulated.
+        metered: Set it to True to measure `work`, which takes time in every period.
+        work: Mechanical work of the motors since the reset [J]; NaN if the link can't measure it.
+
+    Example:
+        A robot that never moves:
+
+        >>> from acsar_gym import Link, Robot, protocol
+        >>> class Parked(Link):
+        ...     seconds = 0.0
+        ...     def open(self): ...
+        ...     def reset(self, scene): ...
+        ...     def write(self, data): ...
+        ...     def advance(self, period):
+        ...         self.seconds += period
+        ...         return protocol.encode(protocol.ZERO)
+        ...     def now(self):
+        ...         return self.seconds
+        ...     def close(self): ...
+        >>> with Robot(Parked()) as robot:
+        ...     robot.drive(0.1, 0.0)
+        ...     robot.odometry.pose
+        (0.0, 0.0, 0.0)
+    """
+
+    is_real: bool = False
+    device: str = ""
+    stamped: bool = False
+    lateness: float | None = None
+    metered: bool = False
+    work: float = float("nan")
 
     @property
     def truth(self) -> GroundTruth | None:
         """Ground truth of a simulation; None on hardware. Never part of an observation."""
+        return None
+
+    @property
+    def arrivals(self) -> Arrivals:
+        """Bytes of the newest period, with the time at which each piece arrived.
+
+        The times are exact in simulation, and within 1 ms on a serial device, which notes them
+        only in the period after each call. Empty if the link doesn't know them.
+        """
+        return ()
+
+    @property
+    def camera(self) -> Camera | None:
+        """Draws pictures of a simulation; None if the link has no camera."""
+        return None
+
+    @property
+    def scans(self) -> RecordedScans | None:
+        """The LiDAR of a recording; None for any other link."""
+        return None
+
+    @property
+    def ros(self) -> Ros2Link | None:
+        """The link to ROS 2 that this link is, or wraps; None without ROS."""
+        return None
+
+    @property
+    def commands_sides(self) -> bool:
+        """Whether the robot takes only one speed for each of its sides; known while open."""
+        return False
+
+    @property
+    def unwatched(self) -> str:
+        """Why no watchdog watches the open link; empty if one does, or none is needed."""
+        return ""
 
     def open(self) -> None:
         """Connect, so that commands can be sent on return. Idempotent.
 
         Raises:
-            LinkError: the connection failed; nothing stays open then.
+            LinkError: The connection failed; nothing stays open.
         """
+        raise NotImplementedError
 
     def reset(self, scene: Scene) -> None:
         """Start an episode with the robot at rest.
 
         Args:
-            scene: start, goal, world and physics; used by simulated links only.
+            scene: Start, goal, world and physics; only simulated links use it.
         """
+        raise NotImplementedError
 
     def write(self, data: bytes) -> None:
         """Send bytes to the robot.
 
         Args:
-            data: whole command lines.
+            data: Whole command lines.
 
         Raises:
-            LinkLostError: the device is gone.
+            LinkLostError: The device is gone.
         """
+        raise NotImplementedError
 
     def advance(self, period: float) -> bytes:
         """Let one control period pass.
 
         Args:
-            period: duration [s].
+            period: Duration [s].
 
         Returns:
             The bytes that arrived during it.
         """
+        raise NotImplementedError
 
     def now(self) -> float:
         """Return the time on the link's own clock [s]."""
+        raise NotImplementedError
+
+    def clock(self) -> float:
+        """Return the link's time for a device that measures between periods [s].
+
+        It differs from `now` only for recorded links, where `now` is still between periods.
+        """
+        return self.now()
 
     def close(self) -> None:
         """Stop the motors, then close the connection. Idempotent."""
+        raise NotImplementedError
 
 
-class ScannedLink(Protocol):
-    """A link that has the revolutions of a LiDAR: a recording."""
+class LinkWrapper(Link):
+    """A link around another link, which forwards whatever a subclass doesn't override.
 
-    def revolution(self) -> tuple[float, NDArray[np.float64]] | None:
-        """End [s], and bearings [rad], distances [m] and times [s], (3, n), of the newest one.
-
-        None if there is none.
-        """
-
-    def oldest_measurement(self) -> float:
-        """Age that one of its measurements reaches while its revolution is the newest one [s]."""
-
-
-class MeteredLink(Protocol):
-    """A simulated link, which can measure the work of the robot's motors."""
-
-    metered: bool
-    """Whether the work is measured; False at first, because it takes time in every period."""
-    work: float
-    """Mechanical work of the motors since the reset [J]: the power at the end of every period,
-    see `Body.power`, times the period."""
-
-
-def camera_of(link: Link) -> Camera | None:
-    """Return the camera of a link; None if it has none, as on hardware."""
-    camera: Camera | None = getattr(link, "camera", None)
-    return camera
-
-
-def arrivals_of(link: Link) -> Arrivals:
-    """When the bytes of the newest period arrived, noted in the period after each call.
-
-    To 1 ms or better on a serial device, exactly in simulation, nothing for links that don't know.
-    """
-    pieces: Arrivals = getattr(link, "arrivals", [])
-    return pieces
-
-
-def echoes_of(link: Link) -> bool | None:
-    """Return whether the board behind a link sends every command back; None where none is real."""
-    echoes: bool | None = getattr(link, "echoes", None)
-    return echoes
-
-
-def commands_sides(link: Link) -> bool:
-    """Return whether the robot behind an open link takes one speed for each of its sides alone."""
-    return bool(getattr(link, "commands_sides", False))
-
-
-def tape_of(link: Link) -> ScannedLink | None:
-    """Return the link, or the one that it wraps, that has the scans of a recording; or None."""
-    tape: ScannedLink | None = _find_inner(link, "revolution")
-    return tape
-
-
-def is_stamped(link: Link) -> bool:
-    """Return whether a link's `arrivals` are lines, and the times at which the robot measured them.
-
-    Odometry then integrates each line up to its own time, as the robot's own driver does.
-    """
-    return bool(getattr(link, "stamped", False))
-
-
-def ros_link_of(link: Link) -> Any:
-    """Return the `links.ros2.Ros2Link`, or the one that a link wraps; None where there is none."""
-    return _find_inner(link, "epoch")
-
-
-def clock_of(link: Link) -> Callable[[], float]:
-    """Return the clock of a link as it goes on between periods, for a device that measures [s].
-
-    `link.now` itself stands still there where the link is recorded.
-    """
-    recorded = _find_inner(link, "clock")
-    clock: Callable[[], float] = link.now if recorded is None else recorded.clock
-    return clock
-
-
-def meter_of(link: Link) -> MeteredLink | None:
-    """Return the link, or the one that it wraps, that can measure work; None on hardware."""
-    meter: MeteredLink | None = _find_inner(link, "metered")
-    return meter
-
-
-def _find_inner(link: Any, attribute: str) -> Any:
-    """The link, or the outermost one that it wraps, with an attribute; None where none has it."""
-    while link is not None and not hasattr(link, attribute):
-        link = getattr(link, "link", None)
-    return link
-
-
-class ForwardingLink:
-    """Forwards everything to the link inside; subclasses override what they change.
-
-    Attributes: `link`, the one inside.
+    Attributes:
+        inner: The wrapped link.
     """
 
-    def __init__(self, link: Link) -> None:
-        self.link = link
+    def __init__(self, inner: Link) -> None:
+        self.inner = inner
 
     def open(self) -> None:
-        """Open the link."""
-        self.link.open()
+        """Open the wrapped link."""
+        self.inner.open()
 
     def reset(self, scene: Scene) -> None:
-        """Begin an episode."""
-        self.link.reset(scene)
+        """Reset the wrapped link."""
+        self.inner.reset(scene)
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the link."""
-        self.link.write(data)
+        """Send bytes to the wrapped link."""
+        self.inner.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Let a period pass [s]; returns the bytes that arrived in it."""
-        return self.link.advance(period)
+        """Let a period pass [s]; returns the bytes that arrived during it."""
+        return self.inner.advance(period)
 
     def now(self) -> float:
-        """Return the time on the link's clock [s]."""
-        return self.link.now()
+        """Return the time on the wrapped link's clock [s]."""
+        return self.inner.now()
+
+    def clock(self) -> float:
+        """Return the wrapped link's time for devices [s]."""
+        return self.inner.clock()
 
     def close(self) -> None:
-        """Close the link."""
-        self.link.close()
+        """Close the wrapped link."""
+        self.inner.close()
 
-    @property
-    def arrivals(self) -> Arrivals:
-        """When the bytes of the newest period arrived, on the link's clock [s]."""
-        return arrivals_of(self.link)
 
-    @property
-    def stamped(self) -> bool:
-        """Whether `arrivals` tells when each line was measured."""
-        return is_stamped(self.link)
+def _forwarded(name: str) -> property:
+    """A property that is the same attribute of the wrapped link."""
 
-    @property
-    def commands_sides(self) -> bool:
-        """Whether the link's robot takes speeds of its sides alone."""
-        return commands_sides(self.link)
+    def read(wrapper: LinkWrapper) -> object:
+        return getattr(wrapper.inner, name)
 
-    @property
-    def echoes(self) -> bool | None:
-        """Whether the board of the link echoes."""
-        return echoes_of(self.link)
+    def write(wrapper: LinkWrapper, value: object) -> None:
+        setattr(wrapper.inner, name, value)
 
-    @property
-    def truth(self) -> GroundTruth | None:
-        """Ground truth of the link."""
-        return self.link.truth
+    return property(read, write)
 
-    @property
-    def lateness(self) -> float | None:
-        """Lateness of the link's newest period [s]; None where time is simulated."""
-        return self.link.lateness
 
-    @property
-    def unwatched(self) -> str:
-        """Why no watchdog watches the link; empty where one does, or where it needs none."""
-        return str(getattr(self.link, "unwatched", ""))
-
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of the link."""
-        return camera_of(self.link)
+# A wrapper has each ability that `Link` declares as an attribute or a property.
+for _name, _default in vars(Link).items():
+    if not (_name.startswith("_") or callable(_default)):
+        setattr(LinkWrapper, _name, _forwarded(_name))

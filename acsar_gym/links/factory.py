@@ -1,10 +1,11 @@
 """Makes links from URLs, by one table of backends.
 
-Backends are imported late: hardware needs no simulator.
+Backends are imported late, since hardware needs no simulator.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import re
 from collections.abc import Callable
@@ -19,14 +20,10 @@ from acsar_gym.physics.bodies import BODIES, check_installed, make_body
 
 
 class Backend(NamedTuple):
-    """What `open_link` makes of one name, or of a prefix such as "replay:".
-
-    Attributes: `make`, makes a link of a URL and a robot, with a window or without;
-    `is_simulated`, whether time and robot are simulated; `is_real`, whether the wheels are real;
-    `has_window`, whether there is a window.
-    """
+    """What `open_link` makes of a name, or of a prefix such as "replay:"."""
 
     make: Callable[[str, RobotConfig, bool], Link]
+    """Makes a link from a URL and a robot, with a window if the last argument is True."""
     is_simulated: bool = False
     is_real: bool = False
     has_window: bool = False
@@ -53,9 +50,10 @@ def _make_serial(url: str, config: RobotConfig, window: bool) -> Link:
 
 
 def _make_replay(url: str, config: RobotConfig, window: bool) -> Link:
-    from acsar_gym.links.replay import ReplayLink  # noqa: PLC0415
-
-    return ReplayLink(Path(url.removeprefix("replay:")))
+    # By its name, since recordings are made of what a robot does, and so lie above the links.
+    replay = importlib.import_module("acsar_gym.recording.replay")
+    link: Link = replay.ReplayLink(Path(url.removeprefix("replay:")))
+    return link
 
 
 def _make_ros2(url: str, config: RobotConfig, window: bool) -> Link:
@@ -73,7 +71,7 @@ BACKENDS = {
     "ros2": Backend(_make_ros2, is_real=True),
     "ros2:": Backend(_make_ros2, is_real=True),
 }
-"""All kinds of links. Devices and URLs that no entry names are serial."""
+"""All kinds of links. Devices and URLs that aren't in this table are serial."""
 
 LINK_NAMES = (*BACKENDS, "/dev/ttyUSB0", "COM3", "usb:SERIAL_NUMBER")  # for messages
 _DEVICE = re.compile(r"(/|\./|COM\d+$|usb:.|(socket|rfc2217)://)", re.IGNORECASE)
@@ -93,28 +91,37 @@ def open_link(
             "usb:A50285BI" (USB serial number of an adapter) or "socket://host:port" for a serial
             device; "serial" for the device that the config names; "ros2" or "ros2:/namespace" for
             a robot in ROS 2; "replay:FILE" for a recording.
-        config: configuration, preset or file of the robot; None for the default.
-        window: open PyBullet's window; implies `realtime`.
-        realtime: run a simulation in real time instead of as fast as possible; a number: so many
-            times as fast.
+        config: Robot configuration, preset or file; None for the default.
+        window: Open PyBullet's window; implies `realtime`.
+        realtime: Run a simulation in real time instead of as fast as possible; a number is the
+            multiple of real time.
 
     Raises:
-        ConfigError: for any other URL, or for a robot that only the link "ros2" drives.
-        MissingExtraError: the simulator isn't installed.
+        ConfigError: For any other URL, or for a robot that only the link "ros2" drives.
+        MissingExtraError: The simulator isn't installed.
+
+    Example:
+        >>> from acsar_gym import Robot, open_link
+        >>> with Robot(open_link("planar")) as robot:
+        ...     robot.drive(0.2, 0.0)
+        ...     robot.link.is_real
+        False
     """
     config = RobotConfig.of(config)
     if not isinstance(url, str | os.PathLike):
         raise ConfigError(f"link = {show_value(url)}: must be a name, a device or a Link")
     url = os.fspath(url)
+
     backend = _find_backend(url)
     if window and not (backend and backend.has_window):
         windows = " and ".join(f"{name!r}" for name in BACKENDS if BACKENDS[name].has_window)
         raise ConfigError(f"link {url!r} has no window; only {windows} has one")
     if backend is None:
-        near = suggest_name(url[:40], LINK_NAMES)
+        advice = suggest_name(url[:40], LINK_NAMES)
         if os.path.lexists(url):
-            near = ": for a device, write its full path, or ./ before it"
-        raise ConfigError(f"unknown link {show_value(url)}{near}")
+            advice = ": for a device, write its full path, or ./ before it"
+        raise ConfigError(f"unknown link {show_value(url)}{advice}")
+
     link = backend.make(url, config, window)
     if backend.is_simulated and (realtime or window):
         from acsar_gym.links.simulated import PacedLink  # noqa: PLC0415
@@ -124,15 +131,17 @@ def open_link(
 
 
 def is_device(url: str | os.PathLike[str]) -> bool:
-    """Return whether a URL names a serial device, whose wheels are real."""
+    """Return whether a URL names a robot whose wheels are real."""
     backend = _find_backend(os.fspath(url))
     return backend is not None and backend.is_real
 
 
 def _find_backend(url: str) -> Backend | None:
+    """The backend of a URL; None if it is unknown."""
     for name, backend in BACKENDS.items():
         if url == name or (name.endswith(":") and url.startswith(name)):
             return backend
+
     try:
         is_device_file = Path(url).is_char_device()  # or a symbolic link to one
     except (OSError, ValueError):

@@ -13,7 +13,7 @@ from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import loop
-from acsar_gym.links.base import Arrivals, ForwardingLink, Link
+from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.protocol import MAX_LINE
 from acsar_gym.worlds import Scene
 
@@ -125,7 +125,7 @@ class FaultyWire:
             self._queued_bytes += len(line)
 
 
-class FaultyLink(ForwardingLink):
+class FaultyLink(LinkWrapper):
     """A link on which lines are lost or late, from the first reset on.
 
     Each reset draws its own faults. The same seed, resets and input give the same bytes. Times are
@@ -146,7 +146,7 @@ class FaultyLink(ForwardingLink):
 
     def reset(self, scene: Scene) -> None:
         """Reset the link, and draw the faults of the new episode."""
-        self.link.reset(scene)
+        self.inner.reset(scene)
         key = self._key
         self._key = float(self._rng.random())
 
@@ -160,28 +160,23 @@ class FaultyLink(ForwardingLink):
     def write(self, data: bytes) -> None:
         """Send the lines that are neither lost nor late."""
         if self._commands is not None:
-            data = self._commands.carry(data, self.link.now())
+            data = self._commands.carry(data, self.inner.now())
         if data:
-            self.link.write(data)
+            self.inner.write(data)
 
     def advance(self, period: float) -> bytes:
         """Let a period pass [s], and return the feedback that arrived in it."""
-        if self._commands is not None and (late := self._commands.carry(b"", self.link.now())):
-            self.link.write(late)
-        data = self.link.advance(period)
-        return data if self._feedback is None else self._feedback.carry(data, self.link.now())
-
-    @property
-    def device(self) -> str:
-        """Name of the device; empty if the link has none."""
-        return str(getattr(self.link, "device", ""))
+        if self._commands is not None and (late := self._commands.carry(b"", self.inner.now())):
+            self.inner.write(late)
+        data = self.inner.advance(period)
+        return data if self._feedback is None else self._feedback.carry(data, self.inner.now())
 
     @property
     def arrivals(self) -> Arrivals:
-        """Nothing: bytes don't arrive when the link received them."""
-        return []
+        """Empty: bytes don't arrive when the link received them."""
+        return ()
 
     def close(self) -> None:
         """Close the link. Lines are complete until the next reset."""
         self._commands = self._feedback = None
-        self.link.close()
+        self.inner.close()

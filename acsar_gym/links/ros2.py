@@ -24,7 +24,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyWarning
 from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
 from acsar_gym.guard.watchdog import Watchdog
-from acsar_gym.links.base import WHILE_WAITING, Arrivals
+from acsar_gym.links.base import WHILE_WAITING, Arrivals, Link
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 from acsar_gym.ros.joints import JointReader
 from acsar_gym.ros.node import (
@@ -77,7 +77,7 @@ CLOCK_TIMEOUT = 5.0
 _numbers = itertools.count()
 
 
-class Ros2Link:
+class Ros2Link(Link):
     """A robot in ROS 2. Its clock is the node's, from the opening on.
 
     While open, a watchdog process with a node of its own commands zero if this process dies, or
@@ -93,8 +93,14 @@ class Ros2Link:
         config: of the robot; `config.ros2` names topics and joints.
     """
 
-    truth = None
+    is_real = True
     stamped = True
+    lateness = 0.0
+
+    @property
+    def ros(self) -> Ros2Link:
+        """This link."""
+        return self
 
     def __init__(self, url: str, config: RobotConfig) -> None:
         self.device = url
@@ -102,7 +108,6 @@ class Ros2Link:
         self._namespace = url.partition(":")[2] or "/"
         self.watchdog = Watchdog(b"", config.watchdog_timeout)
         self.node: RosNode | None = None
-        self.lateness = 0.0
         self.places_robot = True
         self.epoch = 0
         self._geometry = config.twist_geometry
@@ -117,7 +122,7 @@ class Ros2Link:
         self._sim_time = False
         self._handled = self._echoed = 0
         self._arrivals: Arrivals = []
-        self._pending: Arrivals = []
+        self._pending: list[tuple[float, bytes]] = []
         self._commands = Decoder()
         self._reader = JointReader(self._config.ros_joints)
         self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)

@@ -1,170 +1,109 @@
-"""A link to a real board: serial port, absolute deadlines, and watchdog."""
+"""A link to a real board on a serial device, with absolute deadlines."""
 
 from __future__ import annotations
 
-import contextlib
-import threading
+import logging
 import time
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LinkError, LinkLostError, SafetyWarning
-from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
-from acsar_gym.guard.watchdog import Watchdog, end_searches
 from acsar_gym.links.base import Arrivals
-from acsar_gym.links.handshake import find_echo, wait_for_board
+from acsar_gym.links.guarded import GuardedLink
+from acsar_gym.links.handshake import check_no_echo, wait_for_board
 from acsar_gym.links.ports import OpenPort, PortLocation
-from acsar_gym.protocol import ECHO_PROBE, ECHO_ZERO, ZERO, encode, line_end
-from acsar_gym.worlds import Scene
+from acsar_gym.protocol import ECHO_PROBE, ZERO, encode
 
-ECHO_WARNING = (
-    "this board echoes: it sends each command back, and the echoes don't count as feedback; take "
-    "the echo out of its program, or write echo: true into the robot's file"
-)
-SILENT_SHARE = 0.5  # a board silent for this share of feedback_timeout may have missed zeros
-WRITER_TIMEOUT = 1.0  # longest wait for another thread's write [s]; a socket's takes at most 0.2 s
-EMPTY_READ_PAUSE = 0.001  # pause where a port says that there are bytes and has none [s]
+LOG = logging.getLogger("acsar_gym.wire")
+"""Logs what `Wire` doesn't see: stops, and what arrives while the board is waited for."""
+
+EMPTY_READ_PAUSE = 0.001  # pause if a port reports bytes and has none [s]
 
 
-class SerialLink:
+class SerialLink(GuardedLink):
     """A board on a serial device: 8N1, no flow control, opened exclusively.
 
-    A lost port is searched under the persistent name of its adapter. While open, a watchdog process
-    sends zero commands if this process dies, or hangs longer than `watchdog_timeout` while wheels
-    turn. During driving, no call takes longer than a period.
+    A port that was lost has `reconnect_timeout` to reappear, under the persistent name of its
+    adapter. During a drive no call takes longer than a period.
 
-    Attributes: `device`; `lateness`; `watchdog`; `echoes`, whether the board sends every command
-    back, as far as `open` or the config tells.
+    Args:
+        device: Path, URL, or USB serial number such as "usb:A50285BI".
+        config: Robot configuration.
+        zeros: Zero commands in all formats that the board may take; None for the config's format.
     """
 
-    truth = None
-
-    def __init__(self, device: str, config: RobotConfig, zeros: Sequence[bytes] = ()) -> None:
-        self.device = device
-        self._config = config
+    def __init__(
+        self, device: str, config: RobotConfig, zeros: Sequence[bytes] | None = None
+    ) -> None:
+        zeros = zeros or [encode(ZERO, trailing_comma=config.trailing_comma)]
+        self._zeros = tuple(zeros)
+        self._stop_lines = b"\r\n" + b"".join(zeros)  # the line end ends a truncated command
         self._port: OpenPort | None = None
-        self._make_locks()
         self._location = PortLocation(device)
-        self._heard = self._deadline = 0.0
-        self._moved = False
-        self._zeros = tuple(zeros) or (encode(ZERO, trailing_comma=config.trailing_comma),)
-        self._stop_line = b"\r\n" + b"".join(self._zeros)  # ends a truncated command
-        ends = [line_end(trailing_comma=comma) for comma in (False, True)]
-        echoed = tuple(zero + end for zero in (ECHO_PROBE, ECHO_ZERO) for end in ends)
-        self._stops = self._zeros + echoed  # what stops the wheels, when it is written
-        self.echoes = config.echo
-        self.watchdog = Watchdog(self._stop_line, config.watchdog_timeout)
-        self._wants_arrivals = False
-        self._arrivals: Arrivals = []
-        self.lateness = 0.0
-        install_handlers()
+        self._keeps_arrivals = False
+        self._arrivals: list[tuple[float, bytes]] = []
+        super().__init__(device, config, self._stop_lines)
 
     @property
-    def unwatched(self) -> str:
-        """Why no watchdog watches the open link; empty where one does."""
-        if self._config.watchdog_timeout is None:
-            return "watchdog_timeout: null"
-        return "" if self.watchdog.is_started else "not on this system, or not for this port"
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._port is not None
 
-    def _make_locks(self) -> None:
-        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
-        self._turn = threading.RLock()
+    @property
+    def port(self) -> OpenPort:
+        """The open port; LinkLostError if it is closed."""
+        if self._port is None:
+            raise self._closed_error()
+        return self._port
 
-    def open(self) -> None:
-        """Open the device, command zero, and wait for the first valid line. Idempotent.
+    def _connect(self) -> None:
+        config = self._config
+        self._port = self._location.open(config.baud_rate, config.reconnect_timeout)
 
-        A port that was lost before has `reconnect_timeout` to reappear. Warns (SafetyWarning) where
-        the board echoes, unlike in the config.
+    def _start_watchdog(self) -> None:
+        self.watchdog.start(self.port.fileno())
 
-        Raises:
-            LinkError: port or board can't be reached (see its subclasses), no watchdog can be
-                started, or the program is ending, or was asked to (see
-                `shutdown.check_may_drive`); the device is closed again.
-        """
-        if self._port is not None:
-            return
-        check_may_drive()
-        location = self._location
-        port = location.opened(self._config, lambda: end_searches(location.search_name))
-        self._port = OpenPort(port, self.device)
-        close_at_exit(self)
-        try:
-            self.write(self._stop_line)
-            with self._lock:
-                self.watchdog.start(self._require_port().fileno(), location.lasting_path)
-            self._require_port().drop_input()
-            self._require_port().drop_output()
-            self.write(self._stop_line)
-            wait_for_board(self.read_now, self.device, self._config)
-            echoes = find_echo(self.write, self.read_now, self.device, self._config)
-            self.echoes = echoes or self._config.echo
-            self.watchdog.wait_ready()
-            if echoes and not self._config.echo:
-                self.report_echo()
-        except BaseException:
-            self.close()
-            raise
-        self._deadline = self.now()
+    def _wait_for_feedback(self) -> None:
+        self.port.drop_input()
+        self.port.drop_output()
+        self.stop()
+        wait_for_board(self._read_reply, self.device, self._config)
+        check_no_echo(self.write, self._read_reply, self.device, self._config)
 
-    def report_echo(self) -> None:
-        """Warn (SafetyWarning) of a board that echoes, unlike in the robot's file."""
-        warnings.warn(f"{self.device}: {ECHO_WARNING}", SafetyWarning, 4)
+    def _read_reply(self) -> bytes:
+        """Read what arrives before the first episode."""
+        data = self.read_now()
+        if data:
+            LOG.debug("%.4f received %r", self.now(), data)
+        return data
 
-    def reset(self, scene: Scene) -> None:
-        """Command zero, discard received bytes, and restart the deadlines.
+    def _forget_feedback(self) -> None:
+        self.port.drop_input()
 
-        After the watchdog stopped the robot, this allows driving again.
-        """
-        self.write(self._stop_line)
-        check_may_drive()
-        try:
-            with self._lock:  # a closed descriptor may be reused for another file
-                port = self._require_port()
-                restart = self.watchdog.is_started and not self.watchdog.is_alive
-                if restart:
-                    self.watchdog.close()
-                    self.watchdog.start(port.fileno(), self._location.lasting_path)
-            if restart:
-                self.watchdog.wait_ready()
-            with self._lock:
-                self.watchdog.rearm()
-        except BaseException:  # don't drive without a watchdog
-            self.close()
-            raise
-        self.reset_input()
-        self._moved, self._heard = False, self.now()
-        self._deadline = self.now()
-        self.lateness = 0.0
+    def _is_stop(self, data: bytes) -> bool:
+        return data.endswith(self._zeros) or ECHO_PROBE in data
 
-    def write(self, data: bytes) -> None:
-        """Send bytes to the board; zero commands are always sent.
+    def _send(self, data: bytes) -> None:
+        self.port.write(data)
 
-        Raises:
-            LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
-                the program is ending, or was asked to; zeros are sent instead.
-        """
-        with self._turn:  # who waits to stop the robot comes before the next command
-            pass
-        with self._lock:
-            port = self._require_port()
-            if not data:
-                port.write(data)
-            elif data.endswith(self._stops):
-                port.write(data)
-                self.watchdog.note_stop()
-            else:
-                self._moved = True
-                try:
-                    self.watchdog.allow_drive()
-                    check_may_drive()  # last, as a signal may come at any time
-                    port.write(data)
-                    self.watchdog.note_drive()
-                except LinkLostError:
-                    raise
-                except LinkError:
-                    port.try_write(self._stop_line)
-                    raise
+    def _send_stop(self) -> bool:
+        LOG.debug("%.4f sent %r", self.now(), self._stop_lines)
+        return self._port is not None and self._port.try_write(self._stop_lines)
+
+    def _drain(self) -> bool:
+        return self.port.drain()
+
+    def _disconnect(self, *, lost: bool) -> None:
+        port = self.port
+        self._port = None
+        if lost:
+            self._location.note_loss(port)
+        port.close()
+
+    def _detach(self) -> None:
+        port = self.port
+        self._port = None
+        port.detach()
+        port.close()
 
     def advance(self, period: float) -> bytes:
         """Sleep until the absolute deadline of the period [s]; return what has arrived.
@@ -172,149 +111,57 @@ class SerialLink:
         After a delay of more than a period, the deadlines restart from now.
         """
         self._deadline += period
-        notes, self._wants_arrivals = self._wants_arrivals, False
-        self._arrivals = pieces = []
+        keeps_arrivals = self._keeps_arrivals
+        self._keeps_arrivals = False
+        self._arrivals = []
+
         while (remaining := self._deadline - self.now()) > 0.0:
-            port, pause = self._require_port(), min(remaining, self.watchdog.beat_interval)
-            if not notes:
+            pause = min(remaining, self.watchdog.beat_interval)
+            if keeps_arrivals:
+                self._wait_for_piece(pause)
+            else:
+                self._require_open()
                 time.sleep(pause)
-            elif port.wait_for_bytes(pause):
-                if data := port.read():
-                    pieces.append((self.now(), data))
-                else:
-                    time.sleep(min(EMPTY_READ_PAUSE, pause))
             self._beat()
+
         self.lateness = self.now() - self._deadline
-        if self.lateness > period:
+        if self.lateness > period:  # it can't be made up for
             self._deadline = self.now()
-        got = self.read_now()
-        if notes and got:
-            pieces.append((self.now(), got))
-        got = b"".join([piece for _, piece in pieces]) if pieces else got
-        self._heard = self.now() if got else self._heard
-        return got
+        return self._take_pieces(keeps_arrivals=keeps_arrivals)
+
+    def _wait_for_piece(self, pause: float) -> None:
+        """Wait for bytes, and keep them with the time of their arrival."""
+        if self.port.wait_for_bytes(pause):
+            data = self.port.read()
+            if data:
+                self._arrivals.append((self.now(), data))
+            else:
+                time.sleep(min(EMPTY_READ_PAUSE, pause))
+
+    def _take_pieces(self, *, keeps_arrivals: bool) -> bytes:
+        """Return what arrived in the period."""
+        data = self.read_now()
+        if not keeps_arrivals:
+            return data
+        if data:
+            self._arrivals.append((self.now(), data))
+        return b"".join([piece for _, piece in self._arrivals])
 
     @property
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived [s], noted in the period after each call."""
-        self._wants_arrivals = True
+        self._keeps_arrivals = True
         return self._arrivals
-
-    def _beat(self) -> None:
-        with self._lock:
-            self.watchdog.beat()
-
-    def reset_input(self) -> None:
-        """Discard what has arrived and wasn't read."""
-        self._require_port().drop_input()
 
     def read_now(self) -> bytes:
         """Return what has arrived, without waiting."""
         self._beat()
-        data = self._require_port().read()
-        if data:
-            self._heard = self.now()
-        return data
+        return self.port.read()
 
     def now(self) -> float:
         """Return the monotonic clock [s]."""
         return time.monotonic()
 
-    def close(self) -> None:
-        """Command zero, wait until it has been sent, and close. Idempotent.
-
-        After an interrupt meanwhile, zeros are sent again. If they may not have arrived (lost port,
-        silent board), the watchdog keeps sending them for a minute, or until the board answers.
-        """
-        with self._exclusively():
-            port = self._port
-            if port is None:
-                return
-            sent = False
-            try:
-                sent = self._send_stop(port)
-            except BaseException:
-                sent = self._send_stop(port)
-                raise
-            finally:
-                age = self.now() - self._heard
-                silent = self._moved and age > SILENT_SHARE * self._config.feedback_timeout
-                lost = not sent or (silent and port.is_quiet())
-                with contextlib.ExitStack() as last_to_first:
-                    last_to_first.callback(self._let_go, port, lost=lost)
-                    if lost:
-                        last_to_first.callback(self.watchdog.search, self._location.search_name)
-                    else:  # before the port, as they share its lock
-                        last_to_first.callback(self.watchdog.close)
-                        self._send_stop(port)
-
-    @contextlib.contextmanager
-    def _exclusively(self) -> Iterator[None]:
-        """Lock out other threads; if one is writing now, send zeros without waiting for it."""
-        alone = self._lock.acquire(blocking=False)
-        if not alone:
-            port = self._port
-            if port is not None:
-                port.try_write(self._stop_line)
-            with self._turn:
-                alone = self._lock.acquire(timeout=WRITER_TIMEOUT)
-        try:
-            yield
-        finally:
-            if alone:
-                self._lock.release()
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Command zero, and lock out commands of other threads, as a context manager.
-
-        Errors are ignored. For the watchdog, wheels still turn: if this takes long, it trips.
-        """
-        with self._exclusively():
-            port = self._port
-            if port is not None:
-                self._send_stop(port)
-            yield
-
-    def _send_stop(self, port: OpenPort) -> bool:
-        """Command zero; returns whether it has left the port."""
-        if not port.try_write(self._stop_line):
-            return False
-        if not port.drain():
-            port.try_write(self._stop_line)
-            return False
-        return True
-
-    def stop(self) -> None:
-        """Command zero and stay open; errors are ignored."""
-        with self.held():
-            self.watchdog.note_stop()
-
-    def _let_go(self, port: OpenPort, *, lost: bool) -> None:
-        self._port = None
-        self._location.left(lost=lost)
-        forget_link(self)
-        port.close()
-
-    def abandon(self) -> None:
-        """Release the port without sending anything, for a forked child."""
-        self._make_locks()  # a thread of the parent may have held them
-        port = self._port
-        if port is None:
-            return
-        self.watchdog.abandon()
-        port.detach()
-        self._let_go(port, lost=False)
-
-    def __del__(self) -> None:
-        if getattr(self, "_port", None) is not None:
-            self.close()
-
     def __reduce__(self) -> tuple[type[SerialLink], tuple[object, ...]]:
         """Copy and pickle as a closed link to the same device; a port can't be shared."""
-        return SerialLink, (self.device, self._config, self._zeros)
-
-    def _require_port(self) -> OpenPort:
-        if self._port is None:
-            raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
-        return self._port
+        return type(self), (self.device, self._config, self._zeros)

@@ -7,36 +7,33 @@ from collections.abc import Callable
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
-from acsar_gym.links.base import Arrivals, ForwardingLink, Link
+from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.physics.body import Body, Camera
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import Crowd
 
-WHOLE = 0.999
-"""Share of a control period that passes for a whole one: times are sums of periods, and an emulated
-board is advanced by shorter ones."""
+WHOLE_PERIOD = 0.999
+"""Share of a control period that counts as a whole period: times are sums of periods, and an
+emulated board is advanced by shorter ones."""
 
 
-class SimulatedLink:
+class SimulatedLink(Link):
     """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
 
-    Attributes: `body`, the physics, None while closed; `metered` and `work`, as in
-    `links.base.MeteredLink`.
+    Attributes:
+        body: The physics; None while the link is closed.
     """
 
-    lateness = None
-
     def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
+        self.body: Body | None = None
+        self.work = 0.0
         self._config = config
         self._make_body = make_body
-        self.body: Body | None = None
         self._firmware: Firmware | None = None
         self._crowd: Crowd | None = None
         self._now = 0.0
-        self.metered = False
-        self.work = 0.0
 
     def open(self) -> None:
         """Make the body and start the firmware."""
@@ -47,37 +44,47 @@ class SimulatedLink:
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world and physics."""
         self.open()
-        if self.body is None or self._firmware is None:
-            raise _closed_error()
-        self.body.reset(scene)
-        self._firmware.reset(scene.physics)
+        body, firmware = self._parts()
+        body.reset(scene)
+        firmware.reset(scene.physics)
+
         self._crowd = None
         if scene.world is not None and scene.world.movers:
             self._crowd = Crowd(scene.world, self._config, scene.key)
-            self.body.place_movers(self._crowd)
-        self._now = self.work = 0.0
+            body.place_movers(self._crowd)
+        self._now = 0.0
+        self.work = 0.0
+
+    def _parts(self) -> tuple[Body, Firmware]:
+        """Body and firmware of the open link."""
+        if self.body is None or self._firmware is None:
+            raise LinkLostError("the simulated link is closed", "call open() or env.reset() first")
+        return self.body, self._firmware
 
     def write(self, data: bytes) -> None:
-        """Send bytes over the simulated UART; LinkLostError if closed."""
-        if self._firmware is None:
-            raise _closed_error()
-        self._firmware.receive(data)
+        """Send bytes over the simulated UART; LinkLostError if the link is closed."""
+        _, firmware = self._parts()
+        firmware.receive(data)
 
     def advance(self, period: float) -> bytes:
         """Simulate one period [s]; returns the bytes that arrived during it."""
-        if self.body is None or self._firmware is None:
-            raise _closed_error()
+        body, firmware = self._parts()
         self._now += period
-        got = self._firmware.advance(period)
-        crowd = self._crowd
-        while crowd is not None and self._now - crowd.now > WHOLE * self._config.period:
-            truth = self.body.truth
-            crowd.advance(truth.pose, truth.twist)
-            self.body.place_movers(crowd)
-        self.body.feel()
+        data = firmware.advance(period)
+
+        if self._crowd is not None:
+            self._advance_crowd(body, self._crowd)
+        body.feel()
         if self.metered:
-            self.work += self.body.power * period
-        return got
+            self.work += body.power * period
+        return data
+
+    def _advance_crowd(self, body: Body, crowd: Crowd) -> None:
+        """Move the crowd once per control period, however short the link's periods are."""
+        while self._now - crowd.now > WHOLE_PERIOD * self._config.period:
+            truth = body.truth
+            crowd.advance(truth.pose, truth.twist)
+            body.place_movers(crowd)
 
     def now(self) -> float:
         """Return the simulated time since the reset [s]."""
@@ -86,12 +93,13 @@ class SimulatedLink:
     @property
     def arrivals(self) -> Arrivals:
         """When the lines of the newest period arrived [s], exactly."""
-        return self._firmware.arrived if self._firmware else []
+        return self._firmware.arrived if self._firmware else ()
 
     @property
     def truth(self) -> GroundTruth:
         """State of the body and the movers; the origin before the link is opened."""
-        truth, crowd = self.body.truth if self.body else GroundTruth(), self._crowd
+        truth = self.body.truth if self.body else GroundTruth()
+        crowd = self._crowd
         if crowd is None:
             return truth
         return GroundTruth(truth.pose, truth.twist, truth.contact or crowd.hit > 0.0, crowd)
@@ -109,26 +117,24 @@ class SimulatedLink:
         """Free the body. Idempotent."""
         if self.body is not None:
             self.body.close()
-            self.body = self._firmware = self._crowd = None
+            self.body = None
+            self._firmware = None
+            self._crowd = None
 
 
-def _closed_error() -> LinkLostError:
-    return LinkLostError("the simulated link is closed", "call open() or env.reset() first")
-
-
-class PacedLink(ForwardingLink):
+class PacedLink(LinkWrapper):
     """A simulated link in real time, for windows and keyboard control.
 
-    `advance` doesn't return before its absolute deadline; clock and bytes are those of the inner
-    link.
+    `advance` doesn't return before its absolute deadline. Clock and bytes are those of the
+    simulated link.
 
     Args:
-        link: which is simulated.
-        speed: how fast its time passes, in parts of real time.
+        inner: The simulated link.
+        speed: How fast its time passes, as a multiple of real time.
     """
 
-    def __init__(self, link: Link, speed: float = 1.0) -> None:
-        super().__init__(link)
+    def __init__(self, inner: Link, speed: float = 1.0) -> None:
+        super().__init__(inner)
         self._speed = speed
         self._deadline = time.monotonic()
 
@@ -139,8 +145,8 @@ class PacedLink(ForwardingLink):
 
     def advance(self, period: float) -> bytes:
         """Advance the link, then wait for the deadline; missed deadlines are skipped."""
-        got = super().advance(period)
-        real = period / self._speed
-        self._deadline = max(self._deadline + real, time.monotonic() - real)
+        data = super().advance(period)
+        real_period = period / self._speed
+        self._deadline = max(self._deadline + real_period, time.monotonic() - real_period)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
-        return got
+        return data

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError
+from acsar_gym.lidar.scan import MAX_DISTANCE, MAX_STAMP
 from acsar_gym.reading import parse_json
 from acsar_gym.recording.messages import (
     ACTION,
@@ -41,8 +42,6 @@ from acsar_gym.recording.messages import (
 )
 from acsar_gym.recording.stream import CHANNEL, MESSAGE, MESSAGE_HEAD, METADATA, parse_record
 from acsar_gym.recording.types import (
-    MAX_DISTANCE,
-    MAX_STAMP,
     Episode,
     Exchanges,
     Floats,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import threading
 import time
@@ -14,10 +15,26 @@ from types import TracebackType
 from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, show_value
-from acsar_gym.recording.encoder import NEW_FILE, Began, Clock, Encoder, Event, Exchange
+from acsar_gym.errors import ConfigError, RecordingWarning, show_value
+from acsar_gym.guard.shutdown import call_at_end
+from acsar_gym.links.base import Link
+from acsar_gym.reading import explain_error
+from acsar_gym.recording.encoder import (
+    NEW_FILE,
+    Began,
+    Clock,
+    Encoder,
+    Event,
+    Exchange,
+    Fault,
+    Scanned,
+    Tick,
+)
 from acsar_gym.recording.messages import make_header
+from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.sinks import McapFile, Sink, check_target, next_number
+from acsar_gym.robot import DriveObserver, Robot
+from acsar_gym.sensors.lidar import find_lidar
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
 WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from then on it drops, too
@@ -104,7 +121,7 @@ class WriterThread(threading.Thread):
         return f"{hung}; what waits is lost if the program ends now"
 
 
-class Recorder:
+class Recorder(DriveObserver):
     """Records one robot to an MCAP file, and shows it live.
 
     The control loop only appends to a queue, which a thread empties. Where the queue is full, a
@@ -157,6 +174,7 @@ class Recorder:
         self._clock_due = 0.0
         self._waits = False
         self._is_copy = False
+        self._scan_stamp = -math.inf
 
     @classmethod
     def of(cls, record: Any) -> Recorder | None:
@@ -170,6 +188,51 @@ class Recorder:
         if not isinstance(record, str | os.PathLike):
             raise ConfigError(f"record = {show_value(record)}: must be the name of a file")
         return cls(record)
+
+    def watch(self, link: Link, config: RobotConfig) -> Link:
+        """Return a link around another link, whose bytes are recorded."""
+        return RecordedLink(link, self, config)
+
+    def after_reset(self, robot: Robot) -> None:
+        """Record the first scan of an episode."""
+        self._scan_stamp = -math.inf
+        self._add_scan(robot)
+
+    def after_read(self, robot: Robot) -> None:
+        """Record the scan that was read."""
+        self._add_scan(robot)
+
+    def after_tick(self, robot: Robot, linear: float, angular: float) -> None:
+        """Record a control period, and the scan if no step reads it for a while."""
+        tick = Tick(
+            exchange=self.number - 1,
+            stamp=robot.wire.stamp,
+            pose=robot.odometry.pose,
+            twist=robot.odometry.twist,
+            speeds=robot.speeds,
+            angles=robot.odometry.wheel_positions,
+            asked=(float(linear), float(angular)),
+            sent=robot.safety.sent,
+            reason=robot.safety.reason,
+            lateness=robot.lateness,
+            feedback_age=robot.feedback_age,
+            refused=robot.wire.decoder.refused.total(),
+        )
+        self.add(tick)
+        self._add_scan(robot, pause=1.0 / robot.config.lidar.rate - 0.5 * robot.config.period)
+
+    def _add_scan(self, robot: Robot, pause: float = 0.0) -> None:
+        """Record the scan, unless the newest recorded scan is younger than a pause [s]."""
+        lidar = find_lidar(robot.sensors)
+        stamp = robot.wire.stamp
+        if lidar is not None and stamp - self._scan_stamp > pause:
+            self._scan_stamp = stamp
+            scanned = Scanned(self.number - 1, stamp, lidar.scan.ranges, lidar.revolution)
+            self.add(scanned)
+
+    def after_error(self, robot: Robot, error: Exception) -> None:
+        """Record what stopped the robot."""
+        self.add(Fault(robot.link.now(), str(error)))
 
     def check(self, source: Path | None = None) -> None:
         """Check, before a link opens, that the recording can begin or go on; writes nothing.
@@ -203,6 +266,7 @@ class Recorder:
         self._writer = WriterThread(self._queue, Encoder(config, self._split), self._sinks)
         self._writer.start()
         _open_recorders.add(self)
+        call_at_end(close_recorders)
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
         """Say something about the next episode, and about the recording if it isn't said yet."""
@@ -213,7 +277,7 @@ class Recorder:
     def begin(self, stamp: float, *, simulated: bool, stamped: bool = False) -> None:
         """Begin an episode at a time of the link's clock [s]; a simulation waits for the writer.
 
-        `stamped`: what arrives has the times at which it was measured; see `links.base.is_stamped`.
+        `stamped`: what arrives has the times at which it was measured; see `Link.stamped`.
         """
         self.number, self._waits, self.has_begun = 0, simulated, True
         self._clock_due = stamp + 1.0

@@ -72,9 +72,7 @@ def replay_commands(
     track = np.array(poses, np.float64).reshape(-1, 3)
     track[:, 2] = np.unwrap(track[:, 2])
     answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(
-        WireLog(log.sent_stamps, log.sent, *answered, echoed=False, stamped=log.stamped), track
-    )
+    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered, stamped=log.stamped), track)
 
 
 def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog, wire: float) -> float:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, overload
 
@@ -13,13 +12,10 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WheelLetters
-from acsar_gym.protocol import ECHO_ZERO, ZERO, Decoder, EchoDecoder, Reading, Speeds, encode
+from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 from acsar_gym.worlds.crowd import SEEN_NUMBERS
 
 Floats = NDArray[np.float64]
-
-MAX_STAMP = 4e9  # largest time on a link's clock, either sign [s]: 126 years
-MAX_DISTANCE = 1e6  # largest distance of a LiDAR's measurement [m]
 
 
 class Pieces(Sequence[bytes]):
@@ -56,19 +52,9 @@ class WireLog:
     """(m,): when each piece arrived, i.e. the time of its last byte [s]."""
     got: Sequence[bytes]
     """The bytes of each piece."""
-    echoed: bool | None = None
-    """Whether every command came back; None: as the zero commands tell, which are other ones to a
-    board that echoes."""
     stamped: bool = False
     """Whether pieces are lines, at the times at which the robot measured them, and writes took no
-    time on a wire; see `links.base.is_stamped`."""
-
-    @property
-    def echoes(self) -> bool:
-        """Whether what arrived has echoes of the commands."""
-        if self.echoed is None:
-            return any(ECHO_ZERO in piece for piece in self.sent)
-        return self.echoed
+    time on a wire; see `Link.stamped`."""
 
     def commands(self, config: RobotConfig) -> tuple[Floats, Floats]:
         """Decode what was sent.
@@ -92,33 +78,20 @@ class WireLog:
             Stamps of each line's last byte [s], (k,), and speeds [rad/s] of the logical wheels,
             (k, 4). A wheel that a line doesn't name keeps its last speed.
         """
-        letters = config.wheels.encoders
-        if not self.echoes:
-            return _decode_lines(self.got_stamps, self.got, letters)
-        decoder = EchoDecoder(encode(ZERO))  # of the reset
-        waiting = deque(zip(self.sent_stamps.tolist(), self.sent, strict=True))
-
-        def expect(stamp: float) -> None:
-            """Expect the echoes of what was sent until then."""
-            while waiting and waiting[0][0] <= stamp:
-                decoder.expect(waiting.popleft()[1])
-
-        return _decode_lines(self.got_stamps, self.got, letters, decoder, expect)
+        return _decode_lines(self.got_stamps, self.got, config.wheels.encoders)
 
 
 def _decode_lines(
     stamps: Floats,
     pieces: Sequence[bytes],
     letters: WheelLetters | None,
-    decoder: Decoder | None = None,
-    prepare: Callable[[float], None] = lambda _: None,
 ) -> tuple[Floats, Floats]:
     """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it."""
-    decoder, speeds = decoder or Decoder(), ZERO
+    decoder = Decoder()
+    speeds = ZERO
     when: list[float] = []
     rows: list[Speeds] = []
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
-        prepare(stamp)
         for line in decoder.feed(piece):
             reading = Reading(letters.to_wheels(line.speeds)) if letters else line
             speeds = reading.over(speeds)

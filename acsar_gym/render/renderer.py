@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarWarning, RenderError
+from acsar_gym.errors import OffScreenWarning, RenderError
 from acsar_gym.lidar.scan import Scan, ray_spec
 from acsar_gym.links import Link
-from acsar_gym.links.base import camera_of
 from acsar_gym.physics.bodies import LINKS_WITH_CAMERA
 from acsar_gym.physics.body import Image
 from acsar_gym.tasks import Assignment, State
@@ -78,7 +77,7 @@ class Screen:
             except RenderError as error:
                 self._window.close()
                 told = f"{error}; pictures are drawn off-screen"
-                warnings.warn(told, AcsarWarning, stacklevel=5)
+                warnings.warn(told, OffScreenWarning, stacklevel=5)
 
     def _pose_in_world(self, state: State) -> Pose:
         """Convert the pose from the odometry frame to the frame of the world."""
@@ -88,7 +87,7 @@ class Screen:
         """Draw the newest state."""
         if self._view == "top":
             return self._draw_top()
-        camera = camera_of(link)
+        camera = link.camera
         if camera is None:
             raise RenderError(f"this link has no camera; view='camera' needs {LINKS_WITH_CAMERA}")
         return camera.image(*CAMERA_SIZE)

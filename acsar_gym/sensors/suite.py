@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, show_value, suggest_name, translate_errors
+from acsar_gym.errors import ConfigError, SensorError, show_value, suggest_name, translate_errors
 from acsar_gym.lidar.contract import Lidar
 from acsar_gym.lidar.replayed import ReplayedLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
-from acsar_gym.links.base import Link, clock_of, ros_link_of, tape_of
+from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.reading import import_object
 from acsar_gym.sensors.lidar import LidarSensor, find_lidar
@@ -104,7 +104,7 @@ class Sensors(Sequence[Sensor]):
             Their numbers, of shape (sum of sizes,).
 
         Raises:
-            AcsarError: for anything else than `size` finite numbers, and where a sensor raises
+            SensorError: for anything else than `size` finite numbers, and where a sensor raises
                 an error; names the sensor.
         """
         if not self._sensors:
@@ -147,8 +147,8 @@ class Sensors(Sequence[Sensor]):
 
 
 def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
-    """Turn errors that the sensor raises inside a block into an AcsarError with its name."""
-    return translate_errors(AcsarError, lambda: f"sensor {sensor.name!r}")
+    """Turn errors that the sensor raises inside a block into a SensorError with its name."""
+    return translate_errors(SensorError, lambda: f"sensor {sensor.name!r}")
 
 
 def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
@@ -156,13 +156,13 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
 
     Raises:
         ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
-        AcsarError: the factory raises an error.
+        SensorError: the factory raises an error.
     """
     if not callable(factory) and not isinstance(factory, Sensor):
         raise ConfigError(
             f"sensors: {show_value(factory)} must be a subclass of Sensor or a factory"
         )
-    with translate_errors(AcsarError, lambda: f"sensors: {show_value(factory)}"):
+    with translate_errors(SensorError, lambda: f"sensors: {show_value(factory)}"):
         sensor = factory if isinstance(factory, Sensor) else factory(link, config)
     if not isinstance(sensor, Sensor):
         raise ConfigError(
@@ -225,19 +225,19 @@ def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     """Convert what a sensor has read to float64.
 
     Raises:
-        AcsarError: for anything else than finite numbers of shape (size,).
+        SensorError: for anything else than finite numbers of shape (size,).
     """
     try:
         array = np.asarray(numbers)
     except ValueError:  # lists of lists of unequal lengths
         array = np.zeros((), object)
     if array.shape != (sensor.size,) or array.dtype.kind not in "fiub":
-        raise AcsarError(
+        raise SensorError(
             f"sensor {sensor.name!r}: read() gave {array.dtype} of shape {array.shape}: must be "
             f"numbers of shape ({sensor.size},)"
         )
     if not np.isfinite(array).all():
-        raise AcsarError(
+        raise SensorError(
             f"sensor {sensor.name!r}: read() gave {show_value(array.tolist())}: must be finite "
             "numbers"
         )
@@ -267,13 +267,13 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         ConfigError: for anything else, for a simulated LiDAR on a link without a simulation, and
             for a device on a link that doesn't run in real time.
     """
-    if url is None and (ros_link := ros_link_of(link)) is not None:
-        url = ros_link.device
+    if url is None and link.ros is not None:
+        url = link.ros.device
     if isinstance(url, str) and (url == "ros2" or url.startswith("ros2:")):
         return _open_topic(url, link, config)
     if url is None or (isinstance(url, str) and url == "simulated"):
-        if (tape := tape_of(link)) is not None:
-            return ReplayedLidar(tape, link)
+        if link.scans is not None:
+            return ReplayedLidar(link.scans, link)
         if link.truth is None:
             raise ConfigError(
                 "this env needs a LiDAR and this link simulates none: name its model and device as "
@@ -286,7 +286,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     if isinstance(url, str) and ":" in url and "/" not in url:
         made = import_object("lidar", url)
     if isinstance(made, type) or made is not url:
-        with translate_errors(AcsarError, lambda: f"lidar = {show_value(url)}"):
+        with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
             made = made(link, config)
     if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
         raise ConfigError(
@@ -299,7 +299,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
 
 def _check_real_time(url: str, link: Link) -> None:
     """Raise ConfigError for a LiDAR that measures in real time on a link that doesn't."""
-    if link.truth is not None or tape_of(link) is not None:
+    if link.truth is not None or link.scans is not None:
         raise ConfigError(
             f"lidar = {show_value(url)}: a device measures in real time, and this link is a "
             "simulation or a recording: leave it out there"
@@ -327,7 +327,7 @@ def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
             f"lidar = {show_value(url)}: names no device: must be like '{model}:///dev/ttyUSB1'"
         )
     _check_real_time(url, link)
-    return SerialLidar(device, make_driver, config, clock_of(link))
+    return SerialLidar(device, make_driver, config, link.clock)
 
 
 def sensor_factories(

@@ -197,8 +197,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
-            ConfigError: The task fails, or returns NaN.
-            AcsarError: A sensor fails, or returns NaN.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         mask, fields = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -256,8 +255,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
                 bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
-            ConfigError: The task fails, or returns NaN.
-            AcsarError: A sensor fails, or returns NaN.
+            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
         """
         batch, tables = self.batch, self.batch.tables
         actions = read_actions(actions, (self.num_envs, 2))

@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, LinkError, show_value, translate_errors
+from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
 from acsar_gym.jit import overloads
+from acsar_gym.links.base import Link
 from acsar_gym.sensors import LIDAR, MAP, MOVERS, Factory, Sensor, Truths, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.sensor import name_memory
@@ -107,10 +108,8 @@ class BatchView:
         return scenes
 
 
-class RobotLink:
-    """The link that a sensor of a batch is given: it has ground truth and time, but no wire."""
-
-    lateness: float | None = None
+class RobotLink(Link):
+    """The link that a sensor of a batch gets: it has ground truth and time, but no wire."""
 
     def __init__(self, view: BatchView, robot: int) -> None:
         self._view = view
@@ -270,7 +269,7 @@ class _Each:
         Errors name the sensor and the robot.
         """
         at = 0
-        with translate_errors(AcsarError, lambda: f"sensor {self.kind.name!r} of robot {at}"):
+        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at}"):
             for place, (robot, truth, now) in enumerate(moment.each()):
                 at = robot
                 call(place, self._sensors[robot], truth, now)
@@ -362,13 +361,13 @@ class _Whole:
         """Do nothing: such a sensor has no clock of its own."""
 
     def read(self, moment: Moment, out: Floats) -> None:
-        """Read all robots into `out`, (robots, size). AcsarError where it isn't finite."""
+        """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
         with self._given(moment) as (scenes, rngs, memory):
             self._read(moment.truths, scenes, moment.now, rngs, out, *memory)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
-            raise AcsarError(
+            raise SensorError(
                 f"sensor {self.kind.name!r}: read_batch() left "
                 f"{show_value(out[place].tolist())} for "
                 f"robot {moment.robots[place]}: must be finite numbers"
@@ -402,7 +401,7 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
         if is_compile_error(error):
             kind = type(sensor)
             raise explain_error(named, kind, BATCH_METHODS, error, COMPILED_RULES) from error
-        raise AcsarError(
+        raise SensorError(
             f"{named}: {type(error).__name__}: {error}, in a compiled method; "
             "with compiled = False, the line is told"
         ) from error

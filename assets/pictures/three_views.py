@@ -25,7 +25,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.links.base import camera_of
 from acsar_gym.render.canvas import INK_COLOUR
 from acsar_gym.render.top_view import (
     CHASSIS_COLOUR,
@@ -164,7 +163,7 @@ def in_pybullet(policy: FilePolicy, options: Options) -> tuple[list[Picture], Dr
     pictures: list[Picture] = []
 
     def film() -> None:
-        camera = camera_of(inner.robot.link)
+        camera = inner.robot.link.camera
         if camera is not None and inner.episode.steps % options.every == 0:
             large = Image.fromarray(camera.image(2 * SIDE, 2 * SIDE))
             pictures.append(np.asarray(large.reduce(2)))

@@ -44,7 +44,7 @@ def main() -> int:
         first: tuple[int, int] | None = None
         for minute in range(minutes):
             env.reset(seed=minute)
-            lines = inner.robot.decoder.lines
+            lines = inner.robot.wire.decoder.lines
             begin = time.monotonic()
             for step in range(STEPS_A_MINUTE):
                 if step % STEPS_AN_ACTION == 0:
@@ -56,12 +56,12 @@ def main() -> int:
                     print(f"minute {minute + 1}: {info['fault_reason']}", flush=True)
                 if done or failed:
                     env.reset()
-                    lines = inner.robot.decoder.lines
+                    lines = inner.robot.wire.decoder.lines
             gc.collect()
             now = (process.memory_info().rss, len(os.listdir("/proc/self/fd")))  # noqa: PTH208
             first = first or now
-            heard = inner.robot.decoder.lines - lines
-            refused = sum(inner.robot.decoder.refused.values())
+            heard = inner.robot.wire.decoder.lines - lines
+            refused = sum(inner.robot.wire.decoder.refused.values())
             print(
                 f"minute {minute + 1}: {time.monotonic() - begin:.1f} s, {heard} lines, "
                 f"{refused} refused, {now[0] / 1e6:.1f} MB, {now[1]} descriptors",

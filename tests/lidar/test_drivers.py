@@ -15,8 +15,8 @@ from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.serial import SerialLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
-from acsar_gym.links.recorded import RecordedLink
 from acsar_gym.recording import Recorder
+from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene
 

@@ -10,7 +10,6 @@ import pytest
 from serial_tools import TIMEOUT
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.links.base import arrivals_of
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.worlds import Scene
@@ -24,7 +23,7 @@ def test_the_twin_tells_when_its_lines_end() -> None:
     link.open()
     link.reset(Scene())
     got = [link.advance(0.01) for _ in range(20)]
-    ((stamp, line),) = arrivals_of(link)
+    ((stamp, line),) = link.arrivals
     assert line == got[-1]
     sends = CONFIG.firmware.processing_time + len(line) * 10.0 / CONFIG.baud_rate
     assert math.isclose(math.fmod(stamp - sends + 1e-6, 0.01), 1e-6, abs_tol=1e-5)

@@ -14,10 +14,9 @@ from tapes import taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
-from acsar_gym.links.base import camera_of
 from acsar_gym.links.faults import Faults, FaultyLink
-from acsar_gym.links.replay import ReplayLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, encode
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -142,7 +141,7 @@ def test_opening_twice_and_closing_twice_are_once(make_link: MakeLink, request: 
             assert answers(link, encode(ZERO), stands)
             link.open()
             link.advance(PERIOD)
-            camera = camera_of(link)
+            camera = link.camera
             has_camera = re.search("bullet|mujoco", request.node.callspec.id)
             assert (camera is not None) == bool(has_camera)
             assert camera is None or camera.image(4, 3).shape == (3, 4, 3)

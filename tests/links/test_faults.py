@@ -10,7 +10,7 @@ import pytest
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.links.base import ForwardingLink
+from acsar_gym.links.base import LinkWrapper
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.protocol import encode
 from acsar_gym.worlds import Scene
@@ -46,11 +46,11 @@ def numbered_line(number: int) -> bytes:
     return encode((number // 90 + 1.0, number % 90 + 1.0, 4.0, 5.0))
 
 
-class CountingBoard(ForwardingLink):
+class CountingBoard(LinkWrapper):
     """Sends a numbered line in each period, and keeps the commands with their periods."""
 
     def reset(self, scene: Scene) -> None:
-        self.link.reset(scene)
+        self.inner.reset(scene)
         self.ticks = 0
         self.commands: list[tuple[int, bytes]] = []
 
@@ -58,7 +58,7 @@ class CountingBoard(ForwardingLink):
         self.commands.append((self.ticks, data))
 
     def advance(self, period: float) -> bytes:
-        self.link.advance(period)
+        self.inner.advance(period)
         self.ticks += 1
         return numbered_line(self.ticks - 1)
 

@@ -15,8 +15,8 @@ from tapes import TtyReplayLink, playing, taped
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError
-from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import read
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 ENV_ID = "acsar_gym/PointGoal-v0"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.links.base import Arrivals, Link
 from acsar_gym.links.factory import is_device
 from acsar_gym.links.ros2 import SLACK, Ros2Link, format_scene, read_command
 from acsar_gym.protocol import ZERO
@@ -72,14 +73,15 @@ def test_commands_are_told_apart_by_stamp_and_numbers() -> None:
     assert read_command(SimpleNamespace(data=[1.0, 2.0]))[-1] == (1.0, 2.0)
 
 
-class StampedLink:
+class StampedLink(Link):
     """Hands over given lines with the times at which they were measured."""
 
-    stamped, lateness, truth = True, 0.0, None
+    stamped = True
+    lateness = 0.0
+    arrivals: Arrivals = ()
 
     def __init__(self, periods: list[list[tuple[float, bytes]]]) -> None:
         self._periods = iter(periods)
-        self.arrivals: list[tuple[float, bytes]] = []
         self._now = 0.0
 
     def write(self, data: bytes) -> None:
@@ -99,7 +101,7 @@ def test_each_line_holds_from_the_stamp_before_it_to_its_own() -> None:
     link = StampedLink(
         [[(0.007, line % 1)], [], [(0.018, line % 2), (0.0285, line % 3)], [(0.0385, line % 4)]]
     )
-    wire = Wire(link, RobotConfig())  # type: ignore[arg-type]
+    wire = Wire(link, RobotConfig())
     wire.reset()
     shares = [wire.shares(*wire.exchange(ZERO)) for _ in range(4)]
     measured = [[(speeds[0], round(share, 9)) for speeds, share in tick] for tick in shares]

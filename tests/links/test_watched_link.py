@@ -22,7 +22,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
 from acsar_gym.guard.watchdog_child import BEAT
-from acsar_gym.links import serial
+from acsar_gym.links import guarded
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, Decoder, encode
@@ -226,7 +226,7 @@ def test_what_another_thread_writes_goes_out_before_the_zeros_or_not_at_all(
                 link.write(TURNING)
 
     monkeypatch.setattr(os, "write", slow)
-    monkeypatch.setattr(serial, "WRITER_TIMEOUT", TIMEOUT)
+    monkeypatch.setattr(guarded, "LOCK_TIMEOUT", TIMEOUT)
     thread = threading.Thread(target=drive)
     thread.start()
     writes.wait()

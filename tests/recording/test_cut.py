@@ -13,12 +13,11 @@ from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.links import replay
-from acsar_gym.links.replay import Tape
-from acsar_gym.recording import Episode, Recorder, read
+from acsar_gym.recording import Episode, Recorder, read, replay
 from acsar_gym.recording.cut import cut_recording, parse_duration
+from acsar_gym.recording.replay import Tape
 from acsar_gym.tools.datasets import read_demonstrations
-from acsar_gym.wire import STANDSTILL_TICKS
+from acsar_gym.wire import STANDSTILL_LINES
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +101,7 @@ def test_whole_episodes_of_a_part_replay_bit_by_bit(tape: Path, tmp_path: Path) 
 
 def test_a_part_of_a_drive_becomes_demonstrations(tmp_path: Path) -> None:
     """An env plays it, though it begins while the wheels turn."""
-    assert replay.LEAD_PERIODS == STANDSTILL_TICKS
+    assert replay.LEAD_PERIODS == STANDSTILL_LINES
     path, part = drive(tmp_path / "drive.mcap", RobotConfig.of(None), 600), tmp_path / "part.mcap"
     cut_recording(path, 1.5, 5.5, part)
     (episode,) = read(part).episodes

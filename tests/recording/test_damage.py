@@ -12,9 +12,9 @@ import pytest
 from recording_tools import record_env
 
 from acsar_gym.errors import RecordingWarning
-from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import Recording, read
 from acsar_gym.recording.reader import summarize, summary_lines
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.recording.stream import CHUNK
 from acsar_gym.worlds import Scene
 

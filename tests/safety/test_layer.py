@@ -12,6 +12,7 @@ from acsar_gym import Robot, RobotConfig, kinematics
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import EmergencyStopError
 from acsar_gym.links import open_link
+from acsar_gym.links.base import LinkWrapper
 from acsar_gym.protocol import Decoder
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import Scene
@@ -24,24 +25,21 @@ AT_ONCE: dict[str, Any] = {
 """No limit of acceleration."""
 
 
-class Tapped:
+class Tapped(LinkWrapper):
     """A planar link that remembers what was written to it, and can fall silent."""
 
     def __init__(self, config: RobotConfig) -> None:
-        self._link = open_link("planar", config)
+        super().__init__(open_link("planar", config))
         self.written = b""
         self.silent = False
 
     def write(self, data: bytes) -> None:
         self.written += data
-        self._link.write(data)
+        self.inner.write(data)
 
     def advance(self, period: float) -> bytes:
-        got = self._link.advance(period)
+        got = self.inner.advance(period)
         return b"" if self.silent else got
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._link, name)
 
     def last(self) -> tuple[float | None, ...]:
         """The newest command's wheel speeds."""

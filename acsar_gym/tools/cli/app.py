@@ -25,8 +25,12 @@ except ImportError:  # on Windows
 import acsar_gym
 from acsar_gym.errors import (
     AcsarError,
-    AcsarWarning,
     ConfigError,
+    PolicyWarning,
+    RecordingWarning,
+    SafetyWarning,
+    TaskWarning,
+    WorldWarning,
     escape_unprintable,
     show_value,
     suggest_name,
@@ -127,7 +131,8 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    if issubclass(category, AcsarWarning):
+    kinds = SafetyWarning | RecordingWarning | PolicyWarning | TaskWarning | WorldWarning
+    if issubclass(category, kinds):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 

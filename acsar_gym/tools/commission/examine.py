@@ -19,7 +19,6 @@ from acsar_gym.errors import (
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import shown_bytes
-from acsar_gym.links.recorded import record_link
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MOTORS, ZERO, encode
 from acsar_gym.recording import Recorder
@@ -109,7 +108,9 @@ def examine_device(
     Raises:
         EmergencyStopError: after the last result.
     """
-    link = record_link(StoppableLink(device, config), recorder, config)
+    link: Link = StoppableLink(device, config)
+    if recorder is not None:
+        link = recorder.watch(link, config)
     begin = time.monotonic()
     is_open = False
     try:
@@ -162,14 +163,7 @@ def examine_board(
 
 def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
     """Command zero at the control rate for a while, and say what the board sends meanwhile."""
-    probe.find_echo()
-    if probe.echoes:
-        yield warn_if(
-            not config.echo,
-            "echo",
-            "this board echoes: it sends each command back; echoes don't count as feedback",
-            "take the echo out of the board's program, or write echo: true into the robot's file",
-        )
+    probe.clear()
     lines = probe.measure_feedback(config.period)
     expected = config.feedback_rate
     yield warn_if(
@@ -228,9 +222,6 @@ class StoppableLink(SerialLink):
     def __reduce__(self) -> tuple[type[StoppableLink], tuple[object, ...]]:
         """Copy and pickle as a closed link to the same device."""
         return StoppableLink, (self.device, self._config)
-
-    def report_echo(self) -> None:
-        """Leave that to the checks."""
 
     def close(self) -> None:
         """Command zero and close, also for `acsar-gym estop`."""

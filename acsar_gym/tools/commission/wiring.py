@@ -153,8 +153,6 @@ class Commission:
         if wiring != config.wheels:
             self.changes["wheels"] = wiring.model_dump()
             self.assumed = self.eyes is None  # the wire alone can't tell it from another wiring
-        if probe.echoes and not config.echo:
-            self.changes["echo"] = True
         yield from self._measure_board(probe, config, heard, speed)
 
     def _measure_board(

@@ -21,9 +21,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
-from acsar_gym.links.replay import ReplayLink
 from acsar_gym.recording import read
 from acsar_gym.recording.export import is_incomplete
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.recording.types import Episode, Floats, begin_at_part
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors import LIDAR

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
-from acsar_gym.links.base import meter_of
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tasks.episode import Assignment, RunningEpisode
 from acsar_gym.tasks.goal import GoalTask
@@ -126,8 +125,7 @@ def _run_episode(
 ) -> Episode:
     """Run one episode, stop the robot, and compute the result."""
     robot = inner.robot
-    if (meter := meter_of(robot.link)) is not None:
-        meter.metered = True
+    robot.link.metered = True
     observation, info = env.reset(seed=seed, options=options)
     if (begin := getattr(policy, "reset", None)) is not None:
         begin()
@@ -140,7 +138,7 @@ def _run_episode(
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         done = terminated or truncated
-    timing, meter = robot.timing, meter_of(robot.link)
+    timing = robot.timing
     fault = info.get("fault_reason", "")
     late = timing.lateness.late_share if timing else 0.0
     length, track = len(rows) - 1, np.array(rows, np.float64)
@@ -148,13 +146,13 @@ def _run_episode(
         seed=seed,
         fault=fault,
         valid=not fault and late <= late_share,
-        started=robot.wire.began,
+        started=robot.wire.start,
         ended=robot.wire.stamp,
         length=length,
         ticks=length * inner.ticks_per_step,
         late_ticks=timing.lateness.late_ticks if timing else 0,
         episode_return=rewards,
-        energy=math.nan if meter is None else meter.work,
+        energy=robot.link.work,
         timing=timing,
         **measure_episode(inner, inner.episode, track, info, way),
     )

@@ -189,7 +189,7 @@ def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
         missed_ticks=sum(lateness.missed_ticks for lateness in latest),
         lateness_p99=_largest(lateness.p99 for lateness in latest),
         worst_lateness=_largest(lateness.worst for lateness in latest),
-        worst_feedback_age=_largest(timing.feedback_age.worst for timing in timings),
+        worst_feedback_age=_largest(timing.worst_feedback_age for timing in timings),
         round_trip=float(np.median(trips)) if trips else math.nan,
         round_trip_p95=float(np.percentile(trips, 95.0)) if trips else math.nan,
         round_trips=len(trips),

@@ -32,6 +32,7 @@ from acsar_gym.errors import (
     LinkError,
     WorldError,
     escape_unprintable,
+    shorten_text,
     show_value,
     suggest_name,
 )
@@ -40,7 +41,6 @@ from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.lidar.laser_scan import LaserScan, make_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links import open_link
-from acsar_gym.links.base import ros_link_of
 from acsar_gym.links.ros2 import DRIVER_NODE, SCENE_PARAMETER
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import Speeds
@@ -659,7 +659,7 @@ def parse_scene(text: str) -> Scene:
     try:
         start, goal, world = _read_scene(**json.loads(text))
     except (ValueError, TypeError) as error:
-        short = escape_unprintable(" ".join(text.split()), 60)
+        short = shorten_text(" ".join(text.split()), 60)
         raise ConfigError(
             f'scene = {short}: must be like {{"start": [0, 0, 0], "goal": [2, 1], "world": null}}'
         ) from error
@@ -725,7 +725,7 @@ class DrivenRobot:
         self._node = node
         config = node.config
         link = open_link(node.link or "serial", config, realtime=speed)
-        if ros_link_of(link) is not None:
+        if link.ros is not None:
             raise ConfigError(f"link = {show_value(node.link)}: that robot is in ROS already")
         self._simulated = link.lateness is None
         sensors = (

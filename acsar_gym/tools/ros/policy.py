@@ -29,7 +29,6 @@ from acsar_gym.errors import (
 )
 from acsar_gym.lidar.laser_scan import Transform, find_transform
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.links.base import ros_link_of
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.ros.node import RosNode, make_stamp
 from acsar_gym.sensors.lidar import newest_scan
@@ -541,7 +540,8 @@ class GoalDriver:
         node.rules = GoalRules.of(env)
         robot = inner.robot
         robot.connect()
-        link: Ros2Link = ros_link_of(robot.link)
+        link = robot.link.ros
+        assert link is not None  # noqa: S101
         assert link.node is not None  # noqa: S101 - it is open
         link.places_robot = False
         node.listen(link.node)

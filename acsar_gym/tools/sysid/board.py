@@ -16,11 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig, WheelsConfig
-from acsar_gym.links.base import ForwardingLink, Link, echoes_of
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.protocol import (
-    ECHO_PROBE,
-    ECHO_ZERO,
     MOTORS,
     PRINTED_STEP,
     ZERO,
@@ -40,8 +38,8 @@ RESET_GAP, SILENCE_TIMEOUT = 0.5, 3.0
 that was reset takes 1 to 2 s."""
 LONGEST_STALL = 0.05
 """Time that this program was held up counts as silence of the board only up to this [s]."""
-CLEAR_TIME, ECHO_TIME, LISTEN_TIME = 0.1, 0.5, 2.0
-"""How long old lines may come, an echo may take, and feedback is counted [s]."""
+CLEAR_TIME, LISTEN_TIME = 0.1, 2.0
+"""How long old lines may come, and how long feedback is counted [s]."""
 TAIL_BYTES = 400
 """Newest bytes that are kept as they came."""
 
@@ -55,11 +53,10 @@ class FeedbackLine(NamedTuple):
     """Speeds of the letters a, b, c, d [rad/s], not yet those of the wheels."""
 
 
-class _TailLink(ForwardingLink):
-    """Keeps the newest bytes that arrived; set points and echoes are the probe's own affair."""
+class _TailLink(LinkWrapper):
+    """Keeps the newest bytes that arrived."""
 
     tail = b""
-    echoes = None
 
     def advance(self, period: float) -> bytes:
         data = super().advance(period)
@@ -72,9 +69,8 @@ class BoardProbe:
 
     Attributes: `lines`, all that came; `gaps`, how long the board was silent each time that it was
     reset [s]; `sent`, when the last byte of the newest command had left [s]; `trailing_comma` and
-    `upper_case`, of the commands; `echoes`, whether the board sends commands back, and `rate`, the
-    lines that it sends per second [Hz], once `measure_feedback` has found them; `line_time`, how
-    long a line takes on the wire [s].
+    `upper_case`, of the commands; `rate`, the lines that it sends per second [Hz], once
+    `measure_feedback` has found it; `line_time`, how long a line takes on the wire [s].
     """
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
@@ -87,13 +83,10 @@ class BoardProbe:
         self.lines: list[FeedbackLine] = []
         self.trailing_comma = True
         self.upper_case = False
-        self.echoes = bool(echoes_of(link))
         self.rate = 0.0
         self.gaps: list[float] = []
         self.sent = 0.0
         self._quiet = 0.0
-        if self.echoes:
-            self._wire.leave_out_echoes()
 
     @property
     def decoder(self) -> Decoder:
@@ -102,9 +95,8 @@ class BoardProbe:
 
     @property
     def newest_line(self) -> bytes:
-        """The newest whole line as it came, which isn't an echo."""
-        whole = self._link.tail.rpartition(b"\n")[0].split(b"\n")
-        return next((line for line in reversed(whole) if ECHO_ZERO not in line), b"").strip()
+        """The newest whole line as it came."""
+        return self._link.tail.rpartition(b"\n")[0].rpartition(b"\n")[2].strip()
 
     def command(self, speeds: Speeds, order: str = MOTORS) -> None:
         """Send one command line.
@@ -117,7 +109,7 @@ class BoardProbe:
         line = b",".join(parts[MOTORS.index(letter)] for letter in order)
         line += line_end(trailing_comma=self.trailing_comma)
         self.sent = self._link.now() + len(line) * self._byte_time
-        self._wire.send_line(line.upper() if self.upper_case else line)
+        self._link.write(line.upper() if self.upper_case else line)
 
     def poll(self) -> list[FeedbackLine]:
         """Let PROBE_POLL pass, and return the lines that have arrived.
@@ -173,18 +165,6 @@ class BoardProbe:
     def clear(self) -> None:
         """Take what has arrived before."""
         self.listen(CLEAR_TIME)
-
-    def find_echo(self) -> None:
-        """Send zero commands unlike feedback for a while, and see whether they come back."""
-        self.clear()
-        begin = self._link.now()
-        while not self.echoes and self._link.now() - begin < ECHO_TIME:
-            self._wire.send_line(ECHO_PROBE + line_end(trailing_comma=self.trailing_comma))
-            self.listen(COMMAND_INTERVAL)
-            self.echoes = ECHO_PROBE in self._link.tail
-        if self.echoes:  # those of the probes may still come
-            self._wire.leave_out_echoes(*[ECHO_PROBE] * math.ceil(ECHO_TIME / COMMAND_INTERVAL))
-        self.clear()
 
     def measure_feedback(self, period: float) -> list[FeedbackLine]:
         """Command zero at the control rate for a while; returns the lines, and sets `rate`.

@@ -9,11 +9,11 @@ import numpy as np
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.links import Link
-from acsar_gym.links.base import ForwardingLink, commands_sides
-from acsar_gym.links.recorded import RecordedLink, WireTape
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.recording import Recorder
+from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
+from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import Floats
 
@@ -92,12 +92,8 @@ def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator)
     return speeds
 
 
-class StretchedLink(ForwardingLink):
+class StretchedLink(LinkWrapper):
     """Stretches the periods of a link, so that commands come at every phase of a board's loops."""
-
-    def __init__(self, link: Link) -> None:
-        super().__init__(link)
-        self.device = getattr(link, "device", "")
 
     def advance(self, period: float) -> bytes:
         """Let a stretched period pass; returns what arrived."""
@@ -129,7 +125,7 @@ def drive_excitation(
     taped = RecordedLink(StretchedLink(link), tape, config)
     # The wheels don't answer as configured: that is what is to be found.
     with Robot(taped, config.with_(wheel_check=False), recorder=recorder) as robot:
-        sides = commands_sides(link)
+        sides = link.commands_sides
         plan = plan_excitation(config, duration, config.period * TICK_STRETCH, sides=sides)
         begin = taped.now()
 

@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from acsar_gym.config import Measured, RobotConfig, update_measured
-from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.errors import ConfigError, IdentificationError
 from acsar_gym.links import Link
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.recording import Recorder
@@ -26,7 +26,7 @@ from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel
 from acsar_gym.tools.sysid.model_check import ModelCheck, check_model, measure_parts
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
-from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, fit_twists, resend_twists
+from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, fit_twists
 
 IDENTIFY_METHOD = "identify"
 COUNTS_FIELD = "counts_per_revolution"
@@ -61,14 +61,10 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     """
     recordings = [(str(path), read(path)) for path in paths]
     check_same_robot(recordings, "identify")
-    known = config or recordings[0][1].config
-    logs = [
-        resend_twists(episode.wire, recording.config, known)
-        for _, recording in recordings
-        for episode in recording.episodes
-    ]
+    logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
     hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
-    return identify_logs(logs, known, hashes)
+    recorded = recordings[0][1].config
+    return identify_logs(logs, config or recorded, hashes, recorded.twist_geometry[2])
 
 
 def identify_device(
@@ -84,7 +80,10 @@ def identify_device(
 
 
 def identify_logs(
-    logs: Sequence[WireLog], config: RobotConfig, hashes: Sequence[str] = ()
+    logs: Sequence[WireLog],
+    config: RobotConfig,
+    hashes: Sequence[str] = (),
+    separation: float | None = None,
 ) -> Identification:
     """Identify the board and motors of one robot from what its wire carried.
 
@@ -92,17 +91,20 @@ def identify_logs(
         logs: of the wire, one for each episode.
         config: of the robot; what the logs can't tell stays.
         hashes: of the logs' files, for the robot's file.
+        separation: by which twists were made of wheel speeds for a robot in ROS; None: as by
+            `config` [m].
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
-        AcsarError: a wheel doesn't answer its own command.
+        IdentificationError: a wheel doesn't answer its own command.
     """
     tracks = [one for one in (decode_track(log, config) for log in logs) if one is not None]
     if not tracks:
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
     board_log.check_wheel_order(tracks)
     known = board_log.check_identifiability(tracks)
-    fit, controller = fit_twists(tracks, config, known)
+    separation = separation or config.twist_geometry[2]
+    fit, controller = fit_twists(tracks, config, known, separation)
     parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
     delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)
@@ -181,10 +183,10 @@ class Identification:
         """Check that this is worth a robot's file.
 
         Raises:
-            AcsarError: it isn't, and why.
+            IdentificationError: it isn't, and why.
         """
         if len(self.dead) == len(WHEELS):
-            raise AcsarError(
+            raise IdentificationError(
                 "nothing to write: no wheel turned; check the motors' power and every encoder, "
                 "with 'acsar-gym doctor DEVICE --spin' ('acsar-gym doctor ros2')"
             )
@@ -195,14 +197,14 @@ class Identification:
             same = abs(rate.value / rate.before - 1.0) < SAME_RATE
             told |= {} if same else {parameter_findings.RATE_NAME: rate}
         if not told:
-            raise AcsarError(
+            raise IdentificationError(
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
             )
         if self.model is not None and self.model.pattern and not anyway:
             hint = ""
             if any(one.name == SEPARATION_NAME for one in self.findings):
                 hint = "; are linear_limits and angular_limits of the file those of its controller?"
-            raise AcsarError(
+            raise IdentificationError(
                 f"nothing to write: the model {self.model.verdict}{hint}; a twin would answer "
                 "otherwise than this board; --anyway writes the file"
             )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from acsar_gym.errors import ConfigError, LinkError, escape_unprintable
+from acsar_gym.errors import ConfigError, LinkError, escape_unprintable, shorten_text
 from acsar_gym.guard import estop
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
@@ -47,14 +47,14 @@ def find_recording(source: str) -> Path:
     path = Path(source.removeprefix("replay:"))
     if not is_device(source) or path.suffix == ".mcap" or path.is_file() or path.is_dir():
         return path
-    real = os.path.realpath(source)
+    real, where = os.path.realpath(source), shorten_text(source)
     for driver in estop.list_drivers():
         if driver.device and os.path.realpath(driver.device) == real:
             if driver.recording:
                 return Path(driver.recording)
             process = f"process {driver.process}"
-            raise LinkError(f"{source}: {process} drives it without a recording", RECORD_HINT)
-    raise LinkError(f"{source}: no program of yours on this computer drives it", RECORD_HINT)
+            raise LinkError(f"{where}: {process} drives it without a recording", RECORD_HINT)
+    raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD_HINT)
 
 
 class Overlay:

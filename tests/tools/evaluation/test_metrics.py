@@ -13,7 +13,7 @@ import pytest
 
 from acsar_gym import Outcome, RobotConfig, RobotEnv, State, Task
 from acsar_gym.config.footprint import make_rectangle
-from acsar_gym.links.lateness import DurationSpread, EpisodeTiming, TickTiming
+from acsar_gym.links.lateness import EpisodeTiming, TickTiming
 from acsar_gym.tasks import Observation, PathFollow, PointGoal
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
@@ -108,9 +108,8 @@ def test_means_have_intervals_and_json_is_clean() -> None:
 
 def test_round_trips_are_a_distribution() -> None:
     nothing = TickTiming(0, 0, 0, math.nan, math.nan, math.nan)
-    never = DurationSpread(0, math.nan, math.nan, math.nan)
     timings = [
-        EpisodeTiming(nothing, never, DurationSpread(len(trips), math.nan, math.nan, 0.2), trips)
+        EpisodeTiming(nothing, math.nan, trips)
         for trips in ((0.04,), (), (*[0.05] * 17, 0.06, 0.08, 0.2))
     ]
     found = summarise_episodes([result(timing=timing) for timing in timings])

@@ -8,8 +8,9 @@ import pytest
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links import Link
-from acsar_gym.links.base import ForwardingLink
-from acsar_gym.links.recorded import RecordedLink, WireTape
+from acsar_gym.links.base import LinkWrapper
+from acsar_gym.recording.recorded import RecordedLink
+from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import decode_track
 from acsar_gym.tools.sysid.excitation import (
@@ -63,7 +64,7 @@ def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: Ro
     assert tape.log.sent[-1].startswith(ZEROS)
 
 
-class FailingLink(ForwardingLink):
+class FailingLink(LinkWrapper):
     """A link that is lost after three seconds, and remembers what was sent."""
 
     ticks = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium
@@ -16,7 +17,6 @@ from sysid_tools import ACSAR, find_missed_truths
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import Link, open_link
-from acsar_gym.links.base import arrivals_of
 from acsar_gym.recording import read
 from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid.board_log import Floats
@@ -97,13 +97,15 @@ def replay(wire: WireLog, link: Link, shift: float) -> tuple[Floats, Floats]:
     link.open()
     link.reset(Scene())
     link.advance(0.1 + shift)
-    begin, got = link.now() - float(wire.sent_stamps[0]), []
+    begin = link.now() - float(wire.sent_stamps[0])
+    got: list[tuple[float, bytes]] = []
     for stamp, data in zip(wire.sent_stamps.tolist(), wire.sent, strict=True):
         link.advance(max(0.0, begin + stamp - link.now()))
-        got += arrivals_of(link)
+        got += link.arrivals
         link.write(data)
-    stamps, pieces = zip(*got, strict=True)
-    return WireLog(wire.sent_stamps, wire.sent, np.array(stamps) - begin, pieces).feedback(ACSAR)
+    stamps = np.array([stamp for stamp, _ in got])
+    pieces = tuple(piece for _, piece in got)
+    return WireLog(wire.sent_stamps, wire.sent, stamps - begin, pieces).feedback(ACSAR)
 
 
 @pytest.mark.slow
@@ -111,11 +113,12 @@ def test_a_repeated_drive_differs_by_the_noise_of_gap(tmp_path: Path) -> None:
     """With other phases of the board's clocks. `pytest -s` prints it."""
     drive_goals(BoardProgram(), tmp_path / "drives.mcap")
     episode = read(tmp_path / "drives.mcap").episodes[0]
-    for name, make in (
-        ("integer board", lambda: IntegerLink(BoardProgram())),
-        ("slower", lambda: IntegerLink(SLOWER)),
-        ("acsar", lambda: open_link("planar", ACSAR)),
-    ):
+    boards: dict[str, Callable[[], Link]] = {
+        "integer board": lambda: IntegerLink(BoardProgram()),
+        "slower": lambda: IntegerLink(SLOWER),
+        "acsar": lambda: open_link("planar", ACSAR),
+    }
+    for name, make in boards.items():
         sides = [replay(episode.wire, make(), 0.0021 * k) for k in range(10)]
         apart = []
         for (stamps, speeds), (others, theirs) in itertools.combinations(sides, 2):

@@ -134,7 +134,6 @@ def calibrate_robot(
         output: results.
     """
     from acsar_gym.links import open_link  # noqa: PLC0415
-    from acsar_gym.links.base import is_stamped  # noqa: PLC0415
     from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.recording import read  # noqa: PLC0415
     from acsar_gym.robot import Robot  # noqa: PLC0415
@@ -159,7 +158,7 @@ def calibrate_robot(
         job.check_given(Counter(run.manoeuvre for run in job.runs))
         return _finish_calibration(job, output)
     link = open_link(device, setup.driven(config, device))
-    job.in_ros = is_stamped(link)
+    job.in_ros = link.stamped
     host.prepare(device)
     recorder = setup.recorder("calibrate", link=device)
     robot = Robot(link, config, recorder=recorder)
@@ -211,9 +210,8 @@ def _finish_calibration(
         say(f"written: {output.out}; use it with --robot {output.out}")
         if job.in_ros:
             say(
-                "its controller takes twists by its own radii and separation, which are in ros2 of "
-                "the file. Better set the found ones in its parameters and delete wheel_radii and "
-                "wheel_separation from ros2"
+                "its controller goes on taking twists by its own radii and separation, as ros2 in "
+                "the file says; set the found ones in its parameters, too, and take these lines out"
             )
     return 0
 

@@ -1,0 +1,124 @@
+"""A link whose bytes are recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acsar_gym.config import RobotConfig
+from acsar_gym.links.base import Link, LinkWrapper
+from acsar_gym.recording.encoder import Exchange, Moved, Written
+from acsar_gym.worlds import Scene
+
+if TYPE_CHECKING:
+    from acsar_gym.recording.recorder import Recorder
+
+REPLAY = "replay:"  # prefix of the device of a link that replays a file
+STAMP_RESOLUTION = 1e9  # times are recorded as whole nanoseconds [1/s]
+
+
+class RecordedLink(LinkWrapper):
+    """Passes the bytes of another link to a recorder.
+
+    Its clock is still between resets, writes and periods, so that a replay shows the same times.
+    """
+
+    def __init__(self, inner: Link, recorder: Recorder, config: RobotConfig) -> None:
+        super().__init__(inner)
+        self._recorder = recorder
+        self._config = config
+        self._writes: list[tuple[float, bytes]] = []
+        self._now = 0.0
+
+    def open(self) -> None:
+        """Open the link, then the recorder: a link that doesn't open replaces no older recording.
+
+        Raises:
+            ConfigError: The recording can't be written, or must not replace an existing file.
+            LinkError: As for the link.
+        """
+        device = self.inner.device
+        replayed = Path(device.removeprefix(REPLAY)) if device.startswith(REPLAY) else None
+        self._recorder.check(replayed)
+        self.inner.open()
+        try:
+            self._recorder.open(self._config)
+        except BaseException:
+            self.inner.close()
+            raise
+        _ = self.inner.arrivals  # from now on the link notes when bytes arrive
+
+    def reset(self, scene: Scene) -> None:
+        """Start an episode."""
+        self._recorder.open(self._config)
+        self._record_last_writes()
+        self.inner.reset(scene)
+        self._now = self.inner.now()
+        self._recorder.begin(
+            self._now, simulated=self.inner.lateness is None, stamped=self.inner.stamped
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the link."""
+        self.inner.write(data)
+        if self.inner.lateness is not None:  # time goes on meanwhile
+            self._now = round(self.inner.now() * STAMP_RESOLUTION) / STAMP_RESOLUTION
+        self._writes.append((self._now, data))
+
+    def advance(self, period: float) -> bytes:
+        """Advance the link and record the period."""
+        data = self.inner.advance(period)
+        self._now = self.inner.now()
+        exchange = Exchange(
+            number=self._recorder.number,
+            stamp=self._now,
+            sent=tuple(self._writes),
+            received=self._pieces(data),
+            lateness=self.inner.lateness,
+            truth=self.inner.truth,
+        )
+        self._writes = []
+        self._recorder.add_exchange(exchange)
+        self._record_movers(exchange)
+        return data
+
+    def _pieces(self, data: bytes) -> tuple[tuple[float, bytes], ...]:
+        """The pieces in which the bytes of a period arrived."""
+        pieces = tuple(self.inner.arrivals)
+        if b"".join([piece for _, piece in pieces]) == data:
+            return pieces
+        return ((self._now, data),)
+
+    def _record_movers(self, exchange: Exchange) -> None:
+        crowd = None if exchange.truth is None else exchange.truth.crowd
+        if crowd is not None:
+            states = crowd.copy_states()
+            moved = Moved(exchange.number, exchange.stamp, crowd.hit, crowd.intrusions, states)
+            self._recorder.add(moved)
+
+    def now(self) -> float:
+        """Return the time of the newest reset, write or period, on the link's clock [s]."""
+        return self._now
+
+    def close(self) -> None:
+        """Close the link; the recording goes on with the next reset."""
+        try:
+            self.inner.close()
+        finally:
+            self._record_last_writes()
+
+    def _record_last_writes(self) -> None:
+        """Record what was sent since the last period of the episode."""
+        writes = tuple(self._writes)
+        self._writes = []
+        if writes and self._recorder.has_begun:
+            self._recorder.add(Written(writes))
+
+    def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
+        """Copies aren't recorded: two robots can't write one file."""
+        return _unwrapped, (self.inner,)
+
+
+def _unwrapped(link: Link) -> Link:
+    return link
