@@ -166,6 +166,12 @@ class Decoder:
         Returns:
             A reading for each valid line, oldest first.
         """
+        # The usual case first, as it is in every tick: whole lines, and nothing left from before.
+        if data.endswith(b"\n") and not (self._partial or self._is_skipping):
+            return [reading for line in data.splitlines() if (reading := self._read_line(line))]
+        if not data:
+            return []
+
         stream = self._partial + data
         lines = stream.splitlines()
         partial = b"" if not lines or stream.endswith(_LINE_ENDS) else lines.pop()
@@ -173,7 +179,7 @@ class Decoder:
         if lines and self._is_skipping:
             self._is_skipping = False
             lines[0] = b""
-        readings = [reading for line in lines if line and (reading := self._read_line(line))]
+        readings = [reading for line in lines if (reading := self._read_line(line))]
 
         if len(partial) > MAX_LINE and not self._is_skipping:
             self._is_skipping = True
@@ -184,7 +190,7 @@ class Decoder:
     def _read_line(self, line: bytes) -> Reading | None:
         """Decode a line; four cached parts take the fast path."""
         parts = line.split(b",")
-        if not parts[-1] and len(parts) > 1:
+        if not parts[-1]:
             parts.pop()  # after a trailing comma
         try:
             a, b, c, d = parts
@@ -202,6 +208,8 @@ class Decoder:
         return tuple.__new__(Reading, (speeds,))  # twice as fast as the class, in every tick
 
     def _read_parts(self, line: bytes, parts: list[bytes]) -> Reading | None:
+        if not line:
+            return None
         is_first = self._is_first and self.lines == 0
         self._is_first = False
         if len(line) > MAX_LINE:

@@ -103,7 +103,14 @@ class Wire:
             self.written = link.now() + (0.0 if self._is_stamped else self._line_time)
 
         data = link.advance(self._period)
-        lines = self._decode(data)
+        lines = []
+        for reading in self.decoder.feed(data):
+            if self._encoders is not None:
+                reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
+            self.speeds = reading.over(self.speeds)
+            lines.append(self.speeds)
+        if self._is_stamped:
+            self._read_stamps()
 
         stamp = link.now()
         duration = stamp - self.stamp
@@ -114,22 +121,13 @@ class Wire:
             self._is_settled = False
             self.start = stamp - self._period
 
-        self.age = 0.0 if lines else self.age + duration
-        if rules.is_silent(self.age, self._rules):
-            raise silence_error(self.age, self.decoder)
+        if lines:
+            self.age = 0.0
+        else:
+            self.age += duration
+            if rules.is_silent(self.age, self._rules):
+                raise silence_error(self.age, self.decoder)
         return lines, duration
-
-    def _decode(self, data: bytes) -> list[Speeds]:
-        """Decode the bytes of a period; returns the wheel speeds of each line."""
-        lines = []
-        for reading in self.decoder.feed(data):
-            if self._encoders is not None:
-                reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
-            self.speeds = reading.over(self.speeds)
-            lines.append(self.speeds)
-        if self._is_stamped:
-            self._read_stamps()
-        return lines
 
     def _read_stamps(self) -> None:
         """Find how long the speeds of each line held, from the times of their measurement."""

@@ -44,33 +44,31 @@ class SimulatedLink(Link):
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world and physics."""
         self.open()
-        body, firmware = self._parts()
-        body.reset(scene)
-        firmware.reset(scene.physics)
+        if self.body is None or self._firmware is None:
+            raise _closed_error()
+        self.body.reset(scene)
+        self._firmware.reset(scene.physics)
 
         self._crowd = None
         if scene.world is not None and scene.world.movers:
             self._crowd = Crowd(scene.world, self._config, scene.key)
-            body.place_movers(self._crowd)
+            self.body.place_movers(self._crowd)
         self._now = 0.0
         self.work = 0.0
 
-    def _parts(self) -> tuple[Body, Firmware]:
-        """Body and firmware of the open link."""
-        if self.body is None or self._firmware is None:
-            raise LinkLostError("the simulated link is closed", "call open() or env.reset() first")
-        return self.body, self._firmware
-
     def write(self, data: bytes) -> None:
         """Send bytes over the simulated UART; LinkLostError if the link is closed."""
-        _, firmware = self._parts()
-        firmware.receive(data)
+        if self._firmware is None:
+            raise _closed_error()
+        self._firmware.receive(data)
 
     def advance(self, period: float) -> bytes:
         """Simulate one period [s]; returns the bytes that arrived during it."""
-        body, firmware = self._parts()
+        body = self.body
+        if body is None or self._firmware is None:
+            raise _closed_error()
         self._now += period
-        data = firmware.advance(period)
+        data = self._firmware.advance(period)
 
         if self._crowd is not None:
             self._advance_crowd(body, self._crowd)
@@ -120,6 +118,10 @@ class SimulatedLink(Link):
             self.body = None
             self._firmware = None
             self._crowd = None
+
+
+def _closed_error() -> LinkLostError:
+    return LinkLostError("the simulated link is closed", "call open() or env.reset() first")
 
 
 class PacedLink(LinkWrapper):

@@ -1,0 +1,87 @@
+"""What links can do is declared, and a wrapper has the abilities of the link that it wraps."""
+
+from __future__ import annotations
+
+import logging
+import math
+from pathlib import Path
+
+import pytest
+
+from acsar_gym import Link, Robot, RobotConfig, open_link
+from acsar_gym.errors import SafetyWarning
+from acsar_gym.links.base import LinkWrapper
+from acsar_gym.recording import Recorder
+from acsar_gym.recording.replay import ReplayLink
+from acsar_gym.worlds import Scene
+
+
+def test_defaults_are_those_of_a_link_that_can_nothing_in_addition() -> None:
+    link = Link()
+    assert (link.is_real, link.stamped, link.metered, link.commands_sides) == (False,) * 4
+    assert (link.lateness, link.truth, link.camera, link.scans, link.ros) == (None,) * 5
+    assert (link.device, link.unwatched, link.arrivals) == ("", "", ())
+    assert math.isnan(link.work)
+
+
+def test_wrapper_has_each_ability_of_its_link() -> None:
+    inner = open_link("bullet")
+    wrapper = LinkWrapper(inner)
+    wrapper.open()
+    wrapper.metered = True
+    wrapper.reset(Scene())
+    wrapper.advance(0.01)
+    assert inner.metered
+    assert (wrapper.work, wrapper.truth) == (inner.work, inner.truth)
+    assert wrapper.camera is inner.camera is not None
+    assert list(wrapper.arrivals) == list(inner.arrivals)
+    wrapper.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "is_real"),
+    [("planar", False), ("bullet", False), ("/dev/ttyUSB0", True), ("ros2:/robot", True)],
+)
+def test_links_know_whether_their_wheels_are_real(url: str, is_real: bool) -> None:
+    assert open_link(url).is_real is is_real
+    assert LinkWrapper(open_link(url)).is_real is is_real
+
+
+def test_replay_of_a_real_drive_is_not_real(
+    shared_device: str, config: RobotConfig, tmp_path: Path
+) -> None:
+    """Nobody has to stop it, and it has no watchdog whose absence is worth a warning."""
+    config = config.with_(firmware={"command_timeout": None}, watchdog_timeout=60.0)
+    tape = tmp_path / "tape.mcap"
+    robot = Robot(open_link(shared_device, config), config, recorder=Recorder(tape))
+    with pytest.warns(SafetyWarning, match="doesn't stop by itself"):
+        robot.activate()
+    for _ in range(10):
+        robot.drive(0.1, 0.0)
+    robot.close()
+
+    link = ReplayLink(tape)
+    with Robot(link, config) as robot:
+        for _ in range(10):
+            robot.drive(0.1, 0.0)
+        assert link.lateness is not None
+        assert not link.is_real
+        robot.estop()
+    with Robot(open_link("planar")) as robot:
+        robot.drive(0.1, 0.0)
+
+
+def test_debug_log_has_each_line_with_its_time(caplog: pytest.LogCaptureFixture) -> None:
+    with Robot(open_link("planar")) as robot:
+        robot.drive(0.1, 0.0)
+    assert not caplog.records
+
+    with (
+        caplog.at_level(logging.DEBUG, logger="acsar_gym.wire"),
+        Robot(open_link("planar")) as robot,
+    ):
+        robot.drive(0.1, 0.0)
+        stamp = robot.wire.stamp
+    messages = [record.getMessage() for record in caplog.records]
+    assert any(message.startswith(f"{stamp:.4f} received b'ap") for message in messages)
+    assert any(message.startswith(f"{stamp - 0.01:.4f} sent b'ap") for message in messages)
