@@ -13,11 +13,10 @@ from acsar_gym.streams import open_streams, run_guarded
 def main() -> None:
     """Entry point of the command."""
     open_streams()  # before anything else opens a file
-    if sys.argv[1:2] == ["estop"]:
+    if sys.argv[1:] in (["estop"], ["estop", "--release"]):
         from acsar_gym.guard import estop  # noqa: PLC0415
 
-        if (stop := estop.parse_stop(sys.argv[2:])) is not None:
-            sys.exit(run_guarded(stop))
+        sys.exit(run_guarded(lambda: estop.run_command(release=sys.argv[2:] == ["--release"])))
     from acsar_gym.tools import cli  # noqa: PLC0415
 
     cli.main()

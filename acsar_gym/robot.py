@@ -22,7 +22,12 @@ from acsar_gym.errors import (
     WheelError,
     escape_unprintable,
 )
-from acsar_gym.guard.estop import StopListener, check_released, release_process
+from acsar_gym.guard.estop import (
+    StopListener,
+    check_released,
+    hold_process,
+    release_process,
+)
 from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.odometry import Odometry
@@ -194,7 +199,7 @@ class Robot:
         """Listen for emergency stops of a real robot, also while something is waited for."""
         if self.link.is_real and self._stops is None:
             check_released()
-            self._stops = StopListener(self.link.device, self.config.name)
+            self._stops = StopListener()
             self._stops.warn()
             self._has_warned = False
 
@@ -206,19 +211,20 @@ class Robot:
 
     def _check_released(self) -> None:
         """Answer requests; raise EmergencyStopError while a stop holds."""
-        if self._stops is None:
-            if self._is_held:
-                raise EmergencyStopError
-            return
-        if self._stops.is_requested():
-            self._answer_stop(self._stops)
-        check_released()
+        if self._is_held:
+            raise EmergencyStopError
+        if self.link.is_real:
+            if self.active:
+                self.check_estop()
+            check_released()
 
     def _open_link(self) -> None:
         self._check_released()
         if not self.active:
             self.link.open()
             self.active = True
+            if self._stops is not None:
+                self._stops.connect()
 
     def _start_episode(self, scene: Scene, rng: np.random.Generator) -> None:
         """Wait until the wheels are at rest, and reset what belongs to an episode."""
@@ -377,17 +383,9 @@ class Robot:
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
         if self._stops is not None and self._stops.is_requested():
-            self._answer_stop(self._stops)
-
-    def _answer_stop(self, stops: StopListener) -> None:
-        """Stop, and answer whether that has reached the board."""
-        is_stopped = False
-        try:
             self.safety.estop()
             self.stop()
-            is_stopped = self.active
-        finally:
-            stops.confirm(connected=is_stopped)
+            self._stops.confirm()
 
     def estop(self) -> None:
         """Emergency stop: command zero now, and hold zero.
@@ -396,12 +394,14 @@ class Robot:
         estop --release`, or `r` in `acsar-gym drive`. With real wheels this holds for all robots of
         this process.
         """
-        if self._stops is None:
-            self._is_held = True
+        if self.link.is_real:
+            hold_process()
         else:
-            self._stops.hold()
+            self._is_held = True
         self.safety.estop()
         self.stop()
+        if self._stops is not None:
+            self._stops.confirm()
 
     def release_estop(self) -> None:
         """Release emergency stops; the next reset lets the robot drive again.
@@ -433,6 +433,8 @@ class Robot:
         finally:
             self.active = False
             self.link.close()
+            if self._stops is not None:
+                self._stops.disconnect()
         if isinstance(error, Exception):
             self._observer.after_error(self, error)
 

@@ -28,7 +28,6 @@ from nursery import nursery as programs
 from serial_tools import Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
-from acsar_gym.guard import watchdog
 from acsar_gym.guard.estop import release_process
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as under nohup: tests of Ctrl-C need it
@@ -155,7 +154,6 @@ def start_emulator(tmp_path: Path, pytestconfig: pytest.Config) -> Iterator[Star
         return running[-1]
 
     yield begin
-    watchdog.end_searches()
     for emulated in running:
         emulated.end()
 

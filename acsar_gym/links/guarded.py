@@ -10,6 +10,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.guard.shutdown import (
     check_may_drive,
+    check_may_start,
     close_at_exit,
     forget_link,
     install_handlers,
@@ -121,11 +122,11 @@ class GuardedLink(Link):
         """
         if self.is_open:
             return
-        check_may_drive()
+        check_may_start()
 
+        close_at_exit(self)
         try:
             self._connect()
-            close_at_exit(self)
             self._send_stop()
             with self._lock:
                 self._start_watchdog()
@@ -133,6 +134,7 @@ class GuardedLink(Link):
             self.watchdog.wait_ready(self.watchdog_start)
         except BaseException:
             self.close()
+            forget_link(self)
             raise
         self._deadline = self.now()
 
@@ -142,7 +144,7 @@ class GuardedLink(Link):
         After the watchdog stopped the robot, this allows driving again.
         """
         self.stop()
-        check_may_drive()
+        check_may_start()
 
         try:
             self._replace_dead_watchdog()

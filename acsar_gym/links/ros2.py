@@ -22,7 +22,13 @@ from typing import Any
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyWarning
-from acsar_gym.guard.shutdown import check_may_drive, close_at_exit, forget_link, install_handlers
+from acsar_gym.guard.shutdown import (
+    check_may_drive,
+    check_may_start,
+    close_at_exit,
+    forget_link,
+    install_handlers,
+)
 from acsar_gym.guard.watchdog import Watchdog
 from acsar_gym.links.base import WHILE_WAITING, Arrivals, Link
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
@@ -181,7 +187,7 @@ class Ros2Link(Link):
         """
         if self.node is not None:
             return
-        check_may_drive()
+        check_may_start()
         self._forget()
         name = f"acsar_gym_{os.getpid()}_{next(_numbers)}"
         self.node = node = RosNode(name, self._namespace)
@@ -454,7 +460,7 @@ class Ros2Link(Link):
                 check_may_drive()  # last, as a signal may come at any time
                 self._publish(speeds)
                 self.watchdog.note_drive()
-            except LinkError:
+            except BaseException:
                 self._publish(ZERO)
                 raise
             if self._driving_since is None:
@@ -501,7 +507,7 @@ class Ros2Link(Link):
         node = self._require_node()
         with self._lock:
             self._stop()
-        check_may_drive()
+        check_may_start()
         try:
             with self._lock:
                 restart = self.watchdog.is_started and not self.watchdog.is_alive

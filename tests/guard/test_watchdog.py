@@ -1,9 +1,8 @@
-"""The watchdog alone: what it does when, without processes, and on a pseudo-terminal."""
+"""The watchdog itself: what it does when, without processes, and on a pseudo-terminal."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import select
 import time
@@ -12,6 +11,7 @@ from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
+from nursery import first_line, program
 from serial_tools import no_leak, wait_until
 from watchdog_tools import HASTY, ZEROS
 
@@ -26,30 +26,18 @@ from acsar_gym.guard.watchdog_child import (
     STOOD,
     TRIPPED,
     ProgramWatch,
-    SharedPort,
     boot_clock,
 )
-from acsar_gym.protocol import ZERO, encode
 
 pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
-TIMEOUT_OF_DOG = 0.15
-
-
-class Counting(SharedPort):
-    """Counts zero commands."""
-
-    def __init__(self) -> None:
-        self.zeros = 0
-
-    def stop_robot(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        self.zeros += wanted()
-        return True
+WATCH_TIMEOUT = 0.15
 
 
 @pytest.fixture
-def port() -> Counting:
-    return Counting()
+def zeros() -> list[float]:
+    """Zero commands that `check` has sent."""
+    return []
 
 
 @pytest.fixture
@@ -61,40 +49,40 @@ Check = Callable[[float], float]
 
 
 @pytest.fixture
-def check(port: Counting, page: memoryview[float]) -> Check:
-    """Have it look at a time; returns when it looks again."""
-    return ProgramWatch(page, -1, os.getpid(), TIMEOUT_OF_DOG, port).check
+def check(zeros: list[float], page: memoryview[float]) -> Check:
+    """Let it look at a time; returns when it looks again."""
+    return ProgramWatch(page, WATCH_TIMEOUT, lambda: zeros.append(0.0)).check
 
 
-def test_a_gap_in_which_it_was_suspended_itself_trips_too(
-    check: Check, port: Counting, page: memoryview[float]
+def test_a_gap_in_which_the_watchdog_was_suspended_trips(
+    check: Check, zeros: list[float], page: memoryview[float]
 ) -> None:
-    """As where a container is paused, or the computer's lid is closed."""
+    """As when a container is paused, or the computer's lid is closed."""
     page[BEAT] = 100.0
     check(100.01)
     check(105.0)
-    assert port.zeros == 1
+    assert len(zeros) == 1
     assert page[TRIPPED] == pytest.approx(5.0)
     page[BEAT] = 105.01
     check(105.02)
     assert page[TRIPPED], "until the reset"
 
 
-def test_zeros_are_repeated_only_while_the_program_says_nothing(
-    check: Check, port: Counting, page: memoryview[float]
+def test_zeros_are_repeated_only_while_the_program_sends_nothing(
+    check: Check, zeros: list[float], page: memoryview[float]
 ) -> None:
     check(100.0)
-    assert port.zeros == 0
+    assert not zeros
     for milliseconds in range(0, 1000, 10):
         now = 100.0 + 0.001 * milliseconds
-        if milliseconds < 500:  # the program itself commands zero
+        if milliseconds < 500:  # the program commands zero
             page[STOOD] = now
         check(now)
-        assert milliseconds > 500 or not port.zeros
-    assert port.zeros == 5
+        assert milliseconds > 500 or not zeros
+    assert len(zeros) == 5
     page[BEAT] = 101.0
     check(101.05)
-    assert port.zeros == 5
+    assert len(zeros) == 5
 
 
 @pytest.fixture
@@ -108,54 +96,55 @@ def wire() -> Iterator[tuple[int, int]]:
     os.close(slave)
 
 
-def watch(port: int, timeout: float = HASTY) -> tuple[Watchdog, int]:
-    """A watchdog that watches this process, and its PID."""
+def start_watchdog(port: int, timeout: float = HASTY) -> Watchdog:
     dog = Watchdog(ZEROS, timeout)
     dog.start(port)
     dog.wait_ready()
-    assert dog.pid is not None
-    return dog, dog.pid
+    return dog
 
 
 @pytest.fixture
 def dog(wire: tuple[int, int]) -> Iterator[Watchdog]:
+    """A watchdog that watches this process."""
     with no_leak():
-        dog, pid = watch(wire[1])
+        dog = start_watchdog(wire[1])
+        pid = dog.pid
         yield dog
         dog.close()
         dog.close()
+    assert pid is not None
     assert not psutil.pid_exists(pid)
 
 
 def read_until_quiet(descriptor: int, wait: float) -> bytes:
-    """What arrives until nothing has come for so long."""
+    """Return what arrives until nothing has come for a time [s]."""
     data = b""
     while select.select([descriptor], [], [], wait)[0]:
         data += os.read(descriptor, 4096)
     return data
 
 
-def read_zeros(descriptor: int, times: int) -> bytes:
-    """What arrives until there are so many zero commands."""
+def read_zeros(descriptor: int, count: int) -> bytes:
+    """Return what arrives until it contains a number of zero commands."""
     data = b""
-    while data.count(ZEROS) < times:
+    while data.count(ZEROS) < count:
         data += os.read(descriptor, 4096)
     return data
 
 
-def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
+def test_it_trips_commands_zero_for_a_second_and_can_be_armed_again(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
-    begin = time.monotonic()
+    start = time.monotonic()
     dog.allow_drive()
-    said = read_zeros(wire[0], 1)
-    assert time.monotonic() - begin >= HASTY
+    commands = read_zeros(wire[0], 1)
+    assert time.monotonic() - start >= HASTY
     assert dog.has_tripped
     dog.beat()
     with pytest.raises(LinkError):
         dog.allow_drive()
-    said += read_zeros(wire[0], HANG_ZEROS - 1)
-    assert said + read_until_quiet(wire[0], 0.2) == ZEROS * HANG_ZEROS
+    commands += read_zeros(wire[0], HANG_ZEROS - 1)
+    assert commands + read_until_quiet(wire[0], 0.2) == ZEROS * HANG_ZEROS
     dog.rearm()
     assert not dog.has_tripped
     dog.allow_drive()
@@ -163,7 +152,7 @@ def test_it_trips_once_says_so_for_a_second_and_can_be_armed_again(
 
 
 @pytest.mark.parametrize(("timeout", "stall", "longest"), [(0.15, 0.14, 0.2), (HASTY, 0.3, HASTY)])
-def test_one_that_has_not_run_for_long_is_none(
+def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
     timeout: float,
     stall: float,
     longest: float,
@@ -171,9 +160,9 @@ def test_one_that_has_not_run_for_long_is_none(
     page: memoryview[float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A machine that stood has held up the program too, and doesn't count."""
-    dog, _ = watch(wire[1], timeout)
-    monkeypatch.setattr(dog, "page", page)  # nobody else's
+    """A machine that stalled has held up the program as well, and doesn't count."""
+    dog = start_watchdog(wire[1], timeout)
+    monkeypatch.setattr(dog, "page", page)  # which no process updates
     now = 100.0
 
     def drive_until(end: float, step: float) -> None:
@@ -196,7 +185,7 @@ def test_one_that_has_not_run_for_long_is_none(
 def test_a_gap_that_the_program_finds_first_trips(
     wire: tuple[int, int], dog: Watchdog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As where both were suspended, and the program goes on before the watchdog."""
+    """As when both were suspended, and the program goes on before the watchdog."""
     dog.allow_drive()
     later = boot_clock() + 3.0
     monkeypatch.setattr(watchdog, "boot_clock", lambda: later)
@@ -208,8 +197,8 @@ def test_a_gap_that_the_program_finds_first_trips(
     assert read_zeros(wire[0], HANG_ZEROS)
 
 
-def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
-    """As where the board takes no bytes: its zeros are the first that it gets."""
+def test_it_makes_way_if_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
+    """As when the board takes no bytes: its zeros are the first that the board gets."""
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(wire[1], b"x" * 4096)
@@ -219,39 +208,34 @@ def test_it_makes_way_where_the_port_is_stuck(wire: tuple[int, int], dog: Watchd
 
 
 def test_a_lost_port_does_not_end_it() -> None:
-    other = os.open(os.devnull, os.O_RDONLY)
-    unwritable, _ = watch(other, 0.05)
-    unwritable.allow_drive()
-    wait_until(lambda: unwritable.has_tripped, "a trip")
-    assert unwritable.is_alive
-    unwritable.close()
-    os.close(other)
+    unwritable = os.open(os.devnull, os.O_RDONLY)
+    dog = start_watchdog(unwritable, 0.05)
+    dog.allow_drive()
+    wait_until(lambda: dog.has_tripped, "a trip")
+    assert dog.is_alive
+    dog.close()
+    os.close(unwritable)
 
 
-def test_it_insists_until_the_board_answers(wire: tuple[int, int]) -> None:
-    dog, pid = watch(wire[1])
-    dog.search("mine")
-    read_zeros(wire[0], 2 * DEATH_ZEROS)
-    os.write(wire[0], encode(ZERO))
-    wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_ZOMBIE, "its end")
-    watchdog.end_searches("mine")
-    assert not psutil.pid_exists(pid)
+STARTING = """
+import os, sys
+from acsar_gym.guard.watchdog import Watchdog
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+dog = Watchdog(bytes.fromhex(sys.argv[2]), 60.0)
+dog.start(port)
+dog.wait_ready()
+print(dog.pid, flush=True)
+os.read(0, 1)
+os._exit(1)
+"""
 
 
-def test_another_program_may_take_the_port_meanwhile(wire: tuple[int, int]) -> None:
-    dog, pid = watch(wire[1])
-    dog.search("mine")
-    other = os.open(os.ttyname(wire[1]), os.O_RDWR | os.O_NOCTTY)
-
-    def is_mine() -> bool:
-        with contextlib.suppress(BlockingIOError):
-            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        return False
-
-    wait_until(is_mine, "the lock")
-    read_until_quiet(wire[0], 0.01)
-    wait_until(lambda: psutil.Process(pid).status() == psutil.STATUS_ZOMBIE, "its end")
-    assert ZEROS not in read_until_quiet(wire[0], 0.1)
-    watchdog.end_searches("mine")
-    os.close(other)
+def test_after_the_program_s_death_it_commands_zero_and_releases_the_port(
+    wire: tuple[int, int],
+) -> None:
+    with program(STARTING, os.ttyname(wire[1]), ZEROS.hex()) as process:
+        pid = int(first_line(process))
+        process.kill()
+        assert read_zeros(wire[0], DEATH_ZEROS) == ZEROS * DEATH_ZEROS
+        wait_until(lambda: not psutil.pid_exists(pid), "its end")
+    assert read_until_quiet(wire[0], 0.1) == b""

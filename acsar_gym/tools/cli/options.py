@@ -261,13 +261,13 @@ class HostOptions:
 
     def prepare(self, drives: str | None = None) -> None:
         """Set priority and cores, and check that a real robot can be stopped."""
-        from acsar_gym.guard.estop import StopListener  # noqa: PLC0415
+        from acsar_gym.guard.estop import check_available  # noqa: PLC0415
         from acsar_gym.links.factory import is_device  # noqa: PLC0415
         from acsar_gym.tools.commission import host  # noqa: PLC0415
 
         if drives is not None and not self.without_estop and is_device(drives):
             try:
-                StopListener.check_available(drives)
+                check_available(drives)
             except LinkError as error:
                 fix = f"{error.fix}; or drive without an emergency stop: --without-estop"
                 raise LinkError(error.found, fix) from error

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from rich.table import Table
 
-from acsar_gym.guard.estop import StopListener
+from acsar_gym.errors import LinkError
+from acsar_gym.guard.estop import try_listening
 from acsar_gym.links.ports import find_ports
 
 STATUS_MARKS = {
@@ -51,15 +52,12 @@ def check_ports(device: str | None = None) -> Check:
 
 def check_estop() -> Check:
     """Check whether `acsar-gym estop` can stop programs on this computer."""
-    listener = StopListener()
-    folders = ", ".join(str(path.parent) for path in listener.paths)
-    faults = "; ".join(fault.found for fault in listener.faults)
-    fixes = "; ".join(fault.fix for fault in listener.faults)
-    listener.close()
-    found = f"listens in {folders}" + (f"; not everywhere: {faults}" if faults else "")
-    if not folders:
-        found = f"'acsar-gym estop' won't be heard: {faults}"
-    return warn_if(bool(faults) or not folders, "emergency stop", found, fixes)
+    try:
+        folder = try_listening()
+    except LinkError as error:
+        message = f"'acsar-gym estop' won't be heard: {error.found}"
+        return Check("emergency stop", "warn", message, error.fix)
+    return Check("emergency stop", "ok", f"listens in {folder}")
 
 
 def draw_checks(checks: Sequence[Check], title: str = "acsar-gym doctor") -> Table:

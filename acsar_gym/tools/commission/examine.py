@@ -209,7 +209,8 @@ class StoppableLink(SerialLink):
     def __init__(self, device: str, config: RobotConfig) -> None:
         zeros = [encode(ZERO, trailing_comma=comma) for comma in (False, True)]
         super().__init__(device, config, [zeros[1].upper(), *zeros])
-        self.listener = StopListener(device, config.name)
+        self.listener = StopListener()
+        self.listener.connect()
 
     def read_now(self) -> bytes:
         """Return what has arrived; LinkError at an emergency stop."""

@@ -36,7 +36,7 @@ from acsar_gym.errors import (
     show_value,
     suggest_name,
 )
-from acsar_gym.guard.estop import StopListener
+from acsar_gym.guard.estop import is_held
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.lidar.laser_scan import LaserScan, make_scan
 from acsar_gym.lidar.scan import Revolution
@@ -817,7 +817,7 @@ class DrivenRobot:
         return scan
 
     def _is_held(self) -> bool:
-        return bool(StopListener.held) or self._held
+        return is_held() or self._held
 
     _held = False
 

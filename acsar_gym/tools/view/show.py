@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections import defaultdict
@@ -13,8 +12,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from acsar_gym.errors import ConfigError, LinkError, escape_unprintable, shorten_text
-from acsar_gym.guard import estop
+from acsar_gym.errors import ConfigError, escape_unprintable, shorten_text
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
@@ -30,31 +28,22 @@ from acsar_gym.tools.view.entities import (
 from acsar_gym.tools.view.tail import Block, RecordingTail
 from acsar_gym.tools.view.viewer import merge_files, open_viewer
 
-RECORD_HINT = "start it with --record FILE"
+RECORD_HINT = "drive with --record FILE, and view that file with --live"
 POLL_INTERVAL = 0.3
 """Time between two looks at a recording that is being written [s]."""
 
 
 def find_recording(source: str) -> Path:
-    """Return the recording that is meant by a file, or by the device of a robot that is driven.
+    """Return the path of a recording.
 
     Raises:
-        LinkError: nobody drives that robot, or doesn't record it.
-        ConfigError: it is a simulated link, which only its recording shows.
+        ConfigError: It is a link, which only a recording of its robot can show.
     """
-    if source in BODIES or source == "serial":
-        raise ConfigError(f"{source}: names no robot that is driven: {RECORD_HINT}, and view that")
     path = Path(source.removeprefix("replay:"))
-    if not is_device(source) or path.suffix == ".mcap" or path.is_file() or path.is_dir():
-        return path
-    real, where = os.path.realpath(source), shorten_text(source)
-    for driver in estop.list_drivers():
-        if driver.device and os.path.realpath(driver.device) == real:
-            if driver.recording:
-                return Path(driver.recording)
-            process = f"process {driver.process}"
-            raise LinkError(f"{where}: {process} drives it without a recording", RECORD_HINT)
-    raise LinkError(f"{where}: no program of yours on this computer drives it", RECORD_HINT)
+    is_recording = path.suffix == ".mcap" or path.is_file() or path.is_dir()
+    if not is_recording and (source in BODIES or source == "serial" or is_device(source)):
+        raise ConfigError(f"{shorten_text(source)}: isn't a recording: {RECORD_HINT}")
+    return path
 
 
 class Overlay:

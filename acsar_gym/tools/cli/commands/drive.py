@@ -85,21 +85,14 @@ def drive_robot(
 
 
 @command("estop", "robots")
-def stop_robots(
-    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[NAME]")] = "",
-    list: bool = False,  # noqa: A002 - the option's name
-    release: bool = False,
-) -> int:
-    """Stop the real robots that programs of yours on this computer are driving, or one of them.
+def stop_robots(release: bool = False) -> int:
+    """Stop all real robots that your programs on this computer are driving.
 
     They stay stopped, whatever their programs do, until --release.
 
     Args:
-        name: device (/dev/ttyUSB0 or ttyUSB0), name in the robot's file, or process id; default:
-            all robots.
-        list: only list who drives which robot, and since when.
         release: let them drive again, after their programs' next reset.
     """
     from acsar_gym.guard import estop  # noqa: PLC0415
 
-    return estop.run_command(name, listing=list, release=release)
+    return estop.run_command(release=release)

@@ -45,8 +45,7 @@ def view_run(
     """Show a run in Rerun's viewer, recorded or while it is driven; or two over each other.
 
     Args:
-        source: a recording, or a ROS 2 bag; or the device of a robot that a program on this
-            computer drives with --record FILE.
+        source: a recording, or a ROS 2 bag.
         bag: of ROS 2.
         options: what is shown, and where.
         other: another recording that is drawn over it, such as the simulation of the same goals;
@@ -70,10 +69,9 @@ def view_run(
         count = show.save_recording(path, other, options.save)
         say(f"{options.save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
         return 0
-    is_device = path != Path(source.removeprefix("replay:")) and not is_bag
-    live, port = options.live or is_device, options.port if options.web else None
+    port = options.port if options.web else None
     for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
         signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
-        show.show_recording(path, other, port, live=live)
+        show.show_recording(path, other, port, live=options.live)
     return 0
