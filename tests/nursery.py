@@ -67,7 +67,7 @@ def nursery(*modules: str) -> Iterator[None]:
         try:
             yield
         finally:
-            _server.clear()
+            _server.remove(ours)
             process.kill()
 
 
@@ -83,7 +83,7 @@ class Program:
         self.stdout = open(ear, "rb", buffering=0)  # noqa: SIM115
         self._report = open(report, "rb", buffering=0)  # noqa: SIM115
         request = json.dumps([code, *arguments]).encode()
-        socket.send_fds(_server[0], [request], [mouth, self._errors.fileno(), reporter])
+        socket.send_fds(_server[-1], [request], [mouth, self._errors.fileno(), reporter])
         os.close(mouth)
         os.close(reporter)
         self.pid = int(self._report.readline())

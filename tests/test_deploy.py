@@ -16,7 +16,6 @@ from typing import Any
 
 import psutil
 import pytest
-import stopping
 from serial_tools import TIMEOUT, Emulated, wait_until
 
 from acsar_gym.guard.watchdog_child import IGNORED_SIGNALS
@@ -145,7 +144,8 @@ CONTAINER = ("unshare", *AS_USER, "--pid", "--fork", "--kill-child")
 def test_the_program_s_end_in_a_container_leaves_the_wheels_stopped(
     number: signal.Signals, emulator: Emulated
 ) -> None:
-    if shutil.which("unshare") is None or stopping.no_namespace():
+    has_unshare = shutil.which("unshare") is not None
+    if not has_unshare or subprocess.run([*CONTAINER, "true"], check=False).returncode:
         pytest.skip("needs a PID namespace")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     words = ("drive", "--link", emulator.device, "--linear", "0.2")

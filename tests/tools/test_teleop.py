@@ -227,7 +227,7 @@ def test_after_an_emergency_stop_the_person_at_the_keyboard_releases_it(
 ) -> None:
     wait_until(lambda: "feedback" in screen.look(), "the status line")
     forward = on_the_wire(config, 0.2 * config.max_linear, 0.0)
-    for stop in (lambda: screen.press("e"), lambda: stop_all(str(screen.process.pid))):
+    for stop in (lambda: screen.press("e"), stop_all):
         screen.shown = ""
         hold(screen, "w", emulator, forward)
         stop()
@@ -316,7 +316,7 @@ def test_after_an_emergency_stop_start_releases_it_and_the_deadman_is_pressed_an
     options = ("--link", emulator.device, "--robot", str(robot_file()))
     with open_screen(*options, "--gamepad", str(pad.path), program=WITH_PAD) as screen:
         wait_until(lambda: "feedback" in screen.look(), "the status line")
-        for stop in (lambda: pad.send(STOP), lambda: stop_all(str(screen.process.pid))):
+        for stop in (lambda: pad.send(STOP), stop_all):
             screen.shown = ""
             pad.send(LB + FULL)
             wait_until(emulator.is_driven, "a command that turns the wheels")

@@ -30,7 +30,7 @@ REAL = {
     "run": "run 1 0 --link planar",
     "drive": "drive --link planar --linear 0.1 --duration 0.2",
     "record info": "record info tape.mcap",
-    "estop": "estop --list",
+    "estop": "estop",
     "version": "--version",
     "help": "--help",
     "wrong": "drve",

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import tempfile
-import threading
 import urllib.error
 import urllib.request
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +18,7 @@ from recording_tools import begun, drive, record_env
 from rerun.chunk import RrdReader
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.guard.estop import StopListener
+from acsar_gym.errors import ConfigError
 from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.types import Movers
 from acsar_gym.tools.view.entities import EpisodeLogger
@@ -252,31 +248,10 @@ def test_what_cannot_be_shown_is_a_line(damage: str, tape: Path, tmp_path: Path)
     assert not (tmp_path / "bad.rrd").exists()
 
 
-@pytest.fixture
-def driving(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """This process as a driver of /dev/ttyX that records."""
-    with tempfile.TemporaryDirectory(prefix="acsar-", dir="/tmp") as base:  # short, for sockets
-        monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", base)
-        listener = StopListener("/dev/ttyX", "rover", "/data/a b\tc.mcap")
-        over = threading.Event()
-
-        def loop() -> None:
-            while not over.wait(0.001):
-                listener.is_requested()
-
-        thread = threading.Thread(target=loop)
-        thread.start()
-        yield
-        over.set()
-        thread.join()
-        listener.close()
-
-
-@pytest.mark.usefixtures("driving")
-def test_a_device_is_the_recording_of_whoever_drives_it() -> None:
-    assert find_recording("/dev/ttyX") == Path("/data/a b\tc.mcap")
-    with pytest.raises(LinkError, match="/dev/ttyY"):
-        find_recording("/dev/ttyY")
+@pytest.mark.parametrize("source", ["planar", "serial", "/dev/ttyX"])
+def test_a_link_is_no_recording(source: str) -> None:
+    with pytest.raises(ConfigError, match=f"{source}: isn't a recording: drive with --record FILE"):
+        find_recording(source)
 
 
 def test_the_page_is_on_loopback_may_ask_nobody_and_ends_with_the_command(tape: Path) -> None:
