@@ -199,6 +199,9 @@ class RobotConfig(Section):
     """y of the LiDAR in the base frame [m], to the left."""
     lidar_z_offset: Offset = 0.37
     """z of the LiDAR in the base frame [m], up."""
+    lidar_yaw: Annotated[float, Field(ge=-2.0 * math.pi, le=2.0 * math.pi)] | None = None
+    """Direction of a real LiDAR's zero, counter-clockwise from the robot's x axis [rad]. None: 0
+    for a LiDAR on a serial port; a LiDAR in ROS then needs a transform on /tf_static."""
     footprint: Corners | None = None
     """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
     with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".

@@ -1,4 +1,4 @@
-"""A LiDAR that is in ROS 2: its scans, and where it sits, by /tf_static."""
+"""A LiDAR in ROS 2: its scans, and its pose from /tf_static or the robot's file."""
 
 from __future__ import annotations
 
@@ -7,154 +7,174 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LidarError
+from acsar_gym.errors import LidarError, show_value
 from acsar_gym.lidar.contract import check_age
-from acsar_gym.lidar.laser_scan import (
-    LaserScan,
-    Mount,
-    Transform,
-    find_mount,
-    find_transform,
-    move_revolution,
-    read_scan,
-)
+from acsar_gym.lidar.laser_scan import LaserScan, Mount, move_revolution, read_mount, read_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.ros.node import NANOSECONDS, RosNode, read_stamp
 from acsar_gym.worlds import Scene
 
-SCAN_DEPTH = 5
-"""Scans that wait while a program doesn't step."""
-STATIC_DEPTH = 100
-"""Most nodes that publish /tf_static."""
-BESIDE_TIMEOUT = 1.0
-"""Longest wait for the transform of a scanner whose frame is that of the robot's file [s]."""
+SCAN_DEPTH = 5  # scans that wait while a program doesn't step
+STATIC_DEPTH = 100  # nodes that may publish /tf_static
+STATIC_TIMEOUT = 1.0
+"""Longest wait for a transform if the robot's file has `lidar_yaw`: nodes find each other within
+this time [s]."""
 
 
 class RosLidar:
-    """The scans of a topic. It uses the node of a link that has one, and else one of its own.
+    """The scans of a topic, received by the node of the robot's link, or by a separate node.
 
-    Attributes: `topic`, of the scans.
+    Attributes:
+        topic: Name of the topic.
 
     Args:
         url: "ros2", or "ros2:/namespace".
-        link: of the robot, whose clock counts.
-        config: of the robot; `config.ros2.scan_topic`.
+        link: The robot's link, whose clock counts.
+        config: Robot configuration, with `ros2.scan_topic`.
     """
 
     def __init__(self, url: str, link: Link, config: RobotConfig) -> None:
         self.topic = config.ros2.scan_topic
-        self._namespace = url.partition(":")[2] or "/"
+        self._url = url
         self._link = link
         self._config = config
         self._forget()
 
     def _forget(self) -> None:
+        """Set the state of a closed LiDAR."""
         self._node: RosNode | None = None
-        self._is_own = False
-        self._offset = 0
-        self._transforms: dict[str, Transform] = {}
+        self._owns_node = False
+        self._epoch = 0  # time of the node's clock at time 0 of the link's clock [ns]
+        self._start = 0.0
+        self._transforms: dict[str, Any] = {}  # geometry_msgs/TransformStamped, by their frames
         self._mount: Mount | None = None
-        self._since = 0.0
         self._newest: Revolution | None = None
         self._problem: LidarError | None = None
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Wait for a scan that was begun after this.
+        """Wait for a scan that starts after this call.
 
         Raises:
-            LidarError: nobody publishes scans, or they can't be used, or nothing says where their
-                frame is.
+            LidarError: There are no scans, they can't be used, or the pose of the LiDAR is unknown.
         """
-        node = self._find_node()
+        node = self._open()
         self._newest = self._problem = None
-        self._since = self._link.clock()
+        self._start = self._link.clock()
         timeout = self._config.connect_timeout
         if not node.wait_until(lambda: self._newest, timeout, WHILE_WAITING.get()):
             self.scan()
 
-    def _find_node(self) -> RosNode:
-        """Return the node, with its subscriptions."""
-        inner = self._link.ros
-        theirs = None if inner is None else inner.node
-        if self._node is not None and (self._is_own or self._node is theirs):
+    def _open(self) -> RosNode:
+        """Return the node, with subscriptions."""
+        ros_link = self._link.ros
+        link_node = None if ros_link is None else ros_link.node
+        if self._node is not None and (self._owns_node or self._node is link_node):
             return self._node
+
         self._forget()
-        self._is_own = theirs is None
-        self._node = node = theirs or RosNode("acsar_gym_lidar")
-        if inner is None or self._is_own:
-            self._offset = node.now() - round(self._link.clock() * NANOSECONDS)
+        self._owns_node = link_node is None
+        if link_node is None:
+            node = RosNode("acsar_gym_lidar")
+            self._epoch = node.now() - round(self._link.clock() * NANOSECONDS)
         else:
-            self._offset = inner.epoch
+            node = link_node
+            self._epoch = ros_link.epoch
+        self._node = node
+
+        namespace = (self._url.partition(":")[2] or node.namespace).rstrip("/")
         topic = self._config.ros2.scan_topic
-        if self._namespace != "/" and not topic.startswith("/"):
-            topic = f"{self._namespace.rstrip('/')}/{topic}"
-        self.topic = node.resolve(topic)
-        if node.ros.TFMessage is not None:
-            node.subscribe(
-                "/tf_static", node.ros.TFMessage, self._on_static, STATIC_DEPTH, latched=True
-            )
+        self.topic = node.resolve(topic if topic.startswith("/") else f"{namespace}/{topic}")
         node.subscribe(self.topic, node.ros.LaserScan, self._on_scan, SCAN_DEPTH, best_effort=True)
+        if node.ros.TFMessage is not None:
+            # A robot with a namespace has its transforms there (Clearpath, TurtleBot 4).
+            for static in dict.fromkeys(("/tf_static", f"{namespace}/tf_static")):
+                node.subscribe(
+                    static, node.ros.TFMessage, self._on_static, depth=STATIC_DEPTH, latched=True
+                )
         return node
 
     def _on_static(self, message: Any) -> None:
-        for stamped in message.transforms:
-            place, turn = stamped.transform.translation, stamped.transform.rotation
-            self._transforms[stamped.child_frame_id] = Transform(
-                stamped.header.frame_id,
-                (place.x, place.y, place.z),
-                (turn.x, turn.y, turn.z, turn.w),
-            )
+        """Take static transforms."""
         self._mount = None
+        for stamped in message.transforms:
+            self._transforms[stamped.child_frame_id.lstrip("/")] = stamped
 
     def _on_scan(self, message: Any) -> None:
-        when = (read_stamp(message.header.stamp) - self._offset) / NANOSECONDS
-        if when < self._since:
-            return
-        scan = LaserScan(
-            message.angle_min,
-            message.angle_increment,
-            message.time_increment,
-            message.scan_time,
-            message.range_min,
-            message.range_max,
-            message.ranges,
-            when,
-        )
-        try:
-            if self._mount is None:
-                self._mount = self._find_mount(message.header.frame_id)
-            mount, config = self._mount, self._config
-            revolution = read_scan(scan, mount, self.topic)
-            offset = mount.x - config.lidar_x_offset, mount.y - config.lidar_y_offset
-            self._newest = move_revolution(revolution, *offset)
-            self._problem = None
-        except LidarError as error:
-            self._problem = error
-
-    def _find_mount(self, frame: str) -> Mount:
-        """Where the scanner sits; as the robot's file says, where its frame is named there."""
+        """Take a scan that started after the reset."""
+        stamp = (read_stamp(message.header.stamp) - self._epoch) / NANOSECONDS
+        fields = {name: getattr(message, name) for name in LaserScan._fields if name != "stamp"}
+        scan = LaserScan(**fields, stamp=stamp)
         config = self._config
         try:
-            transform = find_transform(self._transforms, frame, config.base_frame, self.topic)
-        except LidarError:
-            # The transform may come after the first scan.
-            waited = self._link.clock() - self._since > BESIDE_TIMEOUT
-            if frame.lstrip("/") == config.lidar_frame and waited:
-                return Mount(config.lidar_x_offset, config.lidar_y_offset)
-            raise
-        return find_mount(*transform, self.topic)
+            mount = self._mount or self._find_mount(message.header.frame_id)
+            revolution = read_scan(scan, mount, self.topic, timeout=config.lidar.timeout)
+        except LidarError as error:
+            self._problem = error
+            return
+        if stamp < self._start:
+            self._problem = LidarError(
+                f"{self.topic}: its newest scan began {self._start - stamp:.2f} s before the reset",
+                "do the clocks agree? In a simulation every node needs use_sim_time",
+            )
+            return
+        dx = mount.x - config.lidar_x_offset
+        dy = mount.y - config.lidar_y_offset
+        self._newest = move_revolution(revolution, dx, dy)
+        self._mount = mount
+        self._problem = None
+
+    def _find_mount(self, frame: str) -> Mount:
+        """Return the pose of the LiDAR, by its transform or by the robot's file."""
+        config = self._config
+        base = config.base_frame.lstrip("/")
+        frame = frame.lstrip("/")
+        if frame == base:
+            return Mount()
+        if self._find_parent(frame) == base:
+            transform = self._transforms[frame].transform
+            place, turn = transform.translation, transform.rotation
+            return read_mount(
+                (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w), self.topic
+            )
+
+        # The transform may come after the first scan.
+        waited = self._link.clock() - self._start
+        if config.lidar_yaw is not None and waited > min(
+            STATIC_TIMEOUT, 0.5 * config.connect_timeout
+        ):
+            return Mount(config.lidar_x_offset, config.lidar_y_offset, config.lidar_yaw)
+        raise LidarError(
+            f"{self.topic}: no transform from {show_value(base)} to its frame {show_value(frame)} "
+            f"({self._describe_chain(frame)})",
+            "write the LiDAR's pose on the robot into its file: lidar_x_offset, lidar_y_offset and "
+            f"lidar_yaw, as 'ros2 run tf2_ros tf2_echo {base} {frame}' shows them",
+        )
+
+    def _describe_chain(self, frame: str) -> str:
+        """Return the transforms from which a frame hangs, for a message."""
+        chain = [frame]
+        while (parent := self._find_parent(chain[0])) and parent not in chain:
+            chain.insert(0, parent)
+        if len(chain) == 1:
+            return "/tf_static doesn't have the frame"
+        return f"/tf_static has only {' -> '.join(chain)}"
+
+    def _find_parent(self, frame: str) -> str:
+        """Return the frame in which a frame is defined; empty if it is unknown."""
+        stamped = self._transforms.get(frame)
+        return "" if stamped is None else str(stamped.header.frame_id.lstrip("/"))
 
     def scan(self) -> Revolution:
-        """Return the newest revolution; doesn't wait.
+        """Return the newest revolution, without waiting.
 
         Raises:
-            LidarError: there is none, it is older than lidar.timeout, or the newest scan can't be
-                used.
+            LidarError: There is no revolution, it is older than lidar.timeout, or the newest scan
+                can't be used.
         """
         if self._node is None:
             raise LidarError(f"LiDAR {self.topic} is closed", "call reset() first")
-        if self._is_own:
+        if self._owns_node:
             self._node.spin(0.0)
         if self._problem is not None:
             raise LidarError(self._problem.found, self._problem.fix)
@@ -164,16 +184,16 @@ class RosLidar:
                 self._node.problem
                 or f"start its node, or set ros2.scan_topic (ros2 topic hz {self.topic})",
             )
-        check_age(f"LiDAR {self.topic}", self._newest, self._link.clock(), self._config)
+        now = self._link.clock()
+        check_age(self._newest, now, f"LiDAR {self.topic}", config=self._config)
         return self._newest
 
     def close(self) -> None:
-        """End the node, if it is this LiDAR's own; idempotent."""
-        node, is_own = self._node, self._is_own
+        """End the separate node, if there is one. Idempotent."""
+        if self._node is not None and self._owns_node:
+            self._node.close()
         self._forget()
-        if node is not None and is_own:
-            node.close()
 
     def __reduce__(self) -> tuple[type[RosLidar], tuple[Any, ...]]:
         """Copies and pickles are closed LiDARs of the same topic."""
-        return RosLidar, (f"ros2:{self._namespace}", self._link, self._config)
+        return RosLidar, (self._url, self._link, self._config)

@@ -1,9 +1,8 @@
-"""Scans of a LiDAR that turns while the robot drives: what was measured, and how it becomes rays.
+"""Scans of a LiDAR that turns while the robot drives: from measurements to rays.
 
-A LiDAR hands over revolutions: measurements with a bearing, a distance and a time each.
-`fill_scan` moves them by what the odometry says that the robot drove between their time and now,
-and sorts them into the rays of an observation. It is the same for a device, for a simulated LiDAR
-and in a batch.
+A LiDAR delivers revolutions, whose measurements have a bearing, a distance and a time each.
+`fill_scan` moves them by the odometry between their time and now, and sorts them into the rays of
+an observation. A device, a simulated LiDAR and a batch share it.
 """
 
 from __future__ import annotations
@@ -24,102 +23,126 @@ FULL_TURN = 2.0 * math.pi
 MAX_STAMP = 4e9  # largest time on a link's clock, either sign [s]: 126 years
 MAX_DISTANCE = 1e6  # largest distance of a measurement [m]
 MISS_HANDICAP = math.radians(0.75)
-"""A ray prefers a measured distance to a miss that is nearer in direction by up to this angle: one
-failed measurement among many isn't free space [rad]."""
+"""A ray prefers a measured distance to a failed measurement that is nearer in direction by up to
+this angle, because a single failure among many measurements isn't free space [rad]."""
 MAX_SLOPE = 3.0
-"""Two measurements may lie on one surface where the range changes by no more than this, in parts of
-the range, for each radian: a wall is then seen at an angle of up to 72 degrees from its normal."""
+"""Largest change of range per range and radian between two measurements of the same surface. A wall
+is then seen at an angle of up to 72 degrees from its normal."""
 GAP_STEPS = 2.0
-"""A ray takes what is measured within so many steps between two measurements of a robot at rest;
-further away nothing is known."""
-
-
-NOTHING = 1e9  # length of a miss, and how many rays away a measurement is that isn't there
+"""A ray takes measurements up to this many steps away, a step being the angle between two
+measurements of a robot at rest. Farther away nothing is known."""
+NOTHING = 1e9
+"""Length of a failed measurement, and distance in rays of a measurement that doesn't exist: larger
+than any real number of these."""
+MAX_DISTANCE = 1e6  # largest distance of a measurement: more than any LiDAR's range [m]
+MAX_STAMP = 4e9  # largest time on a link's clock, either sign: 126 years [s]
+TIME, PLACE_X, PLACE_Y, HEADING = range(4)
+"""Columns of poses: time [s], place [m] and heading [rad]."""
+BELOW, ABOVE = range(2)
+"""Sides of a ray, by direction."""
 
 
 class Revolution(NamedTuple):
     """One turn of a LiDAR's head: n measurements, in any order."""
 
     bearings: Floats
-    """(n,): counter-clockwise from the LiDAR's zero, which is the robot's x axis [rad]."""
+    """(n,): counter-clockwise from the robot's x axis [rad]."""
     distances: Floats
-    """(n,) [m]; 0 where nothing was measured."""
+    """(n,) [m]; 0 for a failed measurement."""
     times: Floats
-    """(n,): when each was taken, on the clock of the robot's link [s]."""
+    """(n,): time of each measurement on the clock of the robot's link [s]."""
     stamp: float
-    """When the revolution ended, on that clock [s]."""
+    """End of the revolution on that clock [s]."""
 
 
 class Scan(NamedTuple):
-    """What a LiDAR's rays measure from where the robot is now."""
+    """The ranges that a LiDAR would measure from the robot's present pose."""
 
     ranges: Floats
     """(rays,): range in each direction [m], within min_range to max_range, counter-clockwise from
-    -field_of_view / 2 of the robot's x axis; max_range where nothing was measured."""
+    -field_of_view / 2 of the robot's x axis; max_range if nothing was measured."""
     stamp: float
-    """When the revolution ended, on the link's clock [s]."""
+    """End of the revolution on the link's clock [s]."""
 
 
 class Rays(NamedTuple):
-    """The rays of an observation, and where the LiDAR sits, as compiled loops need them."""
+    """The rays of an observation and the place of the LiDAR, for compiled loops."""
 
     start: float
     """Angle of the first ray [rad]."""
     step: float
     """Angle between two rays [rad]."""
     nearest: float
-    """Least range [m]."""
+    """Shortest range [m]."""
     farthest: float
     """Longest range [m]."""
     mount_x: float
-    """Position of the LiDAR in the base frame, ahead [m]."""
+    """Position of the LiDAR in the base frame, forward [m]."""
     mount_y: float
     """Position of the LiDAR in the base frame, to the left [m]."""
     period: float
-    """Time between two poses of a trail, roughly [s]."""
+    """Approximate time between two rows of a trail [s]."""
 
 
 def ray_spec(config: RobotConfig) -> RaySpec:
-    """The rays of a robot's LiDAR."""
+    """Return the rays of a robot's LiDAR."""
     lidar = config.lidar
     return RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
 
 
 def make_rays(config: RobotConfig) -> Rays:
-    """The rays of a robot's LiDAR, for `fill_scan`."""
-    spec, lidar = ray_spec(config), config.lidar
-    mount = config.lidar_x_offset, config.lidar_y_offset
-    start = float(spec.angles()[0])
-    return Rays(start, spec.step, lidar.min_range, lidar.max_range, *mount, config.period)
+    """Return the rays of a robot's LiDAR for `fill_scan`."""
+    spec = ray_spec(config)
+    return Rays(
+        start=float(spec.angles()[0]),
+        step=spec.step,
+        nearest=config.lidar.min_range,
+        farthest=config.lidar.max_range,
+        mount_x=config.lidar_x_offset,
+        mount_y=config.lidar_y_offset,
+        period=config.period,
+    )
+
+
+class Ring(NamedTuple):
+    """The last poses of a robot, for compiled loops."""
+
+    rows: Floats
+    """(slots, 4): columns TIME, PLACE_X, PLACE_Y and HEADING. The first row follows the last."""
+    newest: int
+    """Row of the newest pose."""
 
 
 class Trail:
-    """Where a robot was at the ends of the last ticks, by odometry or in truth.
+    """The poses of a robot at the ends of the last ticks, by odometry or in truth.
 
-    Attributes: `rows`, a ring of time [s], x [m], y [m] and theta [rad], (slots, 4); `newest`, the
-    place of the newest row.
+    Attributes:
+        rows: As in `Ring`.
+        newest: Likewise; -1 before the first mark.
     """
 
     def __init__(self, duration: float, period: float) -> None:
         self.rows = np.zeros((count_trail_rows(duration, period), 4))
-        self._period = period
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget everything: until its first mark the robot has been at rest."""
         self.newest = -1
+        self._period = period
+
+    @property
+    def ring(self) -> Ring:
+        """The poses for compiled loops."""
+        return Ring(self.rows, self.newest)
 
     def mark(self, time: float, pose: tuple[float, float, float]) -> None:
-        """Add a row, or change the newest one where no time has passed."""
-        if self.newest < 0:
-            begin_trail(self.rows, time, pose, self._period)
-        if self.newest < 0 or time > self.rows[self.newest, 0]:
+        """Add a row, or change the newest row if no time has passed."""
+        is_first = self.newest < 0
+        if is_first:
+            begin_trail(self.rows, time, pose, dt=self._period)
+        if is_first or time > self.rows[self.newest, TIME]:
             self.newest = (self.newest + 1) % len(self.rows)
         self.rows[self.newest] = time, *pose
 
 
 def count_trail_rows(duration: float, period: float) -> int:
-    """Rows of a trail that reaches back for a duration [s], with a row every period [s]."""
+    """Return the rows of a trail that covers a duration [s], with a row every period [s]."""
     return math.ceil(duration / period) + 2
 
 
@@ -128,66 +151,116 @@ def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt
     """Fill a trail with the pose of a robot that has been at rest; its next row is 0."""
     slots = len(trail)
     for slot in range(slots):
-        trail[slot, 0] = time - (slots - slot) * dt
-        trail[slot, 1], trail[slot, 2], trail[slot, 3] = pose
+        trail[slot, TIME] = time - (slots - slot) * dt
+        trail[slot, PLACE_X], trail[slot, PLACE_Y], trail[slot, HEADING] = pose
 
 
 @jit
-def look_back(trail: Floats, newest: int, since: float, until: float, rays: Rays) -> Floats:
-    """Where a LiDAR was during a time, as seen from where it is now.
+def look_back(ring: Ring, since: float, until: float, rays: Rays) -> Floats:
+    """Compute the poses of a LiDAR during a time, relative to its present pose.
 
     Returns:
-        (slots, 4), the newest first: time [s], x and y of the LiDAR's place from its present one in
-        the robot's present frame [m], and the heading from the present one [rad]. Rows that
-        `place_at` doesn't need for that time have no more than a time.
+        Poses, the newest first: place of the LiDAR in the robot's present frame, from the
+        LiDAR's present place, and heading from the present heading. Rows that `place_at` doesn't
+        need for this time have only a time.
     """
+    trail, newest = ring
     slots = len(trail)
-    seen = np.zeros((slots, 4))
-    cos, sin = cos_sin(trail[newest, 3])
-    row, over = newest, False
+    poses = np.zeros((slots, 4))
+    cos, sin = cos_sin(trail[newest, HEADING])
+    row = newest
+    is_complete = False
     for back in range(slots):
-        seen[back, 0] = trail[row, 0]
-        before = row - 1 if row > 0 else slots - 1
-        if not over and (back == slots - 1 or trail[before, 0] <= until):
-            over = trail[row, 0] < since
-            dx, dy = trail[row, 1] - trail[newest, 1], trail[row, 2] - trail[newest, 2]
-            turned = trail[row, 3] - trail[newest, 3]
+        poses[back, TIME] = trail[row, TIME]
+        previous = row - 1 if row > 0 else slots - 1
+        if not is_complete and (back == slots - 1 or trail[previous, TIME] <= until):
+            is_complete = trail[row, TIME] < since
+
+            # The robot in its present frame.
+            dx = trail[row, PLACE_X] - trail[newest, PLACE_X]
+            dy = trail[row, PLACE_Y] - trail[newest, PLACE_Y]
+            turned = trail[row, HEADING] - trail[newest, HEADING]
             turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
+
+            # The LiDAR on it.
             c, s = cos_sin(turned)
-            seen[back, 1] = cos * dx + sin * dy + c * rays.mount_x - s * rays.mount_y - rays.mount_x
-            seen[back, 2] = cos * dy - sin * dx + s * rays.mount_x + c * rays.mount_y - rays.mount_y
-            seen[back, 3] = turned
-        row = before
-    return seen
+            x = cos * dx + sin * dy + c * rays.mount_x - s * rays.mount_y
+            y = cos * dy - sin * dx + s * rays.mount_x + c * rays.mount_y
+            poses[back, PLACE_X] = x - rays.mount_x
+            poses[back, PLACE_Y] = y - rays.mount_y
+            poses[back, HEADING] = turned
+        row = previous
+    return poses
 
 
 @jit
-def place_at(seen: Floats, time: float, period: float) -> tuple[float, float, float]:
-    """A LiDAR's place and heading at a time [s], interpolated; the nearest end outside.
+def place_at(poses: Floats, time: float, period: float) -> tuple[float, float, float]:
+    """Interpolate a LiDAR's relative pose at a time [s]; the nearest end of the trail outside.
+
+    Args:
+        poses: Rows of `look_back`.
+        time: Time [s].
+        period: Approximate time between two rows [s].
 
     Returns:
-        x, y [m] and heading [rad], from those now.
+        x, y [m] and heading [rad].
     """
-    last = len(seen) - 2
-    back = int(min(max((seen[0, 0] - time) / period, 0.0), float(last)))
-    while back < last and seen[back + 1, 0] > time:
+    last = len(poses) - 2
+    back = int(min(max((poses[0, TIME] - time) / period, 0.0), float(last)))
+    while back < last and poses[back + 1, TIME] > time:
         back += 1
-    while back > 0 and seen[back, 0] < time:
+    while back > 0 and poses[back, TIME] < time:
         back -= 1
-    before = seen[back + 1, 0]
-    share = min(max((time - before) / (seen[back, 0] - before), 0.0), 1.0)
-    rest = 1.0 - share
+
+    earlier = poses[back + 1, TIME]
+    share = min(max((time - earlier) / (poses[back, TIME] - earlier), 0.0), 1.0)
+    remainder = 1.0 - share
     return (
-        share * seen[back, 1] + rest * seen[back + 1, 1],
-        share * seen[back, 2] + rest * seen[back + 1, 2],
-        share * seen[back, 3] + rest * seen[back + 1, 3],
+        share * poses[back, PLACE_X] + remainder * poses[back + 1, PLACE_X],
+        share * poses[back, PLACE_Y] + remainder * poses[back + 1, PLACE_Y],
+        share * poses[back, HEADING] + remainder * poses[back + 1, HEADING],
     )
+
+
+@loop
+def fill_scan(revolution: Revolution, ring: Ring, rays: Rays, ranges: Floats) -> None:
+    """Compute the ranges along a robot's present rays from the measurements of a revolution.
+
+    Args:
+        revolution: Measurements.
+        ring: Poses by odometry, of which the newest is the present pose.
+        rays: Rays of the observation.
+        ranges: Receives the range of each ray [m].
+    """
+    times = revolution.times
+    count = len(times)
+    work = np.empty((5, count))  # loops over rows that are unpacked in one line aren't vectorized
+    xs = work[0]
+    ys = work[1]
+    turns = work[2]
+    places = work[3]
+    lengths = work[4]
+
+    # Where the LiDAR was at each measurement, by the odometry between then and now.
+    since = until = times[0] if count else 0.0
+    for k in range(count):
+        since = min(since, times[k])
+        until = max(until, times[k])
+    poses = look_back(ring, since, until, rays=rays)
+    right_turn = left_turn = 0.0
+    for k in range(count):
+        xs[k], ys[k], turns[k] = place_at(poses, times[k], rays.period)
+        right_turn = min(right_turn, turns[k])
+        left_turn = max(left_turn, turns[k])
+
+    move_measurements(revolution, xs, ys, turns=turns, rays=rays, places=places, lengths=lengths)
+    reach = GAP_STEPS * FULL_TURN / max(count, 1) + left_turn - right_turn
+    sort_into_rays(places, lengths, reach, rays=rays, ranges=ranges)
 
 
 @subroutine
 def move_measurements(
-    bearings: Floats,
-    distances: Floats,
+    revolution: Revolution,
     xs: Floats,
     ys: Floats,
     turns: Floats,
@@ -195,22 +268,28 @@ def move_measurements(
     places: Floats,
     lengths: Floats,
 ) -> None:
-    """Compute how measurements look from elsewhere; a loop of its own, which can be vectorized.
+    """Compute how measurements look from the present pose; a separate loop, so that it vectorizes.
 
-    `xs`, `ys` and `turns`, (n,), tell where the LiDAR was, from its present place and heading.
-    Written are `places`, directions in rays from the first one, -0.5 to less than a full turn
-    beyond, and `lengths` [m], NOTHING where nothing was measured.
+    Args:
+        revolution: n measurements.
+        xs: (n,): place of the LiDAR at each measurement, from its present place [m].
+        ys: (n,): likewise.
+        turns: (n,): its heading, from the present heading [rad].
+        rays: Rays of the observation.
+        places: (n,): receives directions in rays from the first ray, from -0.5 to less than a full
+            turn more.
+        lengths: (n,): receives lengths [m], NOTHING for failed measurements.
     """
-    around = FULL_TURN / rays.step
-    for k in range(len(bearings)):
-        measured = distances[k] > 0.0
-        distance = distances[k] if measured else 1.0
-        cos, sin = cos_sin(bearings[k] + turns[k])
-        x = distance * cos + (xs[k] if measured else 0.0)
-        y = distance * sin + (ys[k] if measured else 0.0)
+    full_turn = FULL_TURN / rays.step
+    for k in range(len(turns)):
+        is_measured = revolution.distances[k] > 0.0
+        distance = revolution.distances[k] if is_measured else 1.0
+        cos, sin = cos_sin(revolution.bearings[k] + turns[k])
+        x = distance * cos + (xs[k] if is_measured else 0.0)
+        y = distance * sin + (ys[k] if is_measured else 0.0)
         place = (angle_of(x, y) - rays.start) / rays.step
-        places[k] = place - around * np.floor((place + 0.5) / around)
-        lengths[k] = math.sqrt(x * x + y * y) if measured else NOTHING
+        places[k] = place - full_turn * np.floor((place + 0.5) / full_turn)
+        lengths[k] = math.sqrt(x * x + y * y) if is_measured else NOTHING
 
 
 @subroutine
@@ -219,89 +298,75 @@ def sort_into_rays(
 ) -> None:
     """Give each ray the range between the two measurements that are next to it in direction.
 
-    It is interpolated where both may lie on one surface, and the nearer one's otherwise.
+    The range is interpolated if both can lie on one surface. Otherwise it is that of the nearer
+    measurement.
     """
-    last = len(ranges)
-    whole = abs(FULL_TURN / rays.step - last) < 1e-6  # the rays go all the way round
-    # For each ray the lengths of the measurements below and above it, and how far off they are.
-    sides, offs = np.full((2, last), NOTHING), np.full((2, last), NOTHING)
+    count = len(ranges)
+    is_full_turn = abs(FULL_TURN / rays.step - count) < 1e-6
+
+    # The measurements next to each ray on both sides, and how many rays they are away.
+    sides = np.full((2, count), NOTHING)
+    gaps = np.full((2, count), NOTHING)
     for k in range(len(places)):
         low = int(np.floor(places[k]))
-        high, off = low + 1, places[k] - low
-        if whole:
-            low, high = (last - 1 if low < 0 else low), (0 if high >= last else high)
-        if 0 <= low < last and off < offs[1, low]:
-            sides[1, low], offs[1, low] = lengths[k], off
-        if 0 <= high < last and 1.0 - off < offs[0, high]:
-            sides[0, high], offs[0, high] = lengths[k], 1.0 - off
-    spread_to_empty(sides[0], offs[0], 0, 1, whole)
-    spread_to_empty(sides[1], offs[1], last - 1, -1, whole)
-    most, miss = reach / rays.step, MISS_HANDICAP / rays.step
-    for ray in range(last):
-        first, second, near, far = sides[0, ray], sides[1, ray], offs[0, ray], offs[1, ray]
-        steep = MAX_SLOPE * min(first, second) * (near + far) * rays.step
-        together = near <= most and far <= most and abs(first - second) <= steep
-        between = (first * far + second * near) / (near + far + 1e-300)
-        near += miss if first == NOTHING else 0.0
-        far += miss if second == NOTHING else 0.0
-        nearer = first if near <= far else second
-        length = nearer if min(near, far) <= most + miss else NOTHING
-        length = between if together else length
+        high = low + 1
+        gap = places[k] - low
+        if is_full_turn:
+            low = count - 1 if low < 0 else low
+            high = 0 if high >= count else high
+        if 0 <= low < count and gap < gaps[ABOVE, low]:
+            sides[ABOVE, low] = lengths[k]
+            gaps[ABOVE, low] = gap
+        if 0 <= high < count and 1.0 - gap < gaps[BELOW, high]:
+            sides[BELOW, high] = lengths[k]
+            gaps[BELOW, high] = 1.0 - gap
+    spread_to_empty(sides[BELOW], gaps[BELOW], 0, step=1, is_full_turn=is_full_turn)
+    spread_to_empty(sides[ABOVE], gaps[ABOVE], count - 1, step=-1, is_full_turn=is_full_turn)
+
+    farthest_gap = reach / rays.step
+    handicap = MISS_HANDICAP / rays.step
+    for ray in range(count):
+        first = sides[BELOW, ray]
+        second = sides[ABOVE, ray]
+        first_gap = gaps[BELOW, ray]
+        second_gap = gaps[ABOVE, ray]
+
+        # On one surface?
+        rise = MAX_SLOPE * min(first, second) * (first_gap + second_gap) * rays.step
+        is_surface = (
+            first_gap <= farthest_gap and second_gap <= farthest_gap and abs(first - second) <= rise
+        )
+        between = (first * second_gap + second * first_gap) / (first_gap + second_gap + 1e-300)
+
+        # The nearer measurement.
+        first_gap += handicap if first == NOTHING else 0.0
+        second_gap += handicap if second == NOTHING else 0.0
+        nearer = first if first_gap <= second_gap else second
+        length = nearer if min(first_gap, second_gap) <= farthest_gap + handicap else NOTHING
+
+        length = between if is_surface else length
         ranges[ray] = min(max(length, rays.nearest), rays.farthest)
 
 
 @jit
-def spread_to_empty(sides: Floats, offs: Floats, first: int, step: int, whole: bool) -> None:
-    """Give rays that have no measurement on one side that of the ray before them."""
-    last = len(offs)
-    length, off = NOTHING, NOTHING
-    if whole and offs[first] >= NOTHING:
-        for back in range(1, last):
-            other = last - back if step > 0 else back - 1
-            if offs[other] < NOTHING:
-                length, off = sides[other], offs[other] + back - 1.0
+def spread_to_empty(sides: Floats, gaps: Floats, first: int, step: int, is_full_turn: bool) -> None:
+    """Give rays without a measurement on one side that of the previous ray."""
+    count = len(gaps)
+    length = gap = NOTHING
+    if is_full_turn and gaps[first] >= NOTHING:
+        for back in range(1, count):
+            ray = count - back if step > 0 else back - 1
+            if gaps[ray] < NOTHING:
+                length = sides[ray]
+                gap = gaps[ray] + back - 1.0
                 break
-    for number in range(last):
+
+    for number in range(count):
         ray = first + number * step
-        off += 1.0
-        if offs[ray] >= NOTHING:
-            sides[ray], offs[ray] = length, off
+        gap += 1.0
+        if gaps[ray] >= NOTHING:
+            sides[ray] = length
+            gaps[ray] = gap
         else:
-            length, off = sides[ray], offs[ray]
-
-
-@loop
-def fill_scan(
-    bearings: Floats,
-    distances: Floats,
-    times: Floats,
-    trail: Floats,
-    newest: int,
-    rays: Rays,
-    ranges: Floats,
-) -> None:
-    """Compute what the rays of a robot would measure now from the measurements of a revolution.
-
-    Each is moved by the odometry between its time and now, then each ray takes what is next to it.
-    """
-    count = len(bearings)
-    work = np.empty((5, count))  # indexed: loops over unpacked rows aren't vectorized
-    xs, ys, turns, places, lengths = work[0], work[1], work[2], work[3], work[4]
-    since = until = times[0] if count else 0.0
-    for k in range(count):
-        since, until = min(since, times[k]), max(until, times[k])
-    seen = look_back(trail, newest, since, until, rays)
-    least = most = 0.0
-    for k in range(count):
-        xs[k], ys[k], turns[k] = place_at(seen, times[k], rays.period)
-        least, most = min(least, turns[k]), max(most, turns[k])
-    move_measurements(bearings, distances, xs, ys, turns, rays, places, lengths)
-    reach = GAP_STEPS * FULL_TURN / max(count, 1) + most - least
-    sort_into_rays(places, lengths, reach, rays, ranges)
-
-
-@jit
-def newest_revolution(now: float, first: float, rate: float, phase: float) -> tuple[float, float]:
-    """Number and end [s] of the newest complete revolution of a LiDAR that has always turned."""
-    number: float = np.floor((now - first) * rate - phase)
-    return number, first + (number + phase) / rate
+            length = sides[ray]
+            gap = gaps[ray]

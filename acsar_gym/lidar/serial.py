@@ -421,7 +421,7 @@ class SerialLidar:
         if reader.lost:
             raise _lost(self.device, reader.lost, reader.fix)
         newest = reader.newest
-        check_age(f"LiDAR {self.device}", newest, self._now(), self._config)
+        check_age(newest, self._now(), f"LiDAR {self.device}", config=self._config)
         return newest
 
     def close(self) -> None:

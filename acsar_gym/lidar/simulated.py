@@ -1,7 +1,7 @@
 """A simulated LiDAR that turns: measurements along the way of a simulated robot, with errors.
 
-A single robot and the robots of a batch share all of it. What an episode's LiDAR is like, the rate
-at which it turns and its errors, is among the numbers of `physics.Physics`.
+A single robot and the robots of a batch share it. The LiDAR of an episode, its rate and its errors,
+is drawn with the other numbers of `physics.Physics`.
 """
 
 from __future__ import annotations
@@ -16,13 +16,17 @@ from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import (
     FULL_TURN,
+    HEADING,
+    PLACE_X,
+    PLACE_Y,
+    TIME,
     Floats,
     Rays,
     Revolution,
+    Ring,
     Trail,
     look_back,
     make_rays,
-    newest_revolution,
     place_at,
     ray_spec,
 )
@@ -49,7 +53,7 @@ SAMPLE_KINDS = 8
 
 
 class Beams(NamedTuple):
-    """What is computed for each ray of a LiDAR; the first three are those of a Revolution."""
+    """Numbers of each ray of a LiDAR; the first three are those of a Revolution."""
 
     bearings: Floats
     """(rays,) [rad]."""
@@ -58,50 +62,30 @@ class Beams(NamedTuple):
     times: Floats
     """(rays,) [s]."""
     origins: Floats
-    """(rays, 2): where the LiDAR was then, from its place now in the robot's present frame [m]."""
+    """(rays, 2): place of the LiDAR then, from its present place, in the robot's present frame
+    [m]."""
 
 
 @jit
 def make_beams(rays: int) -> Beams:
-    """Arrays for so many rays, to be filled."""
+    """Return arrays for this number of rays, to be filled."""
     return Beams(np.empty(rays), np.empty(rays), np.empty(rays), np.empty((rays, 2)))
 
 
 class LidarTraits(NamedTuple):
-    """What an episode's LiDAR is like; see `physics.Physics`."""
+    """The LiDAR of an episode; see `physics.Physics` for its rate and errors."""
 
     scan_rate: float
     noise: float
     bias: float
     dropouts: float
     outliers: float
-
-
-@loop
-def aim_beams(
-    trail: Floats, newest: int, ended: float, duration: float, rays: Rays, beams: Beams
-) -> None:
-    """Find the measurements of a revolution that point along the robot's present rays.
-
-    The head turns clockwise, as that of most LiDARs, and passes straight ahead when a revolution
-    begins and ends. Where a robot turns against it, no measurement points into the gap between the
-    two ends; the later one is taken to.
-    """
-    begun = ended - duration
-    seen = look_back(trail, newest, begun, ended, rays)
-    since_begun = trail[newest, 0] - begun
-    _, _, turned = place_at(seen, begun, rays.period)
-    rate = -turned / since_begun / FULL_TURN  # of the robot [turns/s]
-    first, full = -(rays.start / FULL_TURN + rate * since_begun), 1.0 / (1.0 / duration - rate)
-    for k in range(len(beams.times)):
-        # The head's bearing -FULL_TURN * since / duration, and where the robot still turns until
-        # now, make the ray's: that is linear in the time since the revolution began.
-        part = first - k * rays.step / FULL_TURN
-        since = min((part - np.floor(part)) * full, duration)
-        beams.times[k] = begun + since
-        x, y, turned = place_at(seen, beams.times[k], rays.period)
-        beams.bearings[k] = rays.start + k * rays.step - turned
-        beams.origins[k, 0], beams.origins[k, 1] = x, y
+    start: float
+    """Time of the reset [s]."""
+    phase: float
+    """Share of a revolution that was complete at the reset."""
+    key: float
+    """Selects the random numbers of the errors, 0 to 1."""
 
 
 class Passers(NamedTuple):
@@ -114,160 +98,61 @@ class Passers(NamedTuple):
     states: Floats
     """(movers, numbers): see `worlds.crowd.STATE_NUMBERS`."""
     places: Floats
-    """(slots, movers, 2): where people who react were at the times of the robot's trail, x, y in
-    the frame of the world [m]."""
+    """(slots, movers, 2): places of people who react, at the times of the robot's trail, in the
+    frame of the world [m]."""
 
 
 @jit
 def see_nobody() -> Passers:
-    """No movers."""
+    """Return no movers."""
     nothing = np.zeros((0, 0))
     return Passers(nothing, nothing, nothing, np.zeros((0, 0, 2)))
 
 
 @subroutine
 def begin_passing(passers: Passers, trail: Floats) -> None:
-    """Fill the places of a trail that has begun; before it, people walked as they do now."""
-    now, states, places = trail[0, 0], passers.states, passers.places
+    """Fill the places at the first row of a trail; before it, people walked as they do now."""
+    states = passers.states
+    places = passers.places
     for row in range(len(places)):
+        elapsed = trail[row, TIME] - trail[0, TIME]
         for m in range(len(states)):
-            places[row, m, 0] = states[m, X] + (trail[row, 0] - now) * states[m, VX]
-            places[row, m, 1] = states[m, Y] + (trail[row, 0] - now) * states[m, VY]
+            places[row, m, 0] = states[m, X] + elapsed * states[m, VX]
+            places[row, m, 1] = states[m, Y] + elapsed * states[m, VY]
 
 
 @subroutine
 def find_passer(
-    passers: Passers, m: int, trail: Floats, newest: int, time: float, period: float
+    passers: Passers, m: int, ring: Ring, time: float, period: float
 ) -> tuple[float, float]:
-    """Where a mover was at a time [s], in the world's frame; people's ways are interpolated."""
+    """Return the place of a mover at a time [s], interpolated if it reacts, in the world's frame.
+
+    The period [s] is that of the ring.
+    """
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
         x, y, _, _ = locate_mover(passers.movers, m, passers.pieces, clock)
         return x, y
-    slots, places = len(trail), passers.places
-    ago = min(max((trail[newest, 0] - time) / period, 0.0), slots - 1.0 - 1e-9)
-    back = int(ago)
-    row, before = (newest - back + slots) % slots, (newest - back - 1 + slots) % slots
-    share = ago - back
+
+    slots = len(ring.rows)
+    places = passers.places
+    rows_ago = min(max((ring.rows[ring.newest, TIME] - time) / period, 0.0), slots - 1.0 - 1e-9)
+    back = int(rows_ago)
+    share = rows_ago - back
+    row = (ring.newest - back + slots) % slots
+    previous = (ring.newest - back - 1 + slots) % slots
     return (
-        places[row, m, 0] + share * (places[before, m, 0] - places[row, m, 0]),
-        places[row, m, 1] + share * (places[before, m, 1] - places[row, m, 1]),
+        places[row, m, 0] + share * (places[previous, m, 0] - places[row, m, 0]),
+        places[row, m, 1] + share * (places[previous, m, 1] - places[row, m, 1]),
     )
 
 
-@subroutine
-def see_passers(  # noqa: C901, PLR0912 - one loop over rays, as `see_circle`
-    passers: Passers,
-    trail: Floats,
-    newest: int,
-    place: tuple[float, float, float, float],
-    rays: Rays,
-    directions: Floats,
-    beams: Beams,
-) -> None:
-    """Shorten the distances of beams that meet movers where they were when each was measured.
-
-    `place` is the LiDAR's now, x, y, and cosine and sine of the robot's heading, in the frame of
-    the world. The rays that may meet a mover are those around where it is, or was on the way.
-    """
-    x, y, cos, sin = place
-    count, turn = len(beams.times), FULL_TURN / rays.step
-    now, begun, margin = trail[newest, 0], beams.times[0], 0.0
-    for k in range(count):
-        begun = min(begun, beams.times[k])
-        margin = max(margin, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
-    margin, ago = math.sqrt(margin) + 1e-3, now - begun
-    movers, states = passers.movers, passers.states
-    for m in range(len(movers)):
-        radius = movers[m, RADIUS]
-        if radius < 0.0:
-            break
-        wide = radius + margin + SPEED_SHARE * movers[m, SPEED] * ago
-        dx, dy = states[m, X] - x, states[m, Y] - y
-        jumps, far = may_jump(movers, m, begun + states[m, CLOCK], ago), rays.farthest + wide
-        if dx * dx + dy * dy > far * far and not jumps:
-            continue
-        is_straight = goes_straight(movers, m, passers.pieces, now + states[m, CLOCK], ago)
-        if is_straight:
-            wide = radius + margin + 0.5 * movers[m, SPEED] * ago
-            dx, dy = dx - 0.5 * ago * states[m, VX], dy - 0.5 * ago * states[m, VY]
-        apart = math.sqrt(dx * dx + dy * dy)
-        nearest, half = apart - wide, widest_angle(wide, apart) / rays.step
-        if jumps:
-            nearest, half = 0.0, turn
-        middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
-        for shift in (-turn, 0.0, turn):
-            low = max(math.ceil(middle + shift - half), 0)
-            high = min(math.floor(middle + shift + half), count - 1)
-            for k in range(low, high + 1):
-                if beams.distances[k] <= nearest:
-                    continue
-                time = beams.times[k]
-                if is_straight:
-                    to_x = states[m, X] + (time - now) * states[m, VX]
-                    to_y = states[m, Y] + (time - now) * states[m, VY]
-                else:
-                    to_x, to_y = find_passer(passers, m, trail, newest, time, rays.period)
-                dx, dy = to_x - x, to_y - y
-                ox = dx * cos + dy * sin - beams.origins[k, 0]
-                oy = dy * cos - dx * sin - beams.origins[k, 1]
-                outside = ox * ox + oy * oy - radius * radius
-                along = ox * directions[k, 0] + oy * directions[k, 1]
-                inside = along * along - outside
-                if outside <= 0.0:
-                    beams.distances[k] = 0.0
-                elif inside >= 0.0 and along > 0.0:
-                    hit = max(along - math.sqrt(inside), 0.0)
-                    beams.distances[k] = min(beams.distances[k], hit)
-
-
 @loop
-def add_errors(
-    distances: Floats, key: float, number: float, traits: LidarTraits, rays: Rays
-) -> None:
-    """Add a LiDAR's errors to the exact distances of a revolution; 0 is no measurement."""
-    count = len(distances)
-    whole = abs(FULL_TURN / rays.step - count) < 1e-6  # the last ray is beside the first one
-    after_last = distances[0] if whole else distances[count - 1]
-    base = (int(number) + 1) * SAMPLE_STRIDE * SAMPLE_KINDS
-    other = 0.0
-    for k in range(count):
-        true, sample = distances[k], base + k * SAMPLE_KINDS
-        error = traits.bias
-        if traits.noise > 0.0:
-            if k % 2 == 0:
-                radius = traits.noise * math.sqrt(
-                    -2.0 * math.log(1.0 - hash_sample(key, sample + RADIUS_SAMPLE))
-                )
-                c, s = cos_sin(FULL_TURN * hash_sample(key, sample + ANGLE_SAMPLE))
-                error, other = error + radius * c, radius * s
-            else:
-                error += other
-        if traits.outliers > 0.0:
-            beside = distances[k + 1] if k + 1 < count else after_last
-            if (
-                abs(beside - true) > EDGE_STEP
-                and hash_sample(key, sample + OUTLIER_SAMPLE) < traits.outliers
-            ):
-                true += (beside - true) * hash_sample(key, sample + MIX_SAMPLE)
-        measured = true + error
-        if true >= rays.farthest or (
-            traits.dropouts > 0.0 and hash_sample(key, sample + DROPOUT_SAMPLE) < traits.dropouts
-        ):
-            measured = 0.0
-        elif measured <= 0.0:
-            measured = 1e-6  # something very near, not nothing
-        distances[k] = measured
-
-
-@loop
-def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
-    trail: Floats,
-    newest: int,
+def measure_revolution(
+    ring: Ring,
     which: int,
     around: Surroundings,
     rays: Rays,
-    episode: tuple[float, float, float],
     traits: LidarTraits,
     beams: Beams,
     passers: Passers,
@@ -275,21 +160,231 @@ def measure_revolution(  # noqa: PLR0913, PLR0917 - compiled, so no keywords
 ) -> float:
     """Measure the newest complete revolution of a robot's LiDAR.
 
+    Args:
+        ring: True poses, of which the newest is the present pose.
+        which: World of the robot among `around`.
+        around: Obstacles.
+        rays: Rays of the LiDAR.
+        traits: The LiDAR of the episode.
+        beams: Receives the measurements.
+        passers: Movers.
+        kind: Kind of the robot among `around`.
+
     Returns:
         When the revolution ended [s].
     """
-    first, phase, key = episode
-    number, ended = newest_revolution(trail[newest, 0], first, traits.scan_rate, phase)
-    aim_beams(trail, newest, ended, 1.0 / traits.scan_rate, rays, beams)
-    x, y, (cos, sin) = trail[newest, 1], trail[newest, 2], cos_sin(trail[newest, 3])
-    cast_lines(x, y, cos, sin, which, around, beams.origins, beams.distances, kind)
+    pose = ring.rows[ring.newest]
+    x, y = pose[PLACE_X], pose[PLACE_Y]
+    cos, sin = cos_sin(pose[HEADING])
+    number: float = np.floor((pose[TIME] - traits.start) * traits.scan_rate - traits.phase)
+    ended = traits.start + (number + traits.phase) / traits.scan_rate
+
+    aim_beams(ring, ended, duration=1.0 / traits.scan_rate, rays=rays, beams=beams)
+    cast_lines(
+        x,
+        y,
+        cos,
+        sin=sin,
+        which=which,
+        around=around,
+        origins=beams.origins,
+        ranges=beams.distances,
+        kind=kind,
+    )
     if len(passers.movers) > 0:
         x += cos * rays.mount_x - sin * rays.mount_y
         y += sin * rays.mount_x + cos * rays.mount_y
-        directions = around.directions[kind]
-        see_passers(passers, trail, newest, (x, y, cos, sin), rays, directions, beams)
-    add_errors(beams.distances, key, number, traits, rays)
+        see_passers(
+            passers,
+            ring,
+            place=(x, y, cos, sin),
+            rays=rays,
+            directions=around.directions[kind],
+            beams=beams,
+        )
+    add_errors(beams.distances, number, traits, rays=rays)
     return ended
+
+
+@loop
+def aim_beams(ring: Ring, ended: float, duration: float, rays: Rays, beams: Beams) -> None:
+    """Find the measurements of a revolution that point along the robot's present rays.
+
+    The head turns clockwise, as that of most LiDARs, and passes straight ahead when a revolution
+    starts and ends. If a robot turns against it, no measurement points into the gap between the two
+    ends. The later end is taken there.
+    """
+    started = ended - duration
+    elapsed = ring.rows[ring.newest, TIME] - started
+    poses = look_back(ring, started, ended, rays=rays)
+    _, _, turned = place_at(poses, started, rays.period)
+    robot_rate = -turned / elapsed / FULL_TURN  # [turns/s]
+
+    # The head's bearing, -FULL_TURN * since / duration, and the turn of the robot from then until
+    # now add up to the angle of the ray. The sum is linear in the time since the start.
+    first = -(rays.start / FULL_TURN + robot_rate * elapsed)
+    turn_time = 1.0 / (1.0 / duration - robot_rate)
+    for k in range(len(beams.times)):
+        turns = first - k * rays.step / FULL_TURN
+        since = min((turns - np.floor(turns)) * turn_time, duration)
+        beams.times[k] = started + since
+        x, y, turned = place_at(poses, beams.times[k], rays.period)
+        beams.bearings[k] = rays.start + k * rays.step - turned
+        beams.origins[k, 0] = x
+        beams.origins[k, 1] = y
+
+
+@subroutine
+def find_reach(beams: Beams, now: float) -> tuple[float, float]:
+    """Return when a revolution started [s], and how far the LiDAR moved until now, at most [m]."""
+    started = now
+    farthest = 0.0
+    for k in range(len(beams.times)):
+        started = min(started, beams.times[k])
+        farthest = max(farthest, beams.origins[k, 0] ** 2 + beams.origins[k, 1] ** 2)
+    return started, math.sqrt(farthest) + 1e-3
+
+
+@jit
+def meet_disc(outside: float, along: float) -> float:
+    """Return where a beam meets a disc [m]; infinity if it doesn't.
+
+    Args:
+        outside: Square of the distance to the centre, less the square of the radius [m^2].
+        along: Distance to the centre along the beam [m].
+    """
+    inside = along * along - outside
+    if outside <= 0.0:
+        return 0.0
+    if inside < 0.0 or along <= 0.0:
+        return math.inf
+    return max(along - math.sqrt(inside), 0.0)
+
+
+@subroutine
+def see_passers(
+    passers: Passers,
+    ring: Ring,
+    place: tuple[float, float, float, float],
+    rays: Rays,
+    directions: Floats,
+    beams: Beams,
+) -> None:
+    """Shorten the distances of beams that meet movers, each at the time of the measurement.
+
+    Args:
+        passers: Movers.
+        ring: True poses of the robot, of which the newest is the present pose.
+        place: Present place of the LiDAR [m], and cosine and sine of the robot's heading, in the
+            frame of the world.
+        rays: Rays of the LiDAR.
+        directions: Cosine and sine of each ray's angle.
+        beams: Measurements.
+    """
+    movers = passers.movers
+    states = passers.states
+    x, y, cos, sin = place
+    count = len(beams.times)
+    full_turn = FULL_TURN / rays.step
+    now = ring.rows[ring.newest, TIME]
+    started, margin = find_reach(beams, now)
+    elapsed = now - started
+
+    for m in range(len(movers)):
+        radius = movers[m, RADIUS]
+        if radius < 0.0:
+            break
+
+        # A disc that contains the mover at all times of the revolution.
+        width = radius + margin + SPEED_SHARE * movers[m, SPEED] * elapsed
+        dx, dy = states[m, X] - x, states[m, Y] - y
+        jumps = may_jump(movers, m, started + states[m, CLOCK], elapsed)
+        reach = rays.farthest + width
+        if dx * dx + dy * dy > reach * reach and not jumps:
+            continue
+        is_straight = goes_straight(
+            movers, m, passers.pieces, clock=now + states[m, CLOCK], ago=elapsed
+        )
+        if is_straight:
+            width = radius + margin + 0.5 * movers[m, SPEED] * elapsed
+            dx -= 0.5 * elapsed * states[m, VX]
+            dy -= 0.5 * elapsed * states[m, VY]
+
+        # The rays that may meet the disc.
+        distance = math.sqrt(dx * dx + dy * dy)
+        nearest = distance - width
+        half = widest_angle(width, distance) / rays.step
+        if jumps:
+            nearest = 0.0
+            half = full_turn
+        middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
+        for shift in (-full_turn, 0.0, full_turn):
+            low = max(math.ceil(middle + shift - half), 0)
+            high = min(math.floor(middle + shift + half), count - 1)
+            for k in range(low, high + 1):
+                if beams.distances[k] <= nearest:
+                    continue
+
+                # The mover at the time of the measurement, from the LiDAR then.
+                time = beams.times[k]
+                if is_straight:
+                    to_x = states[m, X] + (time - now) * states[m, VX]
+                    to_y = states[m, Y] + (time - now) * states[m, VY]
+                else:
+                    to_x, to_y = find_passer(passers, m, ring, time=time, period=rays.period)
+                dx, dy = to_x - x, to_y - y
+                ox = dx * cos + dy * sin - beams.origins[k, 0]
+                oy = dy * cos - dx * sin - beams.origins[k, 1]
+                along = ox * directions[k, 0] + oy * directions[k, 1]
+                hit = meet_disc(ox * ox + oy * oy - radius * radius, along)
+                beams.distances[k] = min(beams.distances[k], hit)
+
+
+@loop
+def add_errors(distances: Floats, number: float, traits: LidarTraits, rays: Rays) -> None:
+    """Add a LiDAR's errors to the exact distances of its revolution of this number.
+
+    A distance of 0 is a failed measurement.
+    """
+    count = len(distances)
+    is_full_turn = abs(FULL_TURN / rays.step - count) < 1e-6
+    after_last = distances[0] if is_full_turn else distances[count - 1]
+    base = (int(number) + 1) * SAMPLE_STRIDE * SAMPLE_KINDS
+    kept_noise = 0.0
+    for k in range(count):
+        true = distances[k]
+        sample = base + k * SAMPLE_KINDS
+
+        # Noise; a pair of uniform numbers gives two normal ones (Box and Muller, 1958).
+        error = traits.bias
+        if traits.noise > 0.0:
+            if k % 2 == 0:
+                uniform = hash_sample(traits.key, sample + RADIUS_SAMPLE)
+                radius = traits.noise * math.sqrt(-2.0 * math.log(1.0 - uniform))
+                c, s = cos_sin(FULL_TURN * hash_sample(traits.key, sample + ANGLE_SAMPLE))
+                error += radius * c
+                kept_noise = radius * s
+            else:
+                error += kept_noise
+
+        # At an edge, the beam can meet both sides.
+        if traits.outliers > 0.0:
+            neighbour = distances[k + 1] if k + 1 < count else after_last
+            if (
+                abs(neighbour - true) > EDGE_STEP
+                and hash_sample(traits.key, sample + OUTLIER_SAMPLE) < traits.outliers
+            ):
+                true += (neighbour - true) * hash_sample(traits.key, sample + MIX_SAMPLE)
+
+        measured = true + error
+        if true >= rays.farthest or (
+            traits.dropouts > 0.0
+            and hash_sample(traits.key, sample + DROPOUT_SAMPLE) < traits.dropouts
+        ):
+            measured = 0.0
+        elif measured <= 0.0:
+            measured = 1e-6  # something very near, not a failure
+        distances[k] = measured
 
 
 def draw_episode(rng: np.random.Generator) -> tuple[float, float]:
@@ -299,12 +394,13 @@ def draw_episode(rng: np.random.Generator) -> tuple[float, float]:
 
 
 class SimulatedLidar:
-    """The LiDAR of a simulated robot. It turns all the time, from before the episode on.
+    """The LiDAR of a simulated robot. It turns all the time, also before the episode.
 
-    Its random numbers are the phase of the revolution at the reset, and a key from which all errors
-    follow.
+    Its random numbers are the phase of the revolution at the reset, and a key that determines all
+    errors.
 
-    Attributes: `oldest`, the age that a measurement reaches in the episode, at most [s].
+    Attributes:
+        oldest: Largest age that a measurement reaches in the episode [s].
     """
 
     oldest = 0.0
@@ -312,58 +408,59 @@ class SimulatedLidar:
     def __init__(self, link: Link, config: RobotConfig) -> None:
         self._link = link
         self._config = config
-        self._around = make_surroundings(Obstacles(), ray_spec(config), 1, config)
         self._rays = make_rays(config)
-        self._passers = see_nobody()
-        self._episode = (0.0, 0.0, 0.0)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Take over the scene's obstacles and physics; draw the phase and the key of the errors."""
-        world, config = scene.world, self._config
+        config, world = self._config, scene.world
         obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
         self._around = make_surroundings(obstacles, ray_spec(config), 1, config)
         physics = scene.physics or compute_physics(config)
+        phase, key = draw_episode(rng)
         self._traits = LidarTraits(
-            physics.scan_rate,
-            physics.range_noise,
-            physics.range_bias,
-            physics.range_dropouts,
-            physics.range_outliers,
+            scan_rate=physics.scan_rate,
+            noise=physics.range_noise,
+            bias=physics.range_bias,
+            dropouts=physics.range_dropouts,
+            outliers=physics.range_outliers,
+            start=self._link.now(),
+            phase=phase,
+            key=key,
         )
-        self._episode = (self._link.now(), *draw_episode(rng))
         self.oldest = 2.0 / physics.scan_rate
         self._trail = Trail(self.oldest, config.period)
         self._passers = see_nobody()
         self.poll(self._link.truth, self._link.now())
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Mark where the robot and the movers are after a tick."""
-        begins = self._trail.newest < 0
+        """Mark the places of the robot and of the movers after a tick."""
+        is_first = self._trail.newest < 0
         self._trail.mark(now, truth.pose if truth else (0.0, 0.0, 0.0))
-        if truth is not None and truth.crowd is not None:
-            crowd, rows = truth.crowd, self._trail.rows
-            if begins:
-                places = np.zeros((len(rows), len(crowd.states), 2))
-                movers, pieces = crowd.motions.movers[0], crowd.motions.pieces[0]
-                self._passers = Passers(movers, pieces, crowd.states, places)
-                begin_passing(self._passers, rows)
-            self._passers.places[self._trail.newest] = crowd.states[:, :2]
+        if truth is None or truth.crowd is None:
+            return
+
+        crowd = truth.crowd
+        rows = self._trail.rows
+        if is_first:
+            places = np.zeros((len(rows), len(crowd.states), 2))
+            motions = crowd.motions
+            self._passers = Passers(motions.movers[0], motions.pieces[0], crowd.states, places)
+            begin_passing(self._passers, rows)
+        self._passers.places[self._trail.newest] = crowd.states[:, [X, Y]]
 
     def scan(self) -> Revolution:
-        """Measure the newest complete revolution, where the robot's present rays point."""
-        beams, trail = make_beams(self._config.lidar.rays), self._trail
+        """Measure the newest complete revolution along the robot's present rays."""
+        beams = make_beams(self._config.lidar.rays)
         ended = measure_revolution(
-            trail.rows,
-            trail.newest,
+            self._trail.ring,
             0,
             self._around,
-            self._rays,
-            self._episode,
-            self._traits,
-            beams,
-            self._passers,
+            rays=self._rays,
+            traits=self._traits,
+            beams=beams,
+            passers=self._passers,
         )
         return Revolution(beams.bearings, beams.distances, beams.times, ended)
 
     def close(self) -> None:
-        """Do nothing: there is no device."""
+        """Do nothing, because there is no device."""

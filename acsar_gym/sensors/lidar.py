@@ -58,8 +58,10 @@ class LidarSensor(Sensor):
         self._checked: tuple[Revolution, Revolution] | None = None
         """As the LiDAR handed it over, and as compiled loops may have it."""
         self._scan: Scan | None = None
-        nothing = np.zeros(0)  # compiles, before a robot waits for it
-        fill_scan(nothing, nothing, nothing, self._trail.rows, 0, self._rays, np.empty(self.size))
+
+        # Compile the loop before a robot waits for it.
+        nothing = Revolution(np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
+        fill_scan(nothing, self._trail.ring, self._rays, np.empty(self.size))
 
     def _make_trail(self) -> Trail:
         """Reach back to the oldest measurement of the oldest revolution that isn't an error.
@@ -93,18 +95,17 @@ class LidarSensor(Sensor):
             self._checked = newest, check_revolution(newest, named)
         checked = self._checked[1]
         if not isinstance(self.lidar, ReplayedLidar):  # in simulation it has no time-out
-            check_age(named, checked, self._now, self.config)
+            check_age(checked, self._now, named, config=self.config)
         return checked
 
     @property
     def scan(self) -> Scan:
         """The scan at the end of the last tick. LidarError before a reset."""
-        bearings, distances, times, stamp = self.revolution
+        revolution = self.revolution
         if self._scan is None:
             ranges = np.empty(self.size)
-            measured, trail = (bearings, distances, times), self._trail
-            fill_scan(*measured, trail.rows, trail.newest, self._rays, ranges)
-            self._scan = Scan(ranges, stamp)
+            fill_scan(revolution, self._trail.ring, self._rays, ranges)
+            self._scan = Scan(ranges, revolution.stamp)
         return self._scan
 
     def follow(self, odometry: Odometry) -> None:

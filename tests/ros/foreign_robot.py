@@ -77,6 +77,7 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     add("--scan-yaw", type=float, default=0.0, help="how the LiDAR is turned [rad]")
     add("--upside-down", action="store_true")
     add("--mast", action="store_true", help="a frame more between base and LiDAR, turned, too")
+    add("--static", choices=["global", "namespaced", "none"], default="global", help="/tf_static")
     add("--scan-time-increment", type=float, default=0.0, help="between two rays [s]")
     add("--scan-holes", action="store_true", help="some rays are NaN, some infinite")
     add("--room", type=float, nargs=4, default=[-2.0, -1.5, 4.0, 2.5], help="x, y; x, y [m]")
@@ -190,8 +191,10 @@ class ForeignRobot:
         self.periods[self.publish_state] = 1.0 / given.rate
         if given.scan_rate:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
-            self.tf_static = node.create_publisher(TFMessage, "/tf_static", latched)
-            self.tf_static.publish(TFMessage(transforms=self.mount()))
+            static = "/tf_static" if given.static == "global" else "tf_static"
+            self.tf_static = node.create_publisher(TFMessage, static, latched)
+            if given.static != "none":
+                self.tf_static.publish(TFMessage(transforms=self.mount()))
             self.periods[self.publish_scan] = 1.0 / given.scan_rate
         qos = {"reliable": 10, "best_effort": best_effort, "transient_local": latched}
         kind, topic = COMMANDS[given.command], given.command_topic

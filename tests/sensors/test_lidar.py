@@ -79,11 +79,11 @@ def test_measurements_are_of_the_newest_complete_revolution(rate: float) -> None
 def noisy(true: float, revolutions: int = 300, beside: float = 0.0, **traits: float) -> Any:
     """Distances of many revolutions, (revolutions, 64); every second one is `beside` further."""
     given = {"scan_rate": 10.0, "noise": 0.0, "bias": 0.0, "dropouts": 0.0, "outliers": 0.0}
+    given |= {"start": 0.0, "phase": 0.0, "key": 0.3}
     found = np.full((revolutions, 64), true)
     found[:, ::2] += beside
     for number, distances in enumerate(found):
-        traits_of = LidarTraits(**given | traits)
-        add_errors(distances, 0.3, float(number - 1), traits_of, make_rays(ACSAR))
+        add_errors(distances, float(number - 1), LidarTraits(**given | traits), make_rays(ACSAR))
     return found
 
 

@@ -27,7 +27,6 @@ from acsar_gym.errors import (
     escape_unprintable,
     show_value,
 )
-from acsar_gym.lidar.laser_scan import Transform, find_transform
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.ros.node import RosNode, make_stamp
@@ -38,6 +37,7 @@ from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy
 from acsar_gym.tools.policies import FilePolicy
+from acsar_gym.tools.ros.frames import Transform, find_transform
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_odometry, to_world
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.jit import jit, loop, subroutine
-from acsar_gym.lidar.scan import begin_trail, fill_scan
+from acsar_gym.lidar.scan import Revolution, Ring, begin_trail, fill_scan
 from acsar_gym.lidar.simulated import (
     LidarTraits,
     begin_passing,
@@ -114,22 +114,24 @@ def read_scans(  # noqa: C901 - as `drive.step`
                 physics.range_bias[i],
                 physics.range_dropouts[i],
                 physics.range_outliers[i],
+                robots.scan_start[i],
+                robots.scan_phase[i],
+                robots.scan_key[i],
             )
-            robots.scan_stamp[i] = measure_revolution(
-                trails[1, robot],
-                newest,
+            stamp = measure_revolution(
+                Ring(trails[1, robot], newest),
                 int(robots.world[i]),
                 scans.around,
-                rays,
-                (robots.scan_start[i], robots.scan_phase[i], robots.scan_key[i]),
-                traits,
-                beams,
-                passers,
-                kind,
+                rays=rays,
+                traits=traits,
+                beams=beams,
+                passers=passers,
+                kind=kind,
             )
+            robots.scan_stamp[i] = stamp
             ranges = tables.ranges[robot, :count]
-            measured = beams.bearings, beams.distances, beams.times
-            fill_scan(*measured, trails[0, robot], newest, rays, ranges)
+            revolution = Revolution(beams.bearings, beams.distances, beams.times, stamp)
+            fill_scan(revolution, Ring(trails[0, robot], newest), rays, ranges=ranges)
             for k in range(count):
                 tables.observations[robot, setup.first_ray + k] = ranges[k] / rays.farthest
             if maps is not None:

@@ -12,7 +12,7 @@ import pytest
 
 import acsar_gym  # noqa: F401 - registers the ids
 from acsar_gym.errors import ConfigError
-from acsar_gym.lidar.laser_scan import Quaternion, Transform
+from acsar_gym.tools.ros.frames import Quaternion, Transform
 from acsar_gym.tools.ros.policy import (
     Frames,
     Goal,
