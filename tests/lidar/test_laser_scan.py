@@ -178,7 +178,8 @@ def test_each_ray_has_the_nearest_measurement(
     revolution = Revolution(bearings, distances, times, 1.0)
     scan = make_scan(revolution, 0.1, 10.0, angle_min=-math.pi, rays=rays)
     ranges = np.asarray(scan.ranges)
-    assert (ranges.shape, ranges.dtype) == ((rays,), np.float32)
+    assert ranges.shape == (rays,)
+    assert ranges.dtype == np.float32
     step = FULL_TURN / rays
     for ray, distance in enumerate(ranges.tolist()):
         gaps = angles_between(-math.pi + ray * step, bearings)
