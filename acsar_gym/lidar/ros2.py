@@ -68,18 +68,18 @@ class RosLidar:
     def _open(self) -> RosNode:
         """Return the node, with subscriptions."""
         ros_link = self._link.ros
-        link_node = None if ros_link is None else ros_link.node
+        link_node = ros_link.node if ros_link else None
         if self._node is not None and (self._owns_node or self._node is link_node):
             return self._node
 
         self._forget()
         self._owns_node = link_node is None
-        if link_node is None:
-            node = RosNode("acsar_gym_lidar")
-            self._epoch = node.now() - round(self._link.clock() * NANOSECONDS)
-        else:
+        if ros_link and link_node:
             node = link_node
             self._epoch = ros_link.epoch
+        else:
+            node = RosNode("acsar_gym_lidar")
+            self._epoch = node.now() - round(self._link.clock() * NANOSECONDS)
         self._node = node
 
         namespace = (self._url.partition(":")[2] or node.namespace).rstrip("/")
