@@ -1,226 +1,173 @@
-"""Compilation by numba: functions that Python calls, and those that only compiled code calls.
+"""Compilation by numba: functions that Python calls, and functions that only compiled code calls.
 
-Compiled code is cached on disk: beside its source, or where numba keeps it otherwise. numba
-recompiles when a function's own file has changed, but not when another file has changed whose
-functions were compiled into it. So this module stamps cached code with a fingerprint of all source
-files of the package; code with another stamp is compiled anew. tools/ doesn't count, as nothing
-outside of it imports it; nor does agents/, which a wheel has inside of the package. Functions of
-tools/, and of another package, such as a user's task, are stamped with its sources, too.
-
-What takes long is said before by the logger "acsar_gym.jit", as a warning: Python prints it to
-stderr by default.
+Compiled code of this package is kept in one folder, whose name contains the version and a hash of
+the sources: numba itself notices a change of the file that contains a function, but not of the
+files whose functions are compiled into it. Compiled code of users' modules lies beside these.
 """
 
 from __future__ import annotations
 
-import hashlib
-import inspect
+import contextlib
 import logging
-import pickle
+import os
+import shutil
+import sys
 import threading
 from collections import namedtuple
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import Any, ParamSpec, Protocol, TypeVar, get_type_hints
 
 import numba
 import numba.extending
 import numpy as np
-from numba.core import errors, event
-from numba.core.caching import IndexDataCacheFile
-from numba.np.unsafe.ndarray import to_fixed_tuple
+from numba.core.caching import FunctionCache
+
+from acsar_gym.resources import PACKAGE, cache_folder, hash_sources
 
 P = ParamSpec("P")
 R = TypeVar("R")
 LOG = logging.getLogger(__name__)
-PACKAGE = Path(__file__).parent
-TOOLS = PACKAGE / "tools"  # sources that have a stamp of their own
-SLOW_MODULES = {
-    "acsar_gym.vector.kernel.": "the loops of batches",
-    "acsar_gym.sensors.map.sensor": "the map",
-}
-"""Modules whose functions take long to compile, and what they are to a user."""
-TASK_MODULE = "acsar_gym.vector.kernel.task"
-"""One of them that is compiled anew, and soon, for every task."""
-NEWLY_COMPILED: list[str] = []
-"""Names of functions that this process has compiled because the cache didn't have them."""
-GIVEN_WARNINGS: set[str] = set()  # warnings that this process has given: each once
-CANNOT_CACHE = (
-    "acsar_gym: numba can't keep compiled code, so every process compiles anew: "
-    "set NUMBA_CACHE_DIR to a folder that can be written (%s)"
-)
+TOOLS = PACKAGE / "tools"
+FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
+"""Hash of the sources that environments use. An edit of tools/ compiles none of them again."""
+KEPT_FOLDERS = 4
+"""Folders of compiled code that are kept, so that changing between branches is fast."""
+SLOW_MODULES = ("acsar_gym.vector.kernel.", "acsar_gym.sensors.map.")
+"""Modules whose functions take long to compile."""
 SLOW_TO_COMPILE = (
-    "acsar_gym: compiling {}, a quarter of a minute, once after each installation; "
+    "acsar_gym: compiling for a quarter of a minute, once after each installation. "
     "'acsar-gym warm-up' does it ahead of time"
 )
-DAMAGED = "acsar_gym: compiled code on disk is damaged, so it is compiled anew (%s)"
+CANNOT_CACHE = (
+    "acsar_gym: compiled code can't be kept, so every process compiles again: "
+    "set NUMBA_CACHE_DIR to a folder that can be written and has space"
+)
 WITHIN: dict[str, Any] = {
     "error_model": "numpy",
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
 }
-"""Options of what only compiled code calls: code for calls from Python takes most of the time that
-compiling a small function takes."""
-DIGEST_SIZE = hashlib.sha256().digest_size
-NumbaError = errors.NumbaError
-leading_numbers = to_fixed_tuple
-"""`leading_numbers(array, count)`: its first numbers as a tuple, in compiled code."""
+"""Options of functions that only compiled code calls: code for calls from Python takes most of the
+time that compiling a small function takes."""
 _NAMING = threading.Lock()  # two threads may make the first batches of a class at once
 
 
-def hash_sources(folder: Path, *without: Path) -> str:
-    """Hash of the contents of all source files in a package's folder, but for some folders."""
-    digest = hashlib.sha256()
-    for source in sorted(folder.rglob("*.py")):
-        if not any(source.is_relative_to(other) for other in without):
-            content = source.read_bytes()
-            digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
-    return digest.hexdigest()
+class Decorator(Protocol):
+    """A decorator that keeps the type of a function."""
+
+    def __call__(self, function: Callable[P, R], /) -> Callable[P, R]:
+        """Decorate a function."""
 
 
-FINGERPRINT = hash_sources(PACKAGE, TOOLS, PACKAGE / "agents")
+jit: Decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
+"""Lets compiled functions call a function, inlined so that loops vectorize. In Python it stays as
+it is."""
+subroutine: Decorator = numba.extending.register_jitable(**WITHIN)
+"""As `jit`, but not inlined: for a long function that is called in several places."""
+compilable: Decorator = numba.extending.register_jitable
+"""Leaves a function as it is for Python, but lets compiled functions call it as well."""
 
 
-@cache
-def hash_sources_beside(folder: Path) -> str:
-    """Hash of the sources that `FINGERPRINT` leaves out; empty for scripts, and where none are."""
-    if folder.is_relative_to(TOOLS):
-        return hash_sources(TOOLS)
-    is_package = (folder / "__init__.py").is_file() and not folder.is_relative_to(PACKAGE)
-    return hash_sources(folder) if is_package else ""
-
-
-def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """Let compiled functions call a function, inlined so that loops vectorize.
-
-    In Python it stays as it is.
-    """
-    decorator = numba.extending.register_jitable(forceinline=True, **WITHIN)
-    same: Callable[P, R] = decorator(function)
-    return same
-
-
-def subroutine(function: Callable[P, R]) -> Callable[P, R]:
-    """As `jit`, but not inlined: for what is long, and called in several places."""
-    same: Callable[P, R] = numba.extending.register_jitable(**WITHIN)(function)
-    return same
-
-
-def compilable(function: Callable[P, R]) -> Callable[P, R]:
-    """Leave a function as it is for Python, but let compiled functions call it, too."""
-    same: Callable[P, R] = numba.extending.register_jitable(function)
-    return same
-
-
-def overloads(function: Callable[..., Any]) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Decorator of numba's replacement for `function` in compiled code."""
-    decorator: Callable[[Callable[P, R]], Callable[P, R]]
+def overloads(function: Callable[..., Any]) -> Decorator:
+    """Return the decorator of numba's replacement for `function` in compiled code."""
+    decorator: Decorator
     decorator = numba.extending.overload(function, jit_options={"error_model": "numpy"})
     return decorator
 
 
 def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
-    """Compile a function that Python calls, and all that it calls. It releases the GIL.
+    """Compile a function that Python calls, and all functions that it calls. It releases the GIL.
 
     Args:
-        function: the loop.
-        keep: whether to cache the compiled code on disk.
+        function: The loop.
+        keep: Whether to cache the compiled code on disk.
     """
-    options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-    compiled: Any = None
-    if keep and not numba.config.DISABLE_JIT:
-        try:
-            compiled = numba.njit(cache=True, **options)(function)
-            cache = compiled._cache  # noqa: SLF001 - numba has no other way
-            beside = hash_sources_beside(Path(inspect.getfile(function)).parent)
-            cache._cache_file = _CacheFile(cache, FINGERPRINT + beside)  # noqa: SLF001
-        except (RuntimeError, AttributeError) as error:
-            _warn_once(CANNOT_CACHE, error)
-            compiled = None
-    plain: Callable[P, R] = compiled or numba.njit(**options)(function)
-    return plain
+    compiled: Any = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
+    usual = numba.config.CACHE_DIR
+    try:
+        if keep:
+            if function.__module__.startswith("acsar_gym."):
+                numba.config.CACHE_DIR = find_folder(function.__module__, usual)
+            compiled._cache = _Cache(function)  # noqa: SLF001 - as cache=True does
+    except RuntimeError:
+        _warn_once(CANNOT_CACHE)
+    finally:
+        numba.config.CACHE_DIR = usual
+    typed: Callable[P, R] = compiled
+    return typed
 
 
-def _warn_once(message: str, *why: object) -> None:
-    """Warn, once in this process."""
-    if message not in GIVEN_WARNINGS:
-        GIVEN_WARNINGS.add(message)
-        LOG.warning(message, *why)
+def find_folder(module: str, numba_folder: str) -> str:
+    """Find or make the folder for the compiled code of a module.
 
+    Args:
+        module: Name of a module of this package.
+        numba_folder: Folder that the user has given to numba; may be empty.
 
-class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Compiled code on disk, stamped, and with a checksum.
-
-    What a power failure has damaged is compiled anew: numba would raise whatever pickle raises, or
-    run damaged code. A full disk keeps nothing, and stops nobody.
+    Raises:
+        RuntimeError: No folder can be written.
     """
+    version = sys.modules["acsar_gym"].__version__
+    sources = FINGERPRINT[:16]
+    if module.startswith("acsar_gym.tools."):
+        sources += hash_sources(TOOLS)[:16]
+    for parent in (numba_folder, PACKAGE / "__pycache__", cache_folder("compiled")):
+        folder = Path(parent or os.devnull, f"acsar_gym-{version}-{sources}")
+        if not folder.exists():
+            with contextlib.suppress(OSError):
+                folder.mkdir(parents=True, exist_ok=True)
+                _delete_outdated(folder.parent)
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    raise RuntimeError("no folder for compiled code")
 
-    def __init__(self, cache: Any, stamp: str) -> None:
-        stamps = (cache._cache_file._source_stamp, stamp)  # noqa: SLF001
-        super().__init__(cache.cache_path, cache._impl.filename_base, stamps)  # noqa: SLF001
 
-    def load(self, key: Any) -> Any:
-        kept = super().load(key)
-        return kept[1] if kept and kept[0] == self._source_stamp else None
+def _delete_outdated(parent: Path) -> None:
+    """Delete all but the newest folders of compiled code."""
+    folders = sorted(parent.glob("acsar_gym-*-*"), key=lambda folder: folder.stat().st_mtime)
+    for folder in folders[:-KEPT_FOLDERS]:
+        shutil.rmtree(folder, ignore_errors=True)
 
-    def save(self, key: Any, data: Any) -> None:
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """numba's cache on disk, which never stops a program."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load compiled code; None if there is none, or a power failure has damaged it."""
         try:
-            super().save(key, (self._source_stamp, data))
-        except OSError as error:
-            _warn_once(CANNOT_CACHE, error)
+            loaded = super().load_overload(sig, target_context)
+        except Exception:  # noqa: BLE001 - unpickling a damaged file raises anything
+            loaded = None
+            with contextlib.suppress(OSError):
+                self.flush()
+        if loaded is None and self._py_func.__module__.startswith(SLOW_MODULES):
+            _warn_once(SLOW_TO_COMPILE)
+        return loaded
 
-    def _load_index(self) -> Any:
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep compiled code, unless the disk is full or write-protected."""
         try:
-            return super()._load_index()
-        except Exception as error:  # noqa: BLE001 - garbage makes pickle raise anything
-            _warn_once(DAMAGED, f"{self._index_path}: {error!r}")
-            return {}
-
-    def _load_data(self, name: str) -> Any:
-        path = Path(self._data_path(name))
-        data = path.read_bytes()
-        if hashlib.sha256(data[:-DIGEST_SIZE]).digest() != data[-DIGEST_SIZE:]:
-            _warn_once(DAMAGED, path)
-            raise FileNotFoundError(path)  # which numba takes for code that isn't there
-        return pickle.loads(data)  # noqa: S301 - as numba does; what follows is ignored
-
-    def _dump(self, obj: Any) -> bytes:
-        data: bytes = super()._dump(obj)
-        return data + hashlib.sha256(data).digest()
+            super().save_overload(sig, data)
+        except OSError:
+            _warn_once(CANNOT_CACHE)
 
 
-class _Announcer(event.Listener):  # type: ignore[misc]
-    """Notes what is compiled because the cache doesn't have it; warns of what takes long."""
-
-    depth = 0
-    """How many functions are being compiled, each for the one before."""
-
-    def on_start(self, event: Any) -> None:
-        function = event.data["dispatcher"].py_func
-        module = function.__module__ or ""
-        NEWLY_COMPILED.append(f"{module}.{function.__qualname__}")
-        slow = [what for begin, what in SLOW_MODULES.items() if module.startswith(begin)]
-        if self.depth == 0 and slow and module != TASK_MODULE:
-            _warn_once(SLOW_TO_COMPILE.format(slow[0]))
-        self.depth += 1
-
-    def on_end(self, event: Any) -> None:
-        self.depth -= 1
-
-
-announcer = _Announcer()
-event.register("numba:compile", announcer)
+@cache
+def _warn_once(message: str) -> None:
+    LOG.warning(message)
 
 
 def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
-    """Make a class of named tuples as an attribute of another, where numba's cache finds it."""
+    """Make a class of named tuples as an attribute of a class, where numba's cache finds it."""
     with _NAMING:
         made: Any = vars(kind).get(name)
         if made is None or made._fields != fields:
-            make: Any = namedtuple  # its fields are known at run time alone
+            make: Any = namedtuple  # its fields are known only at run time
             made = make(name, fields)
-            made.__module__, made.__qualname__ = kind.__module__, f"{kind.__qualname__}.{name}"
+            made.__module__ = kind.__module__
+            made.__qualname__ = f"{kind.__qualname__}.{name}"
             setattr(kind, name, made)
         return made
 
@@ -237,11 +184,9 @@ def record_of(values: Any) -> Any:
 
 @cache
 def _record_type(kind: Any) -> np.dtype[Any]:
-    """Record type with the fields of a named tuple's class."""
-    hints: dict[str, Any] = get_type_hints(kind)
-    numbers = (bool, int, float)
+    """Return the record type with the fields of a named tuple's class."""
     fields = [
-        (name, hints[name] if hints[name] in numbers else _record_type(hints[name]))
-        for name in hints
+        (name, hint if hint in (bool, int, float) else _record_type(hint))
+        for name, hint in get_type_hints(kind).items()
     ]
     return np.dtype(fields, align=True)

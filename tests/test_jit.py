@@ -1,134 +1,120 @@
-"""Compiled code: its cache is unused when any source has changed; what takes long is announced."""
+"""Compiled code: its cache is unused when any source has changed, and never stops a program."""
 
 from __future__ import annotations
 
-import itertools
-import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from disk_tools import full_disk
 
 from acsar_gym import jit as compiled
-from acsar_gym.tasks import PointGoal
+from acsar_gym.resources import hash_sources
 from acsar_gym.tools import warm_up
-from acsar_gym.vector.kernel import task as kernel
-
-
-def test_the_fingerprint_is_that_of_names_and_contents_of_all_sources(tmp_path: Path) -> None:
-    (tmp_path / "deep").mkdir()
-    caller, called = tmp_path / "caller.py", tmp_path / "deep" / "called.py"
-    caller.write_text("x = 1")
-    called.write_text("y = 1")
-    before = compiled.hash_sources(tmp_path)
-    os.utime(caller, (100.0, 100.0))
-    (tmp_path / "notes.txt").touch()
-    assert compiled.hash_sources(tmp_path) == before
-    called.write_text("y = 2")
-    os.utime(called, (100.0, 100.0))  # older than any cached code
-    after = compiled.hash_sources(tmp_path)
-    called.rename(tmp_path / "deep" / "other.py")
-    assert len({before, after, compiled.hash_sources(tmp_path)}) == 3
 
 
 def plus_one(x: float) -> float:
     return x + 1.0
 
 
-def test_cached_code_is_used_until_any_source_changes_wherever_numba_keeps_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+plus_one.__module__ = "acsar_gym.plus_one"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of this test's compiled code."""
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    compiled._warn_once.cache_clear()
+    return tmp_path
 
-    def hits() -> int:
-        function: Any = compiled.loop(plus_one)
-        assert function(1.0) == 2.0
-        assert Path(function.stats.cache_path).parent == tmp_path
-        return sum(function.stats.cache_hits.values())
 
-    assert [hits(), hits()] == [0, 1]
+def count_hits() -> int:
+    """Call a newly decorated function; return how often the cache had its code."""
+    function: Any = compiled.loop(plus_one)
+    assert function(1.0) == 2.0
+    return sum(function.stats.cache_hits.values())
+
+
+def test_the_hash_covers_names_and_contents_of_all_sources(tmp_path: Path) -> None:
+    called = tmp_path / "deep" / "called.py"
+    called.parent.mkdir()
+    called.write_text("y = 1")
+    hashes = []
+    for _ in range(2):
+        hashes.append(hash_sources.__wrapped__(tmp_path))
+        (tmp_path / "notes.txt").touch()
+    called.write_text("y = 2")
+    hashes.append(hash_sources.__wrapped__(tmp_path))
+    called.rename(tmp_path / "deep" / "renamed.py")
+    hashes.append(hash_sources.__wrapped__(tmp_path))
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes)) == 3
+
+
+def test_cached_code_is_used_until_any_source_changes(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [count_hits(), count_hits()] == [0, 1]
     monkeypatch.setattr(compiled, "FINGERPRINT", "of an edited package")
-    assert [hits(), hits()] == [0, 1]
+    assert [count_hits(), count_hits()] == [0, 1]
 
 
-DAMAGES: dict[str, Callable[[bytes], bytes]] = {
-    "empty": lambda content: b"",
-    "cut": lambda content: content[: len(content) // 2],
-    "one byte": lambda content: content[:-200] + bytes([content[-200] ^ 1]) + content[-199:],
-}
-TOTAL = ("empty", "cut")
-"""Damages that an index without a checksum shows, too."""
-
-
-@pytest.mark.parametrize(
-    ("damage", "kind"), [*itertools.product(DAMAGES, [".nbc"]), *itertools.product(TOTAL, [".nbi"])]
-)
-def test_damaged_code_is_compiled_anew(
-    damage: str,
-    kind: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+def test_old_versions_of_compiled_code_are_deleted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
-
-    def hits() -> int:
-        function: Any = compiled.loop(plus_one)
-        assert function(1.0) == 2.0
-        return sum(function.stats.cache_hits.values())
-
-    assert [hits(), hits()] == [0, 1]
-    (path,) = tmp_path.rglob(f"*{kind}")
-    path.write_bytes(DAMAGES[damage](path.read_bytes()))
-    assert [hits(), hits()] == [0, 1]
-    (told,) = caplog.messages
-    assert "is damaged, so it is compiled anew" in told
-    assert path.name in told
+    for number in range(2 * compiled.KEPT_FOLDERS):
+        monkeypatch.setattr(compiled, "FINGERPRINT", f"edit {number}")
+        count_hits()
+    assert len(list(folder.iterdir())) == compiled.KEPT_FOLDERS
+    assert count_hits() == 1
 
 
-def test_where_no_cache_can_be_written_functions_are_compiled_without(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("kind", ["*.nbc", "*.nbi"])
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_damaged_code_is_compiled_again(kind: str, share: float, folder: Path) -> None:
+    assert [count_hits(), count_hits()] == [0, 1]
+    (path,) = folder.rglob(kind)
+    os.truncate(path, int(share * path.stat().st_size))
+    assert count_hits() == 0
+
+
+def test_a_full_disk_stops_no_program(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    count_hits()  # numba itself is imported and cached
+    for path in folder.rglob("*.nb?"):
+        path.unlink()
+    with full_disk(50):
+        assert count_hits() == 0
+    assert caplog.messages == [compiled.CANNOT_CACHE]
+
+
+def test_without_a_folder_functions_are_compiled_without_a_cache(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])
-    monkeypatch.setattr(compiled, "GIVEN_WARNINGS", set())
-    assert compiled.loop(plus_one)(1.0) == 2.0
-    assert callable(kernel.bind_task(PointGoal()))
-    assert len(caplog.messages) == 1
-    assert "set NUMBA_CACHE_DIR to a folder that can be written" in caplog.messages[0]
+    monkeypatch.setattr("numba.config.CACHE_DIR", "/dev/null")
+    monkeypatch.setattr(compiled, "PACKAGE", Path(os.devnull))
+    monkeypatch.setenv("ACSAR_GYM_CACHE", "off")
+    assert [count_hits(), count_hits()] == [0, 0]
+    assert caplog.messages == [compiled.CANNOT_CACHE]
 
 
 COMPILE = """
-import sys
-from acsar_gym import kinematics
-from acsar_gym import jit as compiled
+from acsar_gym import jit
 from acsar_gym.vector.kernel import layout
-compiled.loop(kinematics.compute_twist)(*range(1, 8))
-print("small", file=sys.stderr)
-compiled.loop(layout.robots_of_block)(0, 1)
-compiled.GIVEN_WARNINGS.clear()
-compiled.loop(layout.robots_of_block)(0, 1)  # as in the next process: from the cache
-print("again", *compiled.NEWLY_COMPILED, file=sys.stderr)
+jit.loop(layout.robots_of_block)(0, 1)
 """
 
 
-def test_compiling_a_batch_is_announced_before_and_only_where_the_cache_has_none(
-    tmp_path: Path,
-) -> None:
+def test_a_long_compilation_is_announced(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", COMPILE]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    small, said, again = done.stderr.splitlines()
-    assert small == "small"
-    assert said.startswith("acsar_gym: compiling the loops of batches")
-    assert (
-        again
-        == "again acsar_gym.kinematics.compute_twist acsar_gym.vector.kernel.layout.robots_of_block"
-    )
+    messages = [
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stderr
+        for _ in range(2)
+    ]
+    assert messages == [f"{compiled.SLOW_TO_COMPILE}\n", ""]
 
 
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)
@@ -145,4 +131,3 @@ def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptu
     assert done.worlds == {"point_goal": 0, "barn": 1}.get(name, 2)
     assert caplog.records == []
     assert warm_up.warm_env(name, options=options).functions == 0
-    assert compiled.LOG.level == logging.NOTSET

@@ -18,13 +18,14 @@ from collections.abc import Collection, Mapping
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
+from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from acsar_gym.config import Measured, RobotConfig
 from acsar_gym.config.section import Delay, Section, value_of_wheel
 from acsar_gym.errors import ConfigError, show_value
-from acsar_gym.jit import jit, leading_numbers, loop, record_of
+from acsar_gym.jit import jit, loop, record_of
 from acsar_gym.physics.model import Physics, compute_physics, loop_period, turn_factor, wire_loops
 
 Range = tuple[float, float]
@@ -458,7 +459,7 @@ def draw_robot(
     place = min(int(numbers[DELAY_SAMPLES] * len(delays)), len(delays) - 1)
     numbers[DELAY_SAMPLES] = delays[place]
     numbers[FEEDBACK_RATE] = 1.0 / (loops_between(numbers[FEEDBACK_RATE], dt) * dt)
-    drawn = Drawn(*leading_numbers(numbers, DRAWN_SIZE))
+    drawn = Drawn(*to_fixed_tuple(numbers, DRAWN_SIZE))
     return vary_physics(nominal[0], drawn, dt), drawn
 
 

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+from numba.core import event
 
-from acsar_gym import jit as compiled
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ids
+from acsar_gym.jit import LOG
 from acsar_gym.registration import IDS, snake_case
 
 ENV_NAMES = tuple(snake_case(name.partition("-")[0]) for name in IDS)
@@ -35,20 +36,28 @@ def warm_env(
     name: str, robot: RobotConfig | str | Path | None = None, options: Mapping[str, Any] = {}
 ) -> WarmUp:
     """Reset and step an env and a batch of one id once."""
-    before, begin = len(compiled.NEWLY_COMPILED), time.perf_counter()
-    level = compiled.LOG.level
-    compiled.LOG.setLevel(logging.ERROR)  # no warning that compiling takes a minute
+    start = time.perf_counter()
+    level = LOG.level
+    LOG.setLevel(logging.ERROR)  # no warning that compiling takes long
     try:
-        env_id = ids.find_id(name)
-        env = gymnasium.make(env_id, link="planar", robot=robot, **options)
-        env.reset(seed=0)
-        env.step(np.zeros(2, np.float32))
-        env.close()
-        batch = ids.make_vec(env_id, 2, robot=robot, **options)
-        batch.reset(seed=0)
-        batch.step(np.zeros((2, 2)))
-        batch.close()
+        with event.install_recorder("numba:compile") as recorder:
+            worlds = _use_env(name, robot, options)
     finally:
-        compiled.LOG.setLevel(level)
-    worlds = 0 if batch.pool is None else len(batch.pool)
-    return WarmUp(len(compiled.NEWLY_COMPILED) - before, worlds, time.perf_counter() - begin)
+        LOG.setLevel(level)
+    functions = sum(entry.is_start for _, entry in recorder.buffer)
+    return WarmUp(functions, worlds, time.perf_counter() - start)
+
+
+def _use_env(name: str, robot: RobotConfig | str | Path | None, options: Mapping[str, Any]) -> int:
+    """Reset and step an env and a batch once; returns the number of the batch's worlds."""
+    env_id = ids.find_id(name)
+    env = gymnasium.make(env_id, link="planar", robot=robot, **options)
+    env.reset(seed=0)
+    env.step(np.zeros(2, np.float32))
+    env.close()
+
+    batch = ids.make_vec(env_id, 2, robot=robot, **options)
+    batch.reset(seed=0)
+    batch.step(np.zeros((2, 2)))
+    batch.close()
+    return 0 if batch.pool is None else len(batch.pool)

@@ -19,29 +19,17 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import SupportsFloat
 
+from acsar_gym.resources import cache_folder, hash_sources
 from acsar_gym.worlds import generators, registry
 from acsar_gym.worlds.world import World
 
-CACHE_VARIABLE = "ACSAR_GYM_CACHE"
 MAX_CACHE_BYTES = 200 * 2**20
 """Limit of all worlds together; those used least recently are deleted first."""
 
 
-def cache_folder() -> Path | None:
-    """The folder of the worlds; None where none are kept."""
-    folder = os.environ.get(CACHE_VARIABLE)
-    if folder is not None:
-        return None if folder.lower() in ("", "0", "off") else Path(folder) / "worlds"
-    base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
-    try:
-        return (Path(base) if base else Path.home() / ".cache") / "acsar_gym" / "worlds"
-    except RuntimeError:  # a user without a home
-        return None
-
-
 def cached_world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:
     """Make a world as `generators.generate_world`, or read it from disk."""
-    folder, sources = cache_folder(), hash_source(kind)
+    folder, sources = cache_folder("worlds"), hash_source(kind)
     find_world = _open_cache(folder) if folder is not None and sources else None
     if find_world is None:
         return generators.generate_world(kind, number, difficulty, radius)
@@ -70,7 +58,7 @@ def _make_world(
     sources: str, kind: str, number: int, level: generators.Level, radius: float
 ) -> World:
     """Make a world that isn't on disk; `sources` is a part of what it is found by."""
-    _prune(cache_folder())
+    _prune(cache_folder("worlds"))
     return generators.generate_world(kind, number, level, radius)
 
 
@@ -89,12 +77,10 @@ def hash_source(kind: str) -> str:
 
 @cache
 def _hash_generators() -> str:
-    digest = hashlib.sha256()
     try:
-        for source in sorted(Path(__file__).parent.glob("*.py")):
-            digest.update(source.read_bytes())
         versions = (sys.version_info[:2], version("numpy"), version("scipy"))
-    except (OSError, ModuleNotFoundError):  # PackageNotFoundError is one
+    except ModuleNotFoundError:  # PackageNotFoundError is one
         return ""
-    digest.update(repr((versions, platform.machine(), platform.system())).encode())
-    return digest.hexdigest()
+    sources = hash_sources(Path(__file__).parent)
+    text = repr((sources, versions, platform.machine(), platform.system()))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from acsar_gym.resources import CACHE_VARIABLE
 from acsar_gym.worlds import World, cache, generators, registry
 from acsar_gym.worlds.pool import Pool
 
@@ -17,7 +18,7 @@ RADIUS = 0.25
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of this test's worlds."""
-    monkeypatch.setenv(cache.CACHE_VARIABLE, str(tmp_path))
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     return tmp_path / "worlds"
 
 

@@ -17,10 +17,12 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core.errors import NumbaError
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.jit import PACKAGE, WITHIN, NumbaError, named_tuple
+from acsar_gym.jit import FINGERPRINT, WITHIN, named_tuple
 from acsar_gym.jit import loop as compiled
+from acsar_gym.resources import PACKAGE
 from acsar_gym.worlds.registry import hash_modules
 
 OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]  # of files that aren't a user's
@@ -62,10 +64,10 @@ def _cached_as(kind: type, methods: Collection[str]) -> str:
     """
     modules = {base.__module__ for base in kind.__mro__}
     theirs = [name for name in modules if name.partition(".")[0] not in ("builtins", "acsar_gym")]
-    sources = hash_modules(*sorted(theirs)) if theirs else "acsar_gym"  # whose sources `jit` minds
+    sources = hash_modules(*sorted(theirs)) if theirs else "acsar_gym"
     if not sources or "<locals>" in kind.__qualname__:
         return ""
-    said = hashlib.sha256(sources.encode())
+    said = hashlib.sha256(f"{FINGERPRINT} {sources}".encode())
     for name in methods:  # what numba compiles: code, and values of the names that it uses
         method = getattr(kind, name)
         code, names = method.__code__, method.__globals__
