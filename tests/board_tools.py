@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import quirks
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.tools.commission import examine
 from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import Commission
@@ -25,16 +25,13 @@ def commissioned(
     return {check.name: check for check in found}
 
 
-class Sibling:
+class Sibling(Link):
     """A board as code of sibling robots has it, with integer arithmetic and nothing of ours.
 
     It takes a value at its comma, and what stands before it since the last comma, line ends
     included, belongs to it. Numbers are unpadded. It is silent for 1.5 s after power-up, then
     sends 50 lines a second, and stops the motors 500 ms after the last value.
     """
-
-    lateness = None
-    truth = None
 
     def __init__(self) -> None:
         self.us = 0

@@ -42,12 +42,11 @@ INPUT_QUIRKS = {
     "dead-wheel",
     "runaway",
     "echo",
-    "echo-newest",
     "set-points",
     "upper-case-commands",
 }
-"""Quirks of a board that look at single commands. `echo-newest` sends the newest command before
-each line of feedback, `set-points` the commanded speeds as feedback."""
+"""Quirks of a board that look at single commands. `set-points` sends the commanded speeds as
+feedback."""
 QUIRK_NAMES = {
     *WHEEL_QUIRKS,
     *MOTOR_QUIRKS,
@@ -273,8 +272,6 @@ class QuirkyLink(LinkWrapper):
         self._arrived = list(zip(stamps, lines, strict=False))
         due = sum(when <= self._clock for when, _ in self._echoes)
         echoes, self._echoes = self._echoes[:due], self._echoes[due:]
-        if "echo-newest" in self._quirks:
-            lines = [self._command + line for line in lines]
         return b"".join([*(echo for _, echo in echoes), *lines])
 
     def _send(self, line: bytes) -> bytes:

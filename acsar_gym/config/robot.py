@@ -149,9 +149,6 @@ class RobotConfig(Section):
     trailing_comma: bool = True
     """Send a comma after the last motor, as the robot's own driver does; some boards take a value
     only at its comma."""
-    echo: bool = False
-    """The board sends every command line back, beside its feedback. That is also found when the
-    port is opened, unless the echo comes later than 0.1 s."""
     control_rate: Rate = 100.0
     """Ticks per second [Hz]; one command line per tick."""
     late_after: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2

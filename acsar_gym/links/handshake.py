@@ -86,12 +86,17 @@ def check_no_echo(
         received += data
         decoder.feed(data)
         if ECHO_PROBE in received:
-            raise LinkError(
-                f"{device}: this board echoes: it sends each command back",
-                "delete the echo from the board's program, which must send only measured speeds",
-            )
+            raise echo_error(device)
         if decoder.lines >= ECHO_LINES and now - start >= ECHO_WAIT + 2.0 * line_time:
             return
+
+
+def echo_error(device: str) -> LinkError:
+    """Return the error for a board that sends commands back."""
+    return LinkError(
+        f"{device}: this board echoes: it sends each command back",
+        "delete the echo from the board's program, which must send only measured speeds",
+    )
 
 
 def silence_error(age: float, decoder: Decoder) -> BoardSilentError:

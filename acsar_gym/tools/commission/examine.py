@@ -18,7 +18,7 @@ from acsar_gym.errors import (
 )
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.links.base import Link
-from acsar_gym.links.handshake import shown_bytes
+from acsar_gym.links.handshake import echo_error, shown_bytes
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import MOTORS, ZERO, encode
 from acsar_gym.recording import Recorder
@@ -153,6 +153,10 @@ def examine_board(
         LinkError: the board is lost or silent, or its wheels keep turning.
     """
     probe = BoardProbe(link, config)
+    if probe.has_echo():
+        error = echo_error(link.device)
+        yield Check("echo", "fail", error.found, error.fix)
+        return
     yield from check_feedback(probe, config)
     if commission is None:
         for name in ("wiring", "command to feedback", "stops when commands stop"):
@@ -163,7 +167,6 @@ def examine_board(
 
 def check_feedback(probe: BoardProbe, config: RobotConfig) -> Iterator[Check]:
     """Command zero at the control rate for a while, and say what the board sends meanwhile."""
-    probe.clear()
     lines = probe.measure_feedback(config.period)
     expected = config.feedback_rate
     yield warn_if(

@@ -19,6 +19,7 @@ from acsar_gym.config import BITS_PER_BYTE, RobotConfig, WheelsConfig
 from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.protocol import (
+    ECHO_PROBE,
     MOTORS,
     PRINTED_STEP,
     ZERO,
@@ -38,8 +39,12 @@ RESET_GAP, SILENCE_TIMEOUT = 0.5, 3.0
 that was reset takes 1 to 2 s."""
 LONGEST_STALL = 0.05
 """Time that this program was held up counts as silence of the board only up to this [s]."""
-CLEAR_TIME, LISTEN_TIME = 0.1, 2.0
-"""How long old lines may come, and how long feedback is counted [s]."""
+CLEAR_TIME = 0.1
+"""Time in which old lines may arrive [s]."""
+ECHO_TIME = 0.5
+"""Time that an echo may take [s]."""
+LISTEN_TIME = 2.0
+"""Time for which feedback is counted [s]."""
 TAIL_BYTES = 400
 """Newest bytes that are kept as they came."""
 
@@ -165,6 +170,21 @@ class BoardProbe:
     def clear(self) -> None:
         """Take what has arrived before."""
         self.listen(CLEAR_TIME)
+
+    def has_echo(self) -> bool:
+        """Send zero commands that no feedback equals, and return whether they come back.
+
+        This finds echoes that come later than a link waits for when it opens.
+        """
+        self.clear()
+        end = self._link.now() + ECHO_TIME
+        while self._link.now() < end:
+            self._link.write(ECHO_PROBE + line_end(trailing_comma=self.trailing_comma))
+            self.listen(COMMAND_INTERVAL)
+            if ECHO_PROBE in self._link.tail:
+                return True
+        self.clear()
+        return False
 
     def measure_feedback(self, period: float) -> list[FeedbackLine]:
         """Command zero at the control rate for a while; returns the lines, and sets `rate`.

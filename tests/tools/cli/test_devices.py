@@ -163,3 +163,20 @@ def test_the_check_can_be_switched_off(lame: Emulated, robot_file: RobotFile, ca
     robot = robot_file(wheel_check=False)
     twist = ("--linear", "0.2", "--duration", "1")
     assert call("drive", "--link", lame.device, *twist, "--robot", robot)[::2] == (0, "")
+
+
+def test_a_board_that_echoes_is_refused_in_one_line(
+    start_emulator: StartEmulator, robot_file: RobotFile, call: Call
+) -> None:
+    device = start_emulator("--quirk", "echo").device
+    robot = ("--robot", robot_file())
+    code, output, _ = call("doctor", device, "--spin", "--yes", *robot)
+    assert code == 1
+    assert "this board echoes" in " ".join(output.split())
+    assert "reset" not in output
+
+    for command in (("identify", device, "--yes"), ("drive", "--link", device, "--linear", "0.1")):
+        code, _, error = call(*command, *robot)
+        assert code == 3
+        assert_one_line(error, f"{device}: this board echoes: it sends each command back")
+        assert "delete the echo from the board's program" in error
