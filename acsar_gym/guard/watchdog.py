@@ -274,6 +274,7 @@ class Watchdog:
             self._process.wait(CHILD_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
+            self._process.wait()
 
     def abandon(self) -> None:
         """Release the parent's watchdog in a forked child."""
