@@ -1,17 +1,19 @@
-"""Exceptions and warnings. Every message says what happened, where, and what to do next.
+"""Exceptions and warnings. Every message reports what happened, where, and what to do next.
 
 AcsarError
-  ConfigError                a parameter, option, file or name
-    WorldError, TaskError
-  CommandError               a speed that must not be sent
-  LinkError                  robot or LiDAR
-    PortNotFoundError, PortPermissionError, PortBusyError
+  ConfigError            a parameter, option, file or name
+    WorldError
+  CommandError           a speed that must not be sent
+  LinkError              robot or LiDAR
+    PortBusyError
     BoardSilentError
       BoardGarbledError
     LinkLostError, LidarError, WheelError, EmergencyStopError
-  SensorError, PolicyError, RenderError, MissingExtraError
-  IdentificationError, LateTicksError, CancelledError
-  JobError, ClusterError
+  MissingExtraError, PolicyError
+  LateTicksError, CancelledError
+
+AcsarWarning
+  SafetyWarning, RecordingWarning
 """
 
 from __future__ import annotations
@@ -20,7 +22,6 @@ import contextlib
 import copyreg
 import difflib
 import os
-import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from importlib.util import find_spec
@@ -29,25 +30,36 @@ from typing import Any
 
 BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
 """What to do on a busy computer."""
-MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"  # for too many open files
+MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
+"""What to do about too many open files."""
+_PACKAGE = f"{Path(__file__).parent}{os.sep}"
 
 
 class AcsarError(Exception):
     """Base class of the exceptions that this package raises on purpose.
 
     Attributes:
-        exit_code: exit code of the command line.
+        exit_code: Exit code of the command line.
+
+    Example:
+        from acsar_gym import RobotConfig
+        from acsar_gym.errors import AcsarError
+
+        try:
+            RobotConfig(wheel_radius=-1.0)
+        except AcsarError as error:
+            assert "wheel_radius" in str(error)
     """
 
     exit_code = 1
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle it with its message, as constructors may take other arguments."""
+        """Pickle the message, because the constructors of subclasses take other arguments."""
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class ConfigError(AcsarError):
-    """A parameter, option, file or name that can't be used as given."""
+    """A parameter, option, file, name or task can't be used as it is."""
 
     exit_code = 2
 
@@ -56,32 +68,18 @@ class WorldError(ConfigError):
     """A world is broken, can't be crossed, or has its start inside an obstacle."""
 
 
-class TaskError(ConfigError):
-    """A task's method raised an error, or returned what can't be used, such as NaN."""
-
-
 class CommandError(AcsarError):
-    """A wheel speed, twist or action that must not be sent to a robot, such as NaN."""
+    """A wheel speed, twist or action must not be sent to a robot, for example NaN."""
 
     exit_code = 2
 
 
-class IdentificationError(AcsarError):
-    """A log that doesn't say how a robot's motors answer, or says that it is miswired."""
-
-
-class CancelledError(AcsarError):
-    """The user cancelled before anything moved."""
-
-    exit_code = 130
-
-
 class MissingExtraError(AcsarError):
-    """A feature whose optional dependency isn't installed.
+    """A feature needs an optional dependency that isn't installed.
 
     Args:
-        feature: what needs it.
-        extra: name of the extra that installs it.
+        feature: What needs the dependency.
+        extra: Name of the extra that installs it.
     """
 
     exit_code = 2
@@ -90,70 +88,30 @@ class MissingExtraError(AcsarError):
         super().__init__(f"{feature} needs an extra: pip install 'acsar_gym[{extra}]'")
 
 
-@contextlib.contextmanager
-def require_extra(feature: str, extra: str) -> Iterator[None]:
-    """Name the extra where an import inside the block fails.
-
-    Raises:
-        MissingExtraError: a module isn't installed.
-    """
-    try:
-        yield
-    except ImportError as error:
-        raise MissingExtraError(feature, extra) from error
-
-
-def check_extra(feature: str, extra: str, *modules: str) -> None:
-    """Raise MissingExtraError where modules aren't installed; imports none of them."""
-    for module in modules:
-        try:
-            is_missing = find_spec(module) is None
-        except (ImportError, ValueError):
-            is_missing = True
-        if is_missing:
-            raise MissingExtraError(feature, extra)
-
-
-class JobError(AcsarError):
-    """A job ended every process that ran it, or failed unexpectedly in another process."""
-
-
-class ClusterError(AcsarError):
-    """No Ray cluster answers, or its machines can't run the jobs.
-
-    Args:
-        found: what happened and where.
-        fix: what to do.
-    """
-
-    exit_code = 3
-
-    def __init__(self, found: str, fix: str) -> None:
-        super().__init__(f"{found}: {fix}")
-
-
-class RenderError(AcsarError):
-    """A picture can't be drawn: there is no display, or this link has no camera."""
-
-    exit_code = 2
-
-
-class OffScreenWarning(UserWarning):
-    """No window can be opened, so pictures are drawn but not displayed."""
-
-
 class PolicyError(AcsarError):
-    """A policy file that is missing, broken, or made for another observation."""
+    """A policy file is missing, broken, or made for another observation."""
 
     exit_code = 2
+
+
+class LateTicksError(AcsarError):
+    """Too many ticks were late for the results to be valid."""
+
+    exit_code = 4
+
+
+class CancelledError(AcsarError):
+    """The user cancelled before anything moved."""
+
+    exit_code = 130
 
 
 class LinkError(AcsarError):
-    """The robot or its LiDAR can't be reached, or the connection was lost.
+    """The robot, its LiDAR or a cluster can't be reached, or the connection was lost.
 
     Args:
-        found: what happened and where.
-        fix: what to do; the message consists of both.
+        found: What happened and where.
+        fix: What to do. The message consists of both.
     """
 
     exit_code = 3
@@ -162,14 +120,6 @@ class LinkError(AcsarError):
         super().__init__(f"{found}: {fix}" if fix else found)
         self.found = found
         self.fix = fix
-
-
-class PortNotFoundError(LinkError):
-    """There is no such serial device."""
-
-
-class PortPermissionError(LinkError):
-    """The user may not open the serial device."""
 
 
 class PortBusyError(LinkError):
@@ -188,13 +138,17 @@ class LinkLostError(LinkError):
     """The device disappeared while it was in use."""
 
 
+class LidarError(LinkError):
+    """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
+
+
 class WheelError(LinkError):
     """A wheel is dead, blocked, reversed or swapped: its speed contradicts its commands.
 
     Args:
-        found: what happened.
-        fix: what to do.
-        wheel: name of the wheel, such as "front_left".
+        found: What happened.
+        fix: What to do.
+        wheel: Name of the wheel, such as "front_left".
     """
 
     def __init__(self, found: str, fix: str, wheel: str) -> None:
@@ -212,38 +166,54 @@ class EmergencyStopError(LinkError):
         )
 
 
-class LateTicksError(AcsarError):
-    """Episodes whose figures tell about the computer: too many of their ticks were late.
+class AcsarWarning(UserWarning):
+    """Something isn't as expected. The message contains its name and value."""
 
-    Args:
-        invalid: number of such episodes.
-        episodes: number of all.
+
+class SafetyWarning(AcsarWarning):
+    """The robot is driven without a protection. The message contains which one and what to do."""
+
+
+class RecordingWarning(AcsarWarning):
+    """A recording isn't complete: writing it failed, or its file was cut."""
+
+
+@contextlib.contextmanager
+def require_extra(feature: str, extra: str) -> Iterator[None]:
+    """Name the extra if an import inside the block fails.
+
+    Raises:
+        MissingExtraError: A module isn't installed.
     """
-
-    exit_code = 4
-
-    def __init__(self, invalid: int, episodes: int) -> None:
-        super().__init__(
-            f"too many late ticks in {invalid} of {episodes} episodes: {BUSY_HINT}, or allow a "
-            "larger --late-share"
-        )
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(feature, extra) from error
 
 
-class SensorError(AcsarError):
-    """A sensor raised an error, or its reading can't be used: wrong size, or NaN."""
-
-
-_PACKAGE = f"{Path(__file__).parent}{os.sep}"
+def check_extra(feature: str, extra: str, *modules: str) -> None:
+    """Raise MissingExtraError if one of the modules isn't installed. Imports none of them."""
+    for module in modules:
+        try:
+            spec = find_spec(module)
+        except (ImportError, ValueError):
+            spec = None
+        if spec is None:
+            raise MissingExtraError(feature, extra)
 
 
 @contextlib.contextmanager
 def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Iterator[None]:
-    """Name the task or sensor whose code raises inside the block, and the line that raised.
+    """Turn an exception of a user's code into an error that names the task or sensor and the line.
 
-    Errors of this package pass, with the name as a note.
+    An AcsarError passes, with the name as a note.
+
+    Args:
+        kind: Class of the error.
+        source: Returns the name of the task or sensor.
 
     Raises:
-        AcsarError: of that kind.
+        AcsarError: An error of that class.
     """
     try:
         yield
@@ -253,29 +223,13 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
     except Exception as error:
         import traceback  # noqa: PLC0415 - 'acsar-gym estop' starts without it
 
-        calls = [(f.f_code, line) for f, line in traceback.walk_tb(error.__traceback__)]
-        theirs = [call for call in calls if not call[0].co_filename.startswith(_PACKAGE)] or calls
-        # The last line in the user's own file, not the one in a library that it calls.
-        method, file = theirs[0][0].co_name, theirs[0][0].co_filename
-        line = [line for code, line in theirs if code.co_filename == file][-1]
-        said = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
-        raise kind(f"{source()}: {method}() raised {said} ({file}:{line})") from error
-
-
-class LidarError(LinkError):
-    """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
-
-
-MAX_PRINTED = 1_000  # longest line that is printed [characters]
-_UNPRINTABLE = re.compile(
-    "[^\\x20-\\x7e\\xa1-\U0010ffff]|[\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069]|[\\ud800-\\udfff]"
-)
-"""Control characters, bidirectional text controls, and unpaired surrogates."""
-
-
-def shorten_text(text: str, most: int = MAX_PRINTED) -> str:
-    """Return text, cut to `most` characters with "..." at the end."""
-    return text if len(text) <= most else f"{text[:most]}..."
+        # Name the last line in the user's own file, and not a line in a library that it calls.
+        frames = traceback.extract_tb(error.__traceback__)
+        users = [frame for frame in frames if not frame.filename.startswith(_PACKAGE)] or frames
+        method, file = users[0].name, users[0].filename
+        line = [frame.lineno for frame in users if frame.filename == file][-1]
+        message = f"{method}() raised {format_error(error)} ({file}:{line})"
+        raise kind(f"{source()}: {message}") from error
 
 
 def show_value(value: object) -> str:
@@ -286,30 +240,24 @@ def show_value(value: object) -> str:
         return "a very long number"
 
 
-def escape_unprintable(text: str) -> str:
+def explain_error(error: BaseException) -> str:
+    """Return the message of an exception, shortened and on one line."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:300]
+
+
+def format_error(error: BaseException) -> str:
+    """Return the class and the message of an exception, shortened and on one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+
+
+def escape_unprintable(text: str, limit: int = 1_000) -> str:
     """Return untrusted text made safe for a terminal: shortened, control characters escaped."""
-    short = shorten_text(text)
-    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), short)
-
-
-class SafetyWarning(UserWarning):
-    """The robot is driven without a protection; the message says which one and what to do."""
-
-
-class WorldWarning(UserWarning):
-    """Something in a world's file is otherwise here, such as a moving obstacle, which stands."""
-
-
-class TaskWarning(UserWarning):
-    """A task observed a number beyond the bounds that it declares; said once by each env."""
-
-
-class PolicyWarning(UserWarning):
-    """A policy drives a robot unlike those of its training; the message names the value."""
-
-
-class RecordingWarning(UserWarning):
-    """A recording isn't whole: it can't be written any more, or its file was cut."""
+    if len(text) > limit:
+        text = f"{text[:limit]}..."
+    if text.isprintable():
+        return text
+    characters = (c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return "".join(characters)
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
@@ -319,5 +267,5 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
         "; did you mean X?" with the most similar name, or "; known: ..." with all of them.
     """
     names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(names)}"
+    similar = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"; did you mean {similar[0]!r}?" if similar else f"; known: {', '.join(names)}"

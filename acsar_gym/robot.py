@@ -251,7 +251,7 @@ class Robot:
         """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
 
         Raises:
-            SensorError: A sensor returns something else than its finite numbers.
+            AcsarError: A sensor returns something else than its finite numbers.
             LinkError: A sensor's device fails.
         """
         numbers = self.sensors.read()

@@ -1,4 +1,4 @@
-"""Untrusted files, JSON, YAML and names of objects: one error line each; files written whole."""
+"""Files, JSON, YAML and names of objects: one error line each, and files that are written whole."""
 
 from __future__ import annotations
 
@@ -17,47 +17,37 @@ from acsar_gym import RobotConfig, reading
 from acsar_gym.errors import AcsarError, ConfigError, PolicyError
 from acsar_gym.render import top_view
 from acsar_gym.tools.evaluation.report import write_json
-from acsar_gym.tools.training import held_out
 from acsar_gym.worlds import files, generators
-
-BAD_MODULES = {"unreadable": "x = = 1\n", "raising": "1 / 0\n", "leaving": "raise SystemExit(3)\n"}
 
 
 def test_a_file_is_read_up_to_the_limit(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"12345")
     assert reading.read_file(path, 5) == b"12345"
-    with reading.open_file(path, 5) as file:
+    with reading.open_file(path) as file:
         assert file.read(2) == b"12"
     with pytest.raises(PolicyError, match=r"file: is larger than 4 bytes"):
         reading.read_file(path, 4, PolicyError)
+
     os.truncate(path, 10**12)
     with pytest.raises(ConfigError, match="is larger than 8 MB"):
         reading.read_file(path, 8_000_000)
-    with pytest.raises(ConfigError, match="is larger than 2 bytes"):
-        reading.read_file(Path("/proc/self/status"), 2)  # its size is 0
-
-
-def _special(tmp_path: Path) -> list[Path]:
-    pipe, link = tmp_path / "pipe", tmp_path / "link"
-    os.mkfifo(pipe)
-    link.symlink_to("/dev/zero")
-    return [pipe, link, tmp_path, Path("/dev/zero"), Path("/dev/full"), Path("/dev/tty")]
 
 
 def test_only_regular_files_are_read(tmp_path: Path) -> None:
-    for path in _special(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    link = tmp_path / "link"
+    link.symlink_to("/dev/zero")
+    for path in (pipe, link, tmp_path, Path("/dev/tty")):
         with pytest.raises(ConfigError, match=f"^{path}: isn't a regular file$"):
             reading.read_file(path, 100)
 
 
-def test_a_pipe_that_nobody_reads_is_an_error(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", tmp_path, tmp_path / "no" / "file", tmp_path / "a\0b"):
-        with pytest.raises(ConfigError, match="can't be written: "):
-            reading.write_atomically(path, b"data")
-    reading.write_atomically(tmp_path / "file", b"data")
-    assert (tmp_path / "file").read_bytes() == b"data"
+@pytest.mark.parametrize("name", [".", "no/file", "a\0b"])
+def test_a_file_that_cannot_be_written_is_one_line(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="can't be written: "):
+        reading.write_atomically(tmp_path / name, b"data")
 
 
 WRITERS: dict[str, Callable[[Path], object]] = {
@@ -65,67 +55,62 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "world.yaml": lambda path: files.save_world(generators.generate_world("clutter", 1), path),
     "report.json": lambda path: write_json(path, {"numbers": list(range(100))}),
     "picture.png": lambda path: top_view.save_picture(np.zeros((64, 64, 3), np.uint8), path),
-    "table.csv": lambda path: held_out.write_curve(
-        path, [dict.fromkeys(held_out.CURVE_COLUMNS, 1.0)] * 9
-    ),
 }
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_leaves_the_file_that_was_there(name: str, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_file(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    before = b"max_linear: 0.4\n"  # a robot's file is changed in place, so it must be one
-    path.write_bytes(before)
+    old = b"max_linear: 0.4\n"  # a robot's file is changed in place, so it must be valid
+    path.write_bytes(old)
     with full_disk(50), pytest.raises((AcsarError, OSError), match="File too large"):
         WRITERS[name](path)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, before)]
+    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, old)]
+
     WRITERS[name](path)
     assert len(path.read_bytes()) > 50
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_replaced_file_keeps_its_permissions_and_its_links(tmp_path: Path) -> None:
-    (tmp_path / "far").mkdir()
-    path, link, dangling = (tmp_path / name for name in ("far/robot.yaml", "link.yaml", "new.yaml"))
-    path.write_bytes(b"before")
+    path = tmp_path / "robot.yaml"
+    path.write_bytes(b"old")
     path.chmod(0o640)
+    link = tmp_path / "link.yaml"
     link.symlink_to(path)
-    dangling.symlink_to(tmp_path / "far" / "missing.yaml")
-    reading.write_atomically(link, b"after")
+    dangling = tmp_path / "dangling.yaml"
+    dangling.symlink_to(tmp_path / "missing.yaml")
+
+    reading.write_atomically(link, b"new")
     reading.write_atomically(dangling, b"new")
     assert link.is_symlink()
-    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"after", 0o640)
-    assert (tmp_path / "far" / "missing.yaml").read_bytes() == b"new"
-    assert len(list(tmp_path.rglob("*"))) == 5
-    before = os.umask(0o027)
-    try:
-        reading.write_atomically(tmp_path / "own.yaml", b"mine")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "own.yaml").stat().st_mode & 0o777 == 0o640
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new", 0o640)
+    assert (tmp_path / "missing.yaml").read_bytes() == b"new"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is write-protected for root")
 def test_a_write_protected_file_is_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
-    path.write_bytes(b"before")
+    path.write_bytes(b"old")
     path.chmod(0o440)
     with pytest.raises(ConfigError, match="can't be written: Permission denied"):
-        reading.write_atomically(path, b"after")
-    assert path.read_bytes() == b"before"
+        reading.write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
 
 
 def test_standard_output_is_written_where_the_shell_opened_it(tmp_path: Path) -> None:
-    code = "import sys, pathlib as p; from acsar_gym import reading as b;"
-    code += "b.write_atomically(p.Path('/dev/stdout'), b'whole')"
+    code = "import pathlib; from acsar_gym import reading; "
+    code += "reading.write_atomically(pathlib.Path('/dev/stdout'), b'whole')"
     with (tmp_path / "out").open("wb") as out:
         subprocess.run([sys.executable, "-c", code], stdout=out, check=True)
     assert (tmp_path / "out").read_bytes() == b"whole"
 
 
+BAD_MODULES = {"unreadable": "x = = 1\n", "raising": "1 / 0\n", "leaving": "raise SystemExit(3)\n"}
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A folder with modules that can't be imported."""
+def bad_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     for name, text in BAD_MODULES.items():
         (tmp_path / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -135,38 +120,34 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         sys.modules.pop(name, None)
 
 
-@pytest.mark.usefixtures("folder")
+@pytest.mark.usefixtures("bad_modules")
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "reason"),
     [
         ("unreadable:X", "module unreadable can't be imported: SyntaxError: "),
         ("raising:X", "module raising can't be imported: ZeroDivisionError: division by zero"),
         ("leaving:X", "module leaving can't be imported: SystemExit: 3"),
         ("nowhere:X", "No module named 'nowhere'"),
         ("math:X", "has no attribute 'X'"),
-        *(
-            (name, "must be like 'module:Class'")
-            for name in (".math:X", ":X", "math:", "", "a..b:c")
-        ),
+        ("math", "must be like 'module:Class'"),
+        ("a..b:c", "must be like 'module:Class'"),
     ],
 )
-def test_a_bad_name_of_an_object_is_one_clear_error(name: str, said: str) -> None:
-    with pytest.raises(ConfigError, match=said) as caught:
+def test_a_bad_name_of_an_object_is_one_line(name: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason) as caught:
         reading.import_object("sensor", name)
     assert str(caught.value).startswith(f"sensor = {name!r}: ")
     assert "\n" not in str(caught.value)
+
+
+def test_an_object_is_imported_by_its_name() -> None:
     assert reading.import_object("task", "pathlib:Path.cwd") == Path.cwd
 
 
-@pytest.mark.parametrize("text", ["[[],[],[]]", '{"a": {}, "b": {}}', "[1, 2, 3, 4]"])
-def test_values_of_json_are_counted(text: str) -> None:
-    reading.parse_json(text, most=6)
-    with pytest.raises(ConfigError, match="has more than 2 values"):
-        reading.parse_json(text, most=2)
-
-
 @pytest.mark.parametrize(
-    "text", ["NaN", "-Infinity", "1e999", "[" * 100_000, "9" * 5_000, "[1,]", b"\xff", ""]
+    "text",
+    ["NaN", "-Infinity", "1e999", "[" * 100_000, "9" * 5_000, "[1,]", b"\xff", ""],
+    ids=lambda text: str(text)[:20],
 )
 def test_bad_json_is_one_line(text: str | bytes) -> None:
     with pytest.raises(ConfigError, match=r"^not valid JSON: ") as error:
@@ -175,27 +156,26 @@ def test_bad_json_is_one_line(text: str | bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "reason"),
     [
         ("a: 1\nb: [", "line 3, column 1"),
         ("a: &x 1\nb: *x", "line 2: has an alias"),
         ("a: 1\n2: 3", "line 2: a key must be text"),
-        ("a: 1\n<<: {b: 2}", "line 2: a key must be text"),
         ("[" * 30_000, "nested too deeply"),
-        ("[" + "0," * 20_000 + "]", "too many values"),
         ("a: 1\n--- \nb: 2", "line 2"),
         ("!!python/object/apply:os.abort []", "could not determine a constructor"),
     ],
     ids=lambda text: text[:20],
 )
-def test_bad_yaml_is_one_line_that_tells_where(text: str, said: str) -> None:
+def test_bad_yaml_is_one_line_that_contains_the_place(text: str, reason: str) -> None:
     with pytest.raises(ConfigError) as error:
         reading.parse_yaml(text)
-    assert said in str(error.value)
+    assert reason in str(error.value)
     assert "\n" not in str(error.value)
 
 
-def test_what_is_written_is_read_back() -> None:
+def test_written_yaml_is_read_back() -> None:
     same = [1, 2]
     data = {"a": same, "b": same, "c": "1e-3", "d": 1e-5, "e": None, "f": {"g": True}}
     assert reading.parse_yaml(reading.format_yaml(data)) == data
+    assert reading.parse_yaml("1e-3") == 0.001

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -68,6 +69,13 @@ def save_robot(
     reading.write_atomically(path, text.encode())
 
 
+def _format_line(data: Any) -> str:
+    """Format a value as YAML on one line, for any place in a document."""
+    options: dict[str, Any] = {"default_flow_style": True, "allow_unicode": True}
+    text: str = yaml.dump([data], Dumper=reading.YamlDumper, width=math.inf, **options)
+    return text.strip()[1:-1]
+
+
 def _comment(remark: str) -> str:
     return "".join(f"# {line}\n" for line in remark.splitlines())
 
@@ -118,7 +126,7 @@ def _find_changes(old: Section, new: Section) -> dict[str, Any]:
 def _change_text(text: str, changes: Mapping[str, Any]) -> str:
     """Change values in a YAML document, and add those it doesn't have; the rest stays."""
     newline = "\r\n" if "\r\n" in text else "\n"
-    root = reading.compose_yaml(text)
+    root = yaml.compose(text, Loader=yaml.SafeLoader)
     if isinstance(root, yaml.MappingNode):
         edits = list(_edit_mapping(text, root, changes))
     else:
@@ -135,7 +143,7 @@ def _edit_mapping(text: str, node: yaml.MappingNode, changes: Mapping[str, Any])
     added = {k: v for k, v in changes.items() if k not in entries and k not in dropped}
     if node.value and not entries.keys() - dropped:
         first, last = node.value[0][0].start_mark.index, _find_end(node.value[-1][1])
-        line = reading.format_yaml_line(added)
+        line = _format_line(added)
         yield first, last, line[1:-1] if node.flow_style else line
         return
     for name in changes.keys() & entries.keys() - dropped:
@@ -158,7 +166,7 @@ def _edit_value(text: str, node: yaml.Node, value: Any) -> Iterator[_Edit]:
             yield from _edit_value(text, child, item)
     else:
         start, end = node.start_mark.index, _find_end(node)
-        line = reading.format_yaml_line(value)
+        line = _format_line(value)
         is_scalar = isinstance(node, yaml.ScalarNode)
         if not is_scalar or reading.parse_yaml(text[start:end]) != value:
             yield start, end, line if end > start else f" {line}"
@@ -174,7 +182,7 @@ def _find_end(node: yaml.Node) -> int:
 
 def _add_entries(text: str, node: yaml.MappingNode, added: Mapping[str, Any]) -> _Edit:
     """Add entries behind the last one of a mapping."""
-    line = reading.format_yaml_line(dict(added))[1:-1]
+    line = _format_line(dict(added))[1:-1]
     if not node.value:
         end = node.end_mark.index - 1
         return end, end, line
@@ -191,7 +199,7 @@ def _add_lines(text: str, end: int, added: Mapping[str, Any], column: int = 0) -
         if isinstance(value, list | Mapping):
             lines += reading.format_yaml({name: value}).splitlines()
         else:
-            lines.append(f"{name}: {reading.format_yaml_line(value)}")
+            lines.append(f"{name}: {_format_line(value)}")
     block = "".join(f"{' ' * column}{line}\n" for line in lines)
     if end == 0 or text[end - 1] == "\n":
         return end, end, block

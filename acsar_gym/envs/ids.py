@@ -14,7 +14,7 @@ from typing import Any
 
 import gymnasium
 
-from acsar_gym.errors import AcsarError, ConfigError
+from acsar_gym.errors import AcsarError, ConfigError, explain_error, format_error
 from acsar_gym.reading import find_modules_here
 from acsar_gym.registration import IDS
 from acsar_gym.vector.env import RobotVectorEnv
@@ -51,8 +51,8 @@ def find_id(name: str) -> str:
     except AcsarError:
         raise
     except (Exception, SystemExit) as error:
-        said = f"{type(error).__name__}: {_one_line(error)}"
-        raise ConfigError(f"env {name}: the module {module} can't be imported: {said}") from error
+        reason = format_error(error)
+        raise ConfigError(f"env {name}: the module {module} can't be imported: {reason}") from error
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
@@ -62,7 +62,7 @@ def find_id(name: str) -> str:
                 f"mine_package:{name}"
             ) from error
         how = f"importing {module} doesn't register it: " if module else ""
-        raise ConfigError(f"env {name}: {how}{_one_line(error)}") from error
+        raise ConfigError(f"env {name}: {how}{explain_error(error)}") from error
     return env_id
 
 
@@ -72,13 +72,8 @@ def make_vec(env_id: str, num_envs: int, **options: Any) -> RobotVectorEnv:
     try:
         batch = gymnasium.make_vec(env_id, num_envs, vectorization_mode=mode, **options)
     except (gymnasium.error.Error, ImportError, TypeError) as error:
-        raise ConfigError(f"{env_id}: no batch of these options: {_one_line(error)}") from error
+        raise ConfigError(f"{env_id}: no batch of these options: {explain_error(error)}") from error
     if not isinstance(batch, RobotVectorEnv):
         batch.close()
         raise ConfigError(f"{env_id}: its batch isn't one of acsar_gym's robots")
     return batch
-
-
-def _one_line(error: BaseException) -> str:
-    """The message of an error without line breaks."""
-    return " ".join(str(error).split())

@@ -25,7 +25,6 @@ from acsar_gym.errors import (
     LidarError,
     LinkError,
     LinkLostError,
-    RenderError,
     WheelError,
     check_extra,
     show_value,
@@ -113,8 +112,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             **options: of the env (see `EnvOptions` and the manual of PointGoal), and the task's.
 
         Raises:
-            ConfigError, RenderError, WorldError: for unknown options, or values out of range.
-            TaskError: where a method of the task raises an error, or returns what can't be used.
+            ConfigError, WorldError: for unknown options, or values out of range.
+            ConfigError: where a method of the task raises an error, or returns what can't be used.
             MissingExtraError: what the link, `record` or `render_mode` need isn't installed.
         """
         config = RobotConfig.of(robot)
@@ -148,7 +147,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         simulator = BODIES.get(link) if isinstance(link, str) else None
         has_camera = simulator.has_camera if simulator else not isinstance(link, str)
         if chosen.view == "camera" and not has_camera:
-            raise RenderError(
+            raise ConfigError(
                 f"link {link!r} has no camera; view='camera' needs link {LINKS_WITH_CAMERA}"
             )
         sensors = (*self.task.sensors, *chosen.sensors)
@@ -193,7 +192,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigError, WorldError: for unknown options, or values out of range.
             LinkError: where the link can't be opened, or the board or a sensor doesn't answer.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         self._halt()
         self._last_step = None
@@ -239,7 +239,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             ConfigError: before the first reset, or after the end of an episode; the wheels are
                 commanded to stop.
             LinkError: where the link or the board fails and `on_fault` is "raise".
-            TaskError, SensorError: where a task or sensor fails, or gives NaN.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         episode = self._episode
         if episode is None:
@@ -416,12 +417,12 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Return a picture in mode rgb_array, (height, width, 3) uint8; None in other modes.
 
         Raises:
-            RenderError: before the first reset.
+            ConfigError: before the first reset.
         """
         if self.render_mode != "rgb_array":
             return None
         if not self.robot.active:
-            raise RenderError("there is nothing to see before reset(): call it first")
+            raise ConfigError("there is nothing to see before reset(): call it first")
         return self._screen.picture(self.robot.link)
 
     def close(self) -> None:

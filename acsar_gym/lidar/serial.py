@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LidarError, LinkError, require_extra, shorten_text
+from acsar_gym.errors import LidarError, LinkError, format_error, require_extra
 from acsar_gym.guard.shutdown import close_at_exit, forget_link, install_handlers
 from acsar_gym.lidar.contract import check_age
 from acsar_gym.lidar.scan import Revolution
@@ -514,7 +514,7 @@ class _Reader(threading.Thread):
                 turns = self._stream.feed(data, now)
             except Exception as error:  # noqa: BLE001 - a driver of the user's own; `scan` tells it
                 driver = self._stream.driver
-                why = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+                why = format_error(error)
                 self.lost = f"{type(driver).__name__}.parse() raised {why}"
                 self.fix = "mend that driver"
                 return

@@ -20,15 +20,7 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
-from acsar_gym.errors import (
-    MORE_FILES_ADVICE,
-    ConfigError,
-    LinkError,
-    LinkLostError,
-    PortBusyError,
-    PortNotFoundError,
-    PortPermissionError,
-)
+from acsar_gym.errors import MORE_FILES_ADVICE, ConfigError, LinkError, LinkLostError, PortBusyError
 from acsar_gym.links.base import WHILE_WAITING
 
 BY_ID_FOLDER = Path("/dev/serial/by-id")  # persistent names: vendor, product, serial number
@@ -74,7 +66,7 @@ def locate_port(name: str) -> str:
 
     Raises:
         ConfigError: Several adapters have this serial number.
-        PortNotFoundError: No adapter has it.
+        LinkError: No adapter has it.
     """
     if not name.startswith(SERIAL_NUMBER_PREFIX):
         return name
@@ -86,7 +78,7 @@ def locate_port(name: str) -> str:
         raise ConfigError(f"{name}: {', '.join(devices)} have this serial number: name one of them")
     if not devices:
         numbers = ", ".join(port.serial_number for port in ports if port.serial_number) or "none"
-        raise PortNotFoundError(
+        raise LinkError(
             f"{name}: no USB adapter with this serial number", f"serial numbers here: {numbers}"
         )
     return devices[0]
@@ -215,11 +207,11 @@ def _opening_error(device: str, error: Exception) -> LinkError:
     code = getattr(error, "errno", None)
     ports = ", ".join(port.device for port in find_ports()) or "none"
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
-        return PortNotFoundError(f"{device}: no such device", f"serial ports here: {ports}")
+        return LinkError(f"{device}: no such device", f"serial ports here: {ports}")
     if errno.ENOTTY in getattr(error.__context__, "args", ()):  # of termios
         return LinkError(f"{device}: isn't a serial port", f"serial ports here: {ports}")
     if code in (errno.EACCES, errno.EPERM):
-        return PortPermissionError(
+        return LinkError(
             f"{device}: permission denied",
             "add yourself to the group that owns it, usually 'sudo usermod -aG dialout $USER', and "
             "log in again",

@@ -28,7 +28,7 @@ from acsar_gym.config.footprint import (
     convex_pieces,
     outline_radius,
 )
-from acsar_gym.errors import MissingExtraError, RenderError
+from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.jit import loop, record_of
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
@@ -102,7 +102,7 @@ class BulletBody:
         window: whether to open PyBullet's own window.
 
     Raises:
-        RenderError: a window is asked for, and there is no display.
+        ConfigError: a window is asked for, and there is no display.
     """
 
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
@@ -110,7 +110,7 @@ class BulletBody:
         self._dt = model.loop_period(config)
         self._configured = model.compute_physics(config)
         if window and not has_display():
-            raise RenderError("PyBullet's window needs a display; drive without a window here")
+            raise ConfigError("PyBullet's window needs a display; drive without a window here")
         if window:
             prepare_opengl()
         self._client = int(pybullet.connect(pybullet.GUI if window else pybullet.DIRECT))

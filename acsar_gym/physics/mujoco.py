@@ -20,7 +20,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import convex_pieces
-from acsar_gym.errors import RenderError, require_extra
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
     CHASSIS_CLEARANCE,
@@ -177,7 +177,7 @@ class MujocoBody:
         """Take a picture with MuJoCo's camera from behind and above: (height, width, 3), RGB.
 
         Raises:
-            RenderError: there is no OpenGL.
+            ConfigError: there is no OpenGL.
         """
         try:
             if self._pictured != (width, height):
@@ -195,7 +195,7 @@ class MujocoBody:
             self._renderer.update_scene(self._data, camera)
             picture: Image = self._renderer.render()
         except (mujoco.FatalError, AttributeError, ImportError, OSError, RuntimeError) as error:
-            raise RenderError(
+            raise ConfigError(
                 "MuJoCo's camera needs OpenGL: install EGL or OSMesa, set MUJOCO_GL=egl or osmesa"
             ) from error
         return picture

@@ -30,12 +30,13 @@ from acsar_gym.errors import (
     ConfigError,
     RecordingWarning,
     escape_unprintable,
+    explain_error,
     require_extra,
     show_value,
 )
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
-from acsar_gym.reading import explain_error, open_file
+from acsar_gym.reading import open_file
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Began, Encoder, Event, Exchange, Scanned, Tick, Written
 from acsar_gym.recording.messages import EPISODE, HEADER_RECORD, make_header
@@ -85,7 +86,7 @@ def is_recording(path: Path) -> bool:
     """Whether a file is a recording of this package; ConfigError where it can't be read."""
     if path.is_dir() or path.suffix == ".db3":
         return False
-    with open_file(path, None) as file:
+    with open_file(path) as file:
         stream = RecordStream(file, ())
         try:
             for opcode, content in stream:
@@ -162,7 +163,7 @@ def hash_bag(files: Sequence[Path]) -> str:
     digests = []
     for path in files:
         for part in sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]:
-            with open_file(part, None) as file:
+            with open_file(part) as file:
                 digests.append(hashlib.file_digest(file, "sha256").digest())
     return hashlib.sha256(b"".join(digests)).hexdigest()[:16]
 
@@ -194,7 +195,9 @@ def choose_topics(
     listed = ", ".join(f"{name} ({kind})" for name, (kind, _, _) in sorted(found.items()))
     for name in given:
         if not any(is_below(topic, name) for topic in found):
-            raise ConfigError(f"{path}: has no topic {show_value(name)}: it has {_short(listed)}")
+            raise ConfigError(
+                f"{path}: has no topic {show_value(name)}: it has {escape_unprintable(listed, 300)}"
+            )
     chosen: dict[str, str] = {}
     for role, (kinds, usual) in ROLES.items():
         names = [
@@ -211,8 +214,9 @@ def choose_topics(
         ]
         names = usual_names or names
         if len(names) > 1:
+            topics = escape_unprintable(", ".join(sorted(names)), 300)
             raise ConfigError(
-                f"{path}: has several topics with {role}: {_short(', '.join(sorted(names)))}: "
+                f"{path}: has several topics with {role}: {topics}: "
                 "choose with --topics NAME or --topics /NAMESPACE"
             )
         if names:
@@ -224,17 +228,13 @@ def choose_topics(
             if kind == JOINT_STATE
             for name in _joint_names(first)
         ]
-        holds = f"its joints are {_short(', '.join(joints))}" if joints else ""
-        holds = holds or f"it has {_short(listed) or 'no messages'}"
+        holds = f"its joints are {escape_unprintable(', '.join(joints), 300)}" if joints else ""
+        holds = holds or f"it has {escape_unprintable(listed, 300) or 'no messages'}"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
             f"odometry: {holds}"
         )
     return chosen
-
-
-def _short(text: str) -> str:
-    return text if len(text) < 300 else f"{text[:300]}..."
 
 
 def is_below(topic: str, name: str) -> bool:
@@ -295,7 +295,7 @@ def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
     """Read an MCAP file, also one without its end."""
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
-    with open_file(path, None) as file:
+    with open_file(path) as file:
         stream = RecordStream(file, channels)
         try:
             for opcode, content in stream:
@@ -323,7 +323,7 @@ def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
 
 
 def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    with open_file(path, None):  # only regular files
+    with open_file(path):  # only regular files
         pass
     query = (
         "SELECT topics.name, topics.type, messages.timestamp, messages.data FROM messages "

@@ -12,8 +12,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from acsar_gym.errors import ConfigError
-from acsar_gym.reading import explain_error, open_file, replace_file
+from acsar_gym.errors import ConfigError, explain_error
+from acsar_gym.reading import open_file, replace_file
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Message
 from acsar_gym.recording.episodes import EpisodeCollector, parse_array, parse_opening
@@ -69,7 +69,7 @@ def cut_recording(path: Path, begin: float, end: float, target: Path) -> CutResu
         raise ConfigError(f"--from {begin:g} --to {end:g}: must be 0 s or more, and in this order")
     if target.exists():
         raise ConfigError(f"{target}: is there already: name another file with --out")
-    with open_file(path, None) as file:
+    with open_file(path) as file:
         survey = Survey(file, begin)
         lasts = (survey.last - survey.first) / 1e9
         if begin > lasts:

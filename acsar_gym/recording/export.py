@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, RecordingWarning, require_extra, show_value
-from acsar_gym.reading import explain_error, replace_file
+from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra, show_value
+from acsar_gym.reading import replace_file
 from acsar_gym.recording.reader import iterate_blocks, read
 from acsar_gym.recording.types import Episode, Recording, WireLog
 

@@ -14,7 +14,7 @@ from typing import IO, Any, overload
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable, shorten_text
+from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
 from acsar_gym.reading import open_file
 from acsar_gym.recording.episodes import (
     GROUP_OF_FIELD,
@@ -85,7 +85,7 @@ def _read_counted(
 ) -> tuple[Recording, list[EpisodeParts], dict[str, int]]:
     """Read a recording; also how much there is of each episode, and of each topic."""
     wanted = (*TABLE_TOPICS, *LIST_TOPICS, *((REVOLUTIONS,) if revolutions else ()))
-    with open_file(path, None) as file:
+    with open_file(path) as file:
         collector = EpisodeCollector(wanted)
         stream = RecordStream(file, collector.topics)
         cut: FileCut | None = None
@@ -125,7 +125,7 @@ def _read_counted(
         missing=max(missing - dropped, 0) if damages else 0,
     )
     if damages:
-        text = f"{shorten_text(str(path))}: is damaged: {recording.describe_damage()}"
+        text = f"{path}: is damaged: {recording.describe_damage()}"
         warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=3)
     counts = {name: stream.counts[number] for number, name in collector.names.items()}
     return recording, parts, {name: count for name, count in counts.items() if count}
@@ -211,7 +211,7 @@ class EpisodeSource:
     ) -> Iterator[int]:
         """Read topics of an episode chunk by chunk into `parts`; yields how many bytes that was."""
         wanted = {number: topic for number, topic in self._topics.items() if topic in topics}
-        with open_file(self._path, None) as file:
+        with open_file(self._path) as file:
             if _identify_file(file) != self._identity:
                 raise ConfigError("has changed since it was read: read it again")
             stream = RecordStream(file, wanted)
@@ -376,4 +376,4 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
 
 def _shorten(value: Any) -> str:
     text = " ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else str(value)
-    return shorten_text(text, 100)
+    return escape_unprintable(text, 100)

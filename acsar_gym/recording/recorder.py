@@ -15,10 +15,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning, show_value
+from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, show_value
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Link
-from acsar_gym.reading import explain_error
 from acsar_gym.recording.encoder import (
     NEW_FILE,
     Began,

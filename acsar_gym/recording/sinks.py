@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.reading import explain_error, open_nonblocking
+from acsar_gym.errors import ConfigError, explain_error, require_extra
 from acsar_gym.recording import messages
 from acsar_gym.recording.encoder import Message
 from acsar_gym.recording.messages import (
@@ -86,7 +85,7 @@ def open_exclusively(path: str, flags: int) -> int:
 
 def _open_locked(path: str, flags: int) -> int:
     """Open a file, which isn't emptied; OSError where another recorder holds it."""
-    file = open_nonblocking(path, flags & ~os.O_TRUNC)
+    file = os.open(path, flags & ~os.O_TRUNC, 0o666)
     if fcntl is not None:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import OffScreenWarning, RenderError
+from acsar_gym.errors import AcsarWarning, ConfigError
 from acsar_gym.lidar.scan import Scan, ray_spec
 from acsar_gym.links import Link
 from acsar_gym.physics.bodies import LINKS_WITH_CAMERA
@@ -74,10 +74,10 @@ class Screen:
                 self._window = Window("acsar_gym")
             try:
                 self._window.show(image)
-            except RenderError as error:
+            except ConfigError as error:
                 self._window.close()
                 told = f"{error}; pictures are drawn off-screen"
-                warnings.warn(told, OffScreenWarning, stacklevel=5)
+                warnings.warn(told, AcsarWarning, stacklevel=5)
 
     def _pose_in_world(self, state: State) -> Pose:
         """Convert the pose from the odometry frame to the frame of the world."""
@@ -89,7 +89,7 @@ class Screen:
             return self._draw_top()
         camera = link.camera
         if camera is None:
-            raise RenderError(f"this link has no camera; view='camera' needs {LINKS_WITH_CAMERA}")
+            raise ConfigError(f"this link has no camera; view='camera' needs {LINKS_WITH_CAMERA}")
         return camera.image(*CAMERA_SIZE)
 
     def _draw_top(self) -> Image:
@@ -100,7 +100,7 @@ class Screen:
             self._top = TopView(self._config, TOP_SIZE)
         state, assignment = self._state, self._assignment
         if state is None or assignment is None:
-            raise RenderError("there is nothing to see before reset(): call it first")
+            raise ConfigError("there is nothing to see before reset(): call it first")
         frame = TopViewFrame(
             world=assignment.world,
             odom=self._pose_in_world(state),
@@ -159,14 +159,14 @@ class Window:
         try:
             import tkinter as tk  # noqa: PLC0415 - not every Python has it
         except ImportError as error:
-            raise RenderError(
+            raise ConfigError(
                 "render_mode='human' needs tkinter, which this Python lacks: install python3-tk, "
                 f"or {instead}"
             ) from error
         try:
             root = tk.Tk(className="acsar_gym")
         except tk.TclError as error:
-            raise RenderError(f"render_mode='human' needs a display; {instead}") from error
+            raise ConfigError(f"render_mode='human' needs a display; {instead}") from error
         # A callback that is a method would keep this object alive; a finalizer doesn't.
         self._destroy = weakref.finalize(self, root.destroy)
         root.protocol("WM_DELETE_WINDOW", self._destroy)

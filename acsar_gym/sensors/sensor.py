@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import SensorError
+from acsar_gym.errors import AcsarError
 from acsar_gym.jit import compilable, named_tuple
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
@@ -178,10 +178,10 @@ class Sensor:
 
         Raises:
             LinkError: The device is gone or silent. The robot is then stopped, as by any error.
-            SensorError: The sensor has `read_batch`, and the link has no truth.
+            AcsarError: The sensor has `read_batch`, and the link has no truth.
         """
         if truth is None:
-            raise SensorError(
+            raise AcsarError(
                 f"sensor {self.name!r}: its read_batch needs the truth, which a real robot doesn't "
                 "have: pass a factory that makes another sensor there"
             )

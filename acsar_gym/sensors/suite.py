@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, SensorError, show_value, suggest_name, translate_errors
+from acsar_gym.errors import AcsarError, ConfigError, show_value, suggest_name, translate_errors
 from acsar_gym.lidar.contract import Lidar
 from acsar_gym.lidar.replayed import ReplayedLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
@@ -104,7 +104,7 @@ class Sensors(Sequence[Sensor]):
             Their numbers, of shape (sum of sizes,).
 
         Raises:
-            SensorError: for anything else than `size` finite numbers, and where a sensor raises
+            AcsarError: for anything else than `size` finite numbers, and where a sensor raises
                 an error; names the sensor.
         """
         if not self._sensors:
@@ -147,8 +147,8 @@ class Sensors(Sequence[Sensor]):
 
 
 def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
-    """Turn errors that the sensor raises inside a block into a SensorError with its name."""
-    return translate_errors(SensorError, lambda: f"sensor {sensor.name!r}")
+    """Turn errors that the sensor raises inside a block into an AcsarError with its name."""
+    return translate_errors(AcsarError, lambda: f"sensor {sensor.name!r}")
 
 
 def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
@@ -156,13 +156,13 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
 
     Raises:
         ConfigError: it isn't a sensor, or its name, size or bounds can't be used.
-        SensorError: the factory raises an error.
+        AcsarError: the factory raises an error.
     """
     if not callable(factory) and not isinstance(factory, Sensor):
         raise ConfigError(
             f"sensors: {show_value(factory)} must be a subclass of Sensor or a factory"
         )
-    with translate_errors(SensorError, lambda: f"sensors: {show_value(factory)}"):
+    with translate_errors(AcsarError, lambda: f"sensors: {show_value(factory)}"):
         sensor = factory if isinstance(factory, Sensor) else factory(link, config)
     if not isinstance(sensor, Sensor):
         raise ConfigError(
@@ -225,19 +225,19 @@ def check_numbers(sensor: Sensor, numbers: Any) -> Floats:
     """Convert what a sensor has read to float64.
 
     Raises:
-        SensorError: for anything else than finite numbers of shape (size,).
+        AcsarError: for anything else than finite numbers of shape (size,).
     """
     try:
         array = np.asarray(numbers)
     except ValueError:  # lists of lists of unequal lengths
         array = np.zeros((), object)
     if array.shape != (sensor.size,) or array.dtype.kind not in "fiub":
-        raise SensorError(
+        raise AcsarError(
             f"sensor {sensor.name!r}: read() gave {array.dtype} of shape {array.shape}: must be "
             f"numbers of shape ({sensor.size},)"
         )
     if not np.isfinite(array).all():
-        raise SensorError(
+        raise AcsarError(
             f"sensor {sensor.name!r}: read() gave {show_value(array.tolist())}: must be finite "
             "numbers"
         )
@@ -286,7 +286,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     if isinstance(url, str) and ":" in url and "/" not in url:
         made = import_object("lidar", url)
     if isinstance(made, type) or made is not url:
-        with translate_errors(SensorError, lambda: f"lidar = {show_value(url)}"):
+        with translate_errors(AcsarError, lambda: f"lidar = {show_value(url)}"):
             made = made(link, config)
     if not all(callable(getattr(made, name, None)) for name in ("reset", "scan", "close")):
         raise ConfigError(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.errors import CommandError, shorten_text, show_value
+from acsar_gym.errors import CommandError, format_error, show_value
 from acsar_gym.tasks.state import Floats
 
 NUMBER_KINDS = "fiub"
@@ -24,7 +24,7 @@ def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
         # numba would compile for arrays in another order
         numbers = given.astype(np.float64, order="C") if is_numeric else None
     except Exception as error:
-        reason = shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
+        reason = format_error(error)
         raise CommandError(f"{problem.format(show_value(actions))}; {reason}") from error
     if numbers is None or (is_single and numbers.shape != shape):
         raise CommandError(problem.format(show_value(actions)))

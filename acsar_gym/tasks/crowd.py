@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from acsar_gym.errors import TaskError
+from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MOVERS
 from acsar_gym.sensors.map.movers import MOST_MOVERS, MOST_RADIUS, NUMBERS
@@ -40,10 +40,10 @@ class Crowd(NavigationTask):
     compiled = True
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Check that the robot senses movers, whose numbers the reward reads. TaskError if not."""
+        """Raise ConfigError if the robot doesn't sense movers, whose numbers the reward reads."""
         super().__init_subclass__(**options)
         if MOVERS not in cls.sensors:
-            raise TaskError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MOVERS!r}")
+            raise ConfigError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MOVERS!r}")
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step: `navigation_reward` less CROWDING_COST times `crowding`."""

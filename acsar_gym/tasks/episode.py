@@ -11,14 +11,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import (
-    ConfigError,
-    TaskError,
-    TaskWarning,
-    WorldError,
-    show_value,
-    translate_errors,
-)
+from acsar_gym.errors import AcsarWarning, ConfigError, WorldError, show_value, translate_errors
 from acsar_gym.jit import jit
 from acsar_gym.tasks.factory import ask_outcome, ask_reward, method_place, task_name
 from acsar_gym.tasks.options import check_distances, check_reset_options
@@ -243,7 +236,7 @@ class ObservationCheck:
     def check(self, numbers: Observation) -> None:
         """Check an observation.
 
-        Warns (TaskWarning) of the first number beyond its bounds.
+        Warns (AcsarWarning) of the first number beyond its bounds.
         """
         if self._warns:
             if self._low.shape != numbers.shape:  # arrays of one shape are compared much faster
@@ -258,7 +251,7 @@ class ObservationCheck:
         if not is_finite.all():
             values, robot = self._row_of_first(numbers, ~is_finite)
             wrong = {name: number for name, number in values.items() if not math.isfinite(number)}
-            raise TaskError(
+            raise ConfigError(
                 f"{task_name(self._task)}.observe returned {show_value(wrong)}{robot}: must be "
                 f"finite numbers{method_place(self._task, 'observe')}"
             )
@@ -277,7 +270,7 @@ class ObservationCheck:
             f"{task_name(self._task)}.observe returned {name!r} = {number:g}{robot}: beyond its "
             f"bounds ({low:g}, {high:g}), and a policy gets it as it is: clip it, or declare wider "
             f"bounds in `observation`{method_place(self._task, 'observe')}",
-            TaskWarning,
+            AcsarWarning,
             stacklevel=3,
         )
 
@@ -312,32 +305,32 @@ class RunningEpisode:
         self._told = info_names(task)
 
     def begin(self, state: State) -> None:
-        """Begin the episode with the state after the reset. TaskError as for `step`."""
+        """Begin the episode with the state after the reset. ConfigError as for `step`."""
         self.state = state
-        with translate_errors(TaskError, lambda: task_name(self.task)):
+        with translate_errors(ConfigError, lambda: task_name(self.task)):
             self.task.begin(state, self.memory)
 
     def step(self, state: State) -> tuple[float, Outcome]:
         """Return the reward and the outcome of the step that led to this state."""
         self.state = state
-        with translate_errors(TaskError, lambda: task_name(self.task)):
+        with translate_errors(ConfigError, lambda: task_name(self.task)):
             self.outcome = ask_outcome(self.task, state, self.memory)
             return ask_reward(self.task, state, self.memory, self.outcome), self.outcome
 
     def observe(self, state: State) -> Observation:
         """Return the task's own part of the observation, (numbers,)."""
         name, size = task_name(self.task), len(self.task.observation)
-        with translate_errors(TaskError, lambda: name):
+        with translate_errors(ConfigError, lambda: name):
             given = self.task.observe(state, self.memory)
         try:
             numbers = np.array(given, np.float32)
         except (TypeError, ValueError) as error:
-            raise TaskError(
+            raise ConfigError(
                 f"{name}.observe returned {show_value(given)}: must be numbers"
                 f"{method_place(self.task, 'observe')}"
             ) from error
         if numbers.shape != (size,):
-            raise TaskError(
+            raise ConfigError(
                 f"{name}.observe returned numbers of shape {numbers.shape}: must be ({size},)"
                 f"{method_place(self.task, 'observe')}"
             )
@@ -349,7 +342,7 @@ class RunningEpisode:
         if not says_shortest_path(self.task):
             return None
         name = task_name(self.task)
-        with translate_errors(TaskError, lambda: name):
+        with translate_errors(ConfigError, lambda: name):
             way = self.task.shortest_path(self.state._replace(pose=pose), self.memory)
         if way is None:
             return None
@@ -362,7 +355,7 @@ class RunningEpisode:
         except (TypeError, ValueError):
             sound = False
         if not sound:
-            raise TaskError(
+            raise ConfigError(
                 f"{name}.shortest_path returned {show_value(way)}: must be places (x, y) [m], a "
                 "length [m], or None"
             )

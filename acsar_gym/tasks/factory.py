@@ -10,14 +10,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import (
-    ConfigError,
-    TaskError,
-    shorten_text,
-    show_value,
-    suggest_name,
-    translate_errors,
-)
+from acsar_gym.errors import ConfigError, show_value, suggest_name, translate_errors
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.lidar import footprint_edges
@@ -48,7 +41,7 @@ def make_task(task: Any, options: Mapping[str, Any], others: Sequence[str] = ())
                     f"unknown option {show_value(name)} of {task_name(task)}"
                     f"{explain_option(task, str(name)[:40], [*names_of_task, *others])}"
                 )
-        with translate_errors(TaskError, lambda: task_name(task)):
+        with translate_errors(ConfigError, lambda: task_name(task)):
             try:
                 task = task(**{name: _tupled(value) for name, value in options.items()})
             except TypeError as error:
@@ -78,7 +71,7 @@ def explain_option(task: type[Task], name: str, known: Sequence[str]) -> str:
     field = f"{name}: {'float' if value is None else type(value).__name__} = {value!r}"
     return (
         f": it is an attribute of the class, but no field: write @dataclass(frozen=True) above the "
-        f"class, and {shorten_text(field, 80)} in it{class_place(task)}"
+        f"class, and {field[:80]} in it{class_place(task)}"
     )
 
 
@@ -112,7 +105,7 @@ def _check_class(task: Task) -> None:  # noqa: C901 - one check after the other
             inspect.signature(getattr(task, name)).bind(*arguments)
         except TypeError as error:
             signature = f"{name}({', '.join(arguments)})"
-            raise TaskError(
+            raise ConfigError(
                 f"{task_name(task)}: must have {signature}, after self: {error}"
                 f"{method_place(task, name)}"
             ) from error
@@ -168,24 +161,24 @@ def validate_task(task: Task, config: RobotConfig, sensors: Sequence[Sensor]) ->
         max_twist=(config.max_linear, config.max_angular),
     )
     name = task_name(task)
-    with translate_errors(TaskError, lambda: name):
+    with translate_errors(ConfigError, lambda: name):
         memory = new_memory(task)
         task.begin(state, memory)
         outcome = ask_outcome(task, state, memory)
         reward = task.reward(state, memory, outcome)
         numbers = task.observe(state, memory)
     if not isinstance(reward, NUMBER):
-        raise TaskError(
+        raise ConfigError(
             f"{name}.reward returned {show_value(reward)}: must be a number"
             f"{method_place(task, 'reward')}"
         )
     if _shape_of(numbers) != (len(task.observation),):
-        raise TaskError(
+        raise ConfigError(
             f"{name}.observe returned {_describe_shape(numbers)}: must be "
             f"{len(task.observation)}, as `observation` has names{method_place(task, 'observe')}"
         )
     if is_compiled(task) and not isinstance(numbers, tuple):
-        raise TaskError(
+        raise ConfigError(
             f"{name}.observe: must return a tuple where the task is compiled"
             f"{method_place(task, 'observe')}"
         )
@@ -215,7 +208,7 @@ def _describe_shape(numbers: Any) -> str:
 
 
 def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
-    """Ask a task for the outcome of a step; TaskError where it is no Outcome.
+    """Ask a task for the outcome of a step; ConfigError where it is no Outcome.
 
     True and False are none: True would be a success.
     """
@@ -225,21 +218,21 @@ def ask_outcome(task: Task, state: State, memory: Memory) -> Outcome:
             return Outcome(outcome)
     except (ValueError, TypeError):
         pass
-    raise TaskError(
+    raise ConfigError(
         f"{task_name(task)}.outcome returned {show_value(outcome)}: must be an Outcome, such as "
         f"Outcome.SUCCESS{method_place(task, 'outcome')}"
     )
 
 
 def ask_reward(task: Task, state: State, memory: Memory, outcome: Outcome) -> float:
-    """Ask a task for the reward of a step; TaskError where it is no finite number."""
+    """Ask a task for the reward of a step; ConfigError where it is no finite number."""
     reward = task.reward(state, memory, outcome)
     try:
         number = float(reward)
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):
-        raise TaskError(
+        raise ConfigError(
             f"{task_name(task)}.reward returned {show_value(reward)}: must be a finite number"
             f"{method_place(task, 'reward')}"
         )

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from acsar_gym.errors import TaskError
+from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MAP
 from acsar_gym.sensors.map.sensor import (
@@ -77,10 +77,10 @@ class NavigationTask(GoalTask):
     """What a collision costs; more than the goal pays, so that haste isn't worth the risk."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Check that the robot has a map, whose numbers the reward reads. TaskError without."""
+        """Check that the robot has a map, whose numbers the reward reads. ConfigError without."""
         super().__init_subclass__(**options)
         if MAP not in cls.sensors:
-            raise TaskError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MAP!r}")
+            raise ConfigError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MAP!r}")
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""

@@ -21,9 +21,8 @@ from typing import Any, TypeVar
 import acsar_gym
 from acsar_gym.errors import (
     AcsarError,
-    ClusterError,
     ConfigError,
-    JobError,
+    LinkError,
     escape_unprintable,
     require_extra,
     show_value,
@@ -63,9 +62,9 @@ def completed(
 
     Raises:
         ConfigError: `workers` or `address` can't be used.
-        ClusterError: no cluster answers at the address.
-        JobError: a process that ran a job ended, or the job raised another error than AcsarErrors,
-            which are raised as they are; in this process, all are.
+        LinkError: no cluster answers at the address.
+        AcsarError: A process that ran a job ended, or the job raised an error. An AcsarError of a
+            job is raised as it is. In this process, every error is.
     """
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise ConfigError(f"--workers {show_value(workers)}: must be 1 to {MAX_WORKERS:,}")
@@ -140,8 +139,8 @@ def _run_on_cluster(tasks: Sequence[Task], workers: int | None, address: str) ->
                     ray.wait(running, num_returns=len(running), timeout=CLUSTER_TIMEOUT)
 
 
-def _explain_death(error: BaseException) -> JobError:
-    return JobError(
+def _explain_death(error: BaseException) -> AcsarError:
+    return AcsarError(
         f"a process that ran a job ended ({type(error).__name__}): run it with --workers 1 to see "
         "why"
     )
@@ -167,7 +166,7 @@ def _attempt_task(task: Task) -> tuple[int, Any, AcsarError | None]:
     if number:  # another process says already that it compiles
         logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
     if version != acsar_gym.__version__:
-        error = ClusterError(
+        error = LinkError(
             f"a machine of the cluster has acsar_gym {acsar_gym.__version__}, this one {version}",
             "install the same version everywhere",
         )
@@ -180,7 +179,7 @@ def _attempt_task(task: Task) -> tuple[int, Any, AcsarError | None]:
         frames = traceback.extract_tb(error.__traceback__)
         place = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
         said = f"{type(error).__name__}: {escape_unprintable(str(error))}{place}"
-        return number, None, JobError(f"job {show_value(job)}: {said}")
+        return number, None, AcsarError(f"job {show_value(job)}: {said}")
 
 
 @contextlib.contextmanager
@@ -208,7 +207,7 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         first, _, _ = (lines[0] if lines else type(error).__name__).partition(". ")
-        raise ClusterError(
+        raise LinkError(
             f"--address {show_value(address)}: {escape_unprintable(first)[:300]}", START_HINT
         ) from error
     try:
@@ -232,6 +231,6 @@ def _check_address(grpc: Any, address: str) -> None:
         try:
             grpc.channel_ready_future(channel).result(timeout=CLUSTER_TIMEOUT)
         except grpc.FutureTimeoutError as error:
-            raise ClusterError(
+            raise LinkError(
                 f"--address {show_value(address)}: doesn't answer", START_HINT
             ) from error

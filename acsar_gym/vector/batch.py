@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, whole_ratio
-from acsar_gym.errors import ConfigError, TaskError, WorldError
+from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.jit import record_of
 from acsar_gym.lidar.scan import count_trail_rows, make_rays, ray_spec
 from acsar_gym.lidar.simulated import SimulatedLidar
@@ -229,13 +229,13 @@ class Batch:
         self._check_observations()
         if not np.isfinite(tables.rewards).all():
             robot = int(np.isfinite(tables.rewards).argmin())
-            raise TaskError(
+            raise ConfigError(
                 f"{task_name(self._task)}.reward returned {tables.rewards[robot]} for robot "
                 f"{robot}: must be a finite number{method_place(self._task, 'reward')}"
             )
 
     def _check_observations(self) -> None:
-        """Raise TaskError where the task observed NaN or infinity; warn once of other bounds."""
+        """Raise ConfigError where the task observed NaN or infinity; warn once of other bounds."""
         self._observed.check(self.tables.observations[:, : self._setup.numbers])
 
     def _drive(self, first: int, last: int) -> None:

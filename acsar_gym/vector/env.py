@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
-from acsar_gym.errors import ConfigError, RenderError, show_value
+from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.episode import Spawn
@@ -197,7 +197,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         Raises:
             ConfigError, WorldError: for unknown options, or values that are malformed.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         mask, fields = self._read_options(options)
         if not (mask.all() or (self.batch.seeded and self._whole)):
@@ -255,7 +256,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
                 bad env.
             ConfigError: before a reset, after an interrupted call, or for an env that has ended.
-            TaskError, SensorError: where a task or sensor fails, or gives NaN; names it.
+            ConfigError: The task fails, or returns NaN.
+            AcsarError: A sensor fails, or returns NaN.
         """
         batch, tables = self.batch, self.batch.tables
         actions = read_actions(actions, (self.num_envs, 2))
@@ -289,12 +291,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         The first 16 robots are drawn from above, the pictures of others are empty.
 
         Raises:
-            RenderError: before the first reset.
+            ConfigError: before the first reset.
         """
         if self._screen is None:
             return None
         if not self.batch.seeded:
-            raise RenderError("there is nothing to see before reset(): call it first")
+            raise ConfigError("there is nothing to see before reset(): call it first")
         return self._screen.pictures(self.batch)
 
     def _final_info(self, done: Array) -> Info:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError, SensorError, show_value, translate_errors
+from acsar_gym.errors import AcsarError, ConfigError, LinkError, show_value, translate_errors
 from acsar_gym.jit import overloads
 from acsar_gym.links.base import Link
 from acsar_gym.sensors import LIDAR, MAP, MOVERS, Factory, Sensor, Truths, draw_uniform
@@ -269,7 +269,7 @@ class _Each:
         Errors name the sensor and the robot.
         """
         at = 0
-        with translate_errors(SensorError, lambda: f"sensor {self.kind.name!r} of robot {at}"):
+        with translate_errors(AcsarError, lambda: f"sensor {self.kind.name!r} of robot {at}"):
             for place, (robot, truth, now) in enumerate(moment.each()):
                 at = robot
                 call(place, self._sensors[robot], truth, now)
@@ -361,13 +361,13 @@ class _Whole:
         """Do nothing: such a sensor has no clock of its own."""
 
     def read(self, moment: Moment, out: Floats) -> None:
-        """Read all robots into `out`, (robots, size). SensorError where it isn't finite."""
+        """Read all robots into `out`, (robots, size). AcsarError where it isn't finite."""
         with self._given(moment) as (scenes, rngs, memory):
             self._read(moment.truths, scenes, moment.now, rngs, out, *memory)
         sound = np.isfinite(out).all(axis=1)
         if not sound.all():
             place = int(sound.argmin())
-            raise SensorError(
+            raise AcsarError(
                 f"sensor {self.kind.name!r}: read_batch() left "
                 f"{show_value(out[place].tolist())} for "
                 f"robot {moment.robots[place]}: must be finite numbers"
@@ -401,7 +401,7 @@ def _explaining_numba(sensor: Sensor) -> Iterator[None]:
         if is_compile_error(error):
             kind = type(sensor)
             raise explain_error(named, kind, BATCH_METHODS, error, COMPILED_RULES) from error
-        raise SensorError(
+        raise AcsarError(
             f"{named}: {type(error).__name__}: {error}, in a compiled method; "
             "with compiled = False, the line is told"
         ) from error

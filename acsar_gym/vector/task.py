@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, TaskError, translate_errors
+from acsar_gym.errors import ConfigError, translate_errors
 from acsar_gym.jit import record_of
 from acsar_gym.tasks.factory import ask_outcome, ask_reward, task_name
 from acsar_gym.tasks.state import STATE_NUMBERS, State, write_maker
@@ -82,7 +82,7 @@ class CompiledLoops:
             if is_compile_error(error):
                 name, kind = task_name(self._task), type(self._task)
                 raise explain_error(name, kind, TASK_METHODS, error) from error
-            raise TaskError(
+            raise ConfigError(
                 f"{task_name(self._task)}: {type(error).__name__}: {error}, in a compiled method; "
                 "with compiled = False, the line is told"
             ) from error
@@ -112,7 +112,7 @@ class PythonLoops:
         tables.ends[1, here] = tables.idle[here] & ~tables.over[here]
         driven = np.flatnonzero(tables.over[here] | ~tables.idle[here]) + here.start
         observed = []
-        with translate_errors(TaskError, lambda: task_name(task)):
+        with translate_errors(ConfigError, lambda: task_name(task)):
             for robot, state in zip(driven.tolist(), self._states(driven), strict=True):
                 if tables.over[robot]:
                     self._memory[robot] = memory = new_memory(task)
@@ -132,7 +132,7 @@ class PythonLoops:
             try:
                 tables.observations[driven, : setup.numbers] = observed
             except (TypeError, ValueError) as error:
-                raise TaskError(f"{task_name(task)}.observe: {error}") from error
+                raise ConfigError(f"{task_name(task)}.observe: {error}") from error
         update_info(tables.blocks, first, last, self._setups)
 
     def _states(self, robots: NDArray[np.int64]) -> list[State]:

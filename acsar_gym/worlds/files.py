@@ -32,7 +32,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, WorldError, WorldWarning, show_value
+from acsar_gym.errors import AcsarWarning, ConfigError, WorldError, explain_error, show_value
 from acsar_gym.worlds import maps, sdf
 from acsar_gym.worlds.generators import (
     BARN_CELL_SIDE,
@@ -51,8 +51,6 @@ MODEL_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_M
 """Environment variables in which Gazebo finds folders of models."""
 MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
-MAX_YAML_EVENTS = 210_000
-"""Most parser events of a YAML; 20,000 segments and a path of 20,000 points are 200,000."""
 BARN_CELL = 0.15  # side of a cell of a published path [m]
 BARN_CORNER = (-4.575, 5.075)  # position of cell (0, 0) of a published path [m]
 MISSING_ENDS = {
@@ -185,7 +183,7 @@ def load_world(path: Path | str, placement: Placement | None = None) -> World:
         text = reading.decode_text(content, WorldError)
         if suffix == ".json":
             return _parse_world(reading.parse_json(text, WorldError), path, placement)
-        return _parse_world(reading.parse_yaml(text, WorldError, MAX_YAML_EVENTS), path, placement)
+        return _parse_world(reading.parse_yaml(text, WorldError), path, placement)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from error
 
@@ -198,7 +196,7 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     )
     if unmoved := obstacles.describe_unmoved():
         warnings.warn(
-            f"{path}: what moves in Gazebo doesn't move here: {unmoved}", WorldWarning, stacklevel=3
+            f"{path}: what moves in Gazebo doesn't move here: {unmoved}", AcsarWarning, stacklevel=3
         )
     start, goal, way = placement.start_region, placement.goal_region, None
     if is_barn(obstacles.circles):
@@ -243,7 +241,7 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
             raise WorldError(f"{folder}: there is no such folder")
         paths = [path for path in folder.iterdir() if path.suffix.lower() in WORLD_SUFFIXES]
     except OSError as error:
-        raise WorldError(f"{folder}: can't be read: {reading.explain_error(error)}") from error
+        raise WorldError(f"{folder}: can't be read: {explain_error(error)}") from error
     paths = [path for path in paths if not path.name.startswith(".")]
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, WorldError, show_value
-from acsar_gym.reading import explain_error
+from acsar_gym.errors import ConfigError, WorldError, explain_error, show_value
 from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT

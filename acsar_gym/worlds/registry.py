@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acsar_gym.errors import ConfigError, WorldError, shorten_text, show_value, suggest_name
+from acsar_gym.errors import ConfigError, WorldError, format_error, show_value, suggest_name
 from acsar_gym.reading import find_modules_here
 from acsar_gym.worlds.world import World
 
@@ -82,7 +82,7 @@ class OwnGenerator:
         except WorldError:
             raise
         except Exception as error:
-            raise GeneratorError(f"{this}: raised {one_line_error(error)}") from error
+            raise GeneratorError(f"{this}: raised {format_error(error)}") from error
         if not isinstance(world, World):
             raise GeneratorError(f"{this}: returned {show_value(world)}, must return a World")
         return world
@@ -133,11 +133,6 @@ def register(name: str, make: Maker) -> None:
     _OWN[name] = new
 
 
-def one_line_error(error: BaseException) -> str:
-    """The error of a user's code, on one line."""
-    return shorten_text(" ".join(f"{type(error).__name__}: {error}".split()), 300)
-
-
 def list_kinds() -> tuple[str, ...]:
     """Names of all generators, those of this package first."""
     return (*BUILT_IN_KINDS, *_OWN)
@@ -180,11 +175,11 @@ def import_generator(module: str, kind: str) -> None:
             importlib.import_module(module)
     except ImportError as error:
         raise WorldError(
-            f"{where}: can't import {module}: {one_line_error(error)}; install it, or name its "
+            f"{where}: can't import {module}: {format_error(error)}; install it, or name its "
             "folder in PYTHONPATH"
         ) from error
     except (Exception, SystemExit) as error:
-        raise WorldError(f"{where}: importing {module} raised {one_line_error(error)}") from error
+        raise WorldError(f"{where}: importing {module} raised {format_error(error)}") from error
     if find_own(kind) is None:
         raise WorldError(
             f"{where}: importing {module} registers no {kind!r}{suggest_name(kind, list_kinds())}"

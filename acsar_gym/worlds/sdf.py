@@ -34,7 +34,6 @@ from acsar_gym.worlds.sdf_shapes import (
     LIDAR_HEIGHT,
     Matrix,
     ShapeReader,
-    quote_name,
     read_numbers,
 )
 from acsar_gym.worlds.world import Floats
@@ -138,7 +137,7 @@ class _Model:
     @property
     def described(self) -> str:
         """Its kind and name, for messages."""
-        return f"model {quote_name(self.name)}" if self.name else "the world"
+        return f"model {self.name!r}" if self.name else "the world"
 
     def find(self, name: str, whose: str = "") -> Matrix:
         """The frame of a name in this model's frame; messages say `whose` pose is in it."""
@@ -167,7 +166,7 @@ class _Model:
             if name in model.frames or name in model.children:
                 return self.place_child(model) @ model.find(name)
         raise WorldError(
-            f"{whose}: a pose is relative to {quote_name(name)}, which isn't in {self.described}"
+            f"{whose}: a pose is relative to {name!r}, which isn't in {self.described}"
         )
 
     def place(self, pose: Element | None, default: str = "", whose: str = "") -> Matrix:
@@ -293,7 +292,7 @@ class _WorldReader:
         path = self._find_model(uri, parent.folder)
         if path is None:
             of_fuel = uri.startswith(("http://", "https://")) and parts
-            name = f"{quote_name(parts[0])} of Fuel" if of_fuel else quote_name(uri)
+            name = f"{parts[0]!r} of Fuel" if of_fuel else repr(uri)
             if name not in self._missing:
                 self._missing.append(name)
             return
@@ -306,7 +305,7 @@ class _WorldReader:
         if element is None:
             actors = root.findall("actor")
             if not actors and root.find("light") is None:
-                raise WorldError(f"included {quote_name(str(path))}: holds no model")
+                raise WorldError(f"included {str(path)!r}: holds no model")
             for actor in actors:
                 self._read_actor(actor, name or actor.get("name", ""))
             return
@@ -323,7 +322,7 @@ class _WorldReader:
         """Make a mover of an actor; one without a script is left out, and named."""
         mover = sdf_motions.read_actor(actor, name)
         if mover is None:
-            self._actors.append(f"actor {quote_name(name)}")
+            self._actors.append(f"actor {name!r}")
         else:
             self._movers.append(mover)
 
@@ -334,7 +333,7 @@ class _WorldReader:
                 content = reading.read_content(path, MAX_SDF_BYTES, WorldError)
                 self._files[path] = parse_xml(content)
             except WorldError as error:
-                raise WorldError(f"included {quote_name(str(path))}: {error}") from error
+                raise WorldError(f"included {str(path)!r}: {error}") from error
         return self._files[path]
 
     def _find_model(self, uri: str, folder: Path | None) -> Path | None:
@@ -451,4 +450,4 @@ def _is_mover(plugin: Element) -> bool:
 
 def _describe_mover(name: str, plugin: Element) -> str:
     file = PurePosixPath(plugin.get("filename", "")).name or plugin.get("name", "")
-    return f"model {quote_name(name)} (plugin {quote_name(file)})"
+    return f"model {name!r} (plugin {file!r})"

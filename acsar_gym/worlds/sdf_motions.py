@@ -23,7 +23,7 @@ import numpy as np
 from acsar_gym import reading
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
-from acsar_gym.worlds.sdf_shapes import Shape, quote_name, read_numbers
+from acsar_gym.worlds.sdf_shapes import Shape, read_numbers
 
 PLUGIN_VARIABLES = ("GZ_SIM_SYSTEM_PLUGIN_PATH", "GAZEBO_PLUGIN_PATH")
 """Environment variables in which Gazebo finds plugins."""
@@ -51,7 +51,7 @@ class Keys(NamedTuple):
 
 def read_actor(actor: Element, name: str) -> Mover | None:
     """Make a mover of an actor; None where it has no waypoints, WorldError for bad ones."""
-    script, what = actor.find("script"), f"actor {quote_name(name)}"
+    script, what = actor.find("script"), f"actor {name!r}"
     if script is None:
         return None
     trajectories = (_read_trajectory(each, what) for each in script.iterfind("trajectory"))

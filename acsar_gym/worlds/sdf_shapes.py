@@ -166,7 +166,7 @@ class ShapeReader:
         path = self._find_mesh(uri, folder)
         if path is None:
             raise WorldError(
-                f"{model}: there is no mesh {quote_name(uri)}: name its folder with --models FOLDER"
+                f"{model}: there is no mesh {uri!r}: name its folder with --models FOLDER"
             )
         submesh = (shape.findtext("submesh/name") or "").strip()
         centred = (shape.findtext("submesh/center") or "").strip() in ("true", "1")
@@ -175,14 +175,14 @@ class ShapeReader:
             try:
                 self._meshes[key] = meshes.read_mesh(path, submesh, centred=centred)
             except WorldError as error:
-                raise WorldError(f"{model}: mesh {quote_name(path.name)}: {error}") from error
+                raise WorldError(f"{model}: mesh {path.name!r}: {error}") from error
         factors = np.array(scale)
         if shape.find("scale") is not None:
             factors = factors * read_numbers(shape.find("scale"), "scale", 3, model)
         mesh = self._meshes[key]
         vertices = mesh.vertices * factors @ frame[:3, :3].T + frame[:3, 3]
         if not (np.abs(vertices) <= MAX_COORDINATE).all():
-            raise WorldError(f"{model}: mesh {quote_name(path.name)}: is too large")
+            raise WorldError(f"{model}: mesh {path.name!r}: is too large")
         bottom, top = float(vertices[:, 2].min()), float(vertices[:, 2].max())
         if not self._is_reached(bottom, top):
             return [], []
@@ -229,11 +229,6 @@ def convex_hull(points: Floats) -> Floats:
     return np.array(chain(rows) + chain(rows[::-1]) or rows).reshape(-1, 2)
 
 
-def quote_name(text: str) -> str:
-    """Quote a name on one line, at most 120 characters of it."""
-    return repr(text if len(text) <= 120 else f"{text[:120]}...")
-
-
 def read_numbers(element: Element | None, what: str, count: int, model: str) -> list[float]:
     """The numbers in an element; WorldError where they aren't so many finite ones."""
     text = "" if element is None else element.text or ""
@@ -244,7 +239,7 @@ def read_numbers(element: Element | None, what: str, count: int, model: str) -> 
     if len(numbers) != count or not all(abs(number) <= MAX_COORDINATE for number in numbers):
         raise WorldError(
             f"{model}: {what} must be {count} finite number{'s' if count > 1 else ''} of at "
-            f"most {MAX_COORDINATE:g}, is {quote_name(text.strip()[:40])}"
+            f"most {MAX_COORDINATE:g}, is {text.strip()[:40]!r}"
         )
     return numbers
 

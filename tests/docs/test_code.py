@@ -212,7 +212,9 @@ def run(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> No
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-@pytest.mark.filterwarnings("default::acsar_gym.errors.PolicyWarning")  # pages drive other robots
+@pytest.mark.filterwarnings(
+    "default:.*polic:acsar_gym.errors.AcsarWarning"
+)  # pages drive other robots
 def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
     boards = Boards(request)

@@ -19,13 +19,7 @@ from gymnasium.wrappers import RecordVideo
 from acsar_gym import RobotConfig
 from acsar_gym.envs.ids import full_id
 from acsar_gym.envs.robot_env import EnvOptions
-from acsar_gym.errors import (
-    AcsarError,
-    LidarError,
-    LinkError,
-    MissingExtraError,
-    OffScreenWarning,
-)
+from acsar_gym.errors import AcsarError, AcsarWarning, LidarError, LinkError, MissingExtraError
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.worlds import Scene
 
@@ -40,7 +34,7 @@ def test_gymnasium_finds_nothing_to_complain_about(
     env = make(env_id, link)
     with pytest.warns() as said:
         check_env(env.unwrapped)
-    assert [warning.category for warning in said] == [OffScreenWarning]
+    assert [warning.category for warning in said] == [AcsarWarning]
     assert "needs a display" in str(said[0].message)
     env.close()
 

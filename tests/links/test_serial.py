@@ -16,13 +16,7 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import (
-    BoardGarbledError,
-    BoardSilentError,
-    LinkError,
-    PortBusyError,
-    PortNotFoundError,
-)
+from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, PortBusyError
 from acsar_gym.links import ports
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO
@@ -52,7 +46,7 @@ def refusal(device: str, config: RobotConfig) -> LinkError:
 
 def test_missing_device(config: RobotConfig) -> None:
     error = refusal(MISSING, config)
-    assert type(error) is PortNotFoundError
+    assert type(error) is LinkError
     assert error.exit_code == 3
 
 
@@ -82,7 +76,7 @@ sys.exit(len(os.listdir("/proc/self/fd")) != before)
 def test_no_permission_names_the_group() -> None:
     with program(PERMISSION) as process:
         out, err = process.communicate(timeout=TIMEOUT)
-    assert out.startswith("PortPermissionError - /dev/pts/"), err
+    assert out.startswith("LinkError - /dev/pts/"), err
     assert "dialout" in out
     assert out.count("\n") == 1
     assert process.returncode == 0, "a descriptor was left open"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import MissingExtraError, RenderError
+from acsar_gym.errors import ConfigError, MissingExtraError
 from acsar_gym.physics import Physics, compute_physics
 from acsar_gym.physics import mujoco as room
 from acsar_gym.physics.bodies import make_body
@@ -173,7 +173,7 @@ def test_without_opengl_one_line_says_what_to_do(monkeypatch: pytest.MonkeyPatch
         raise mujoco.FatalError("no context")
 
     monkeypatch.setattr(mujoco, "Renderer", fail)
-    with pytest.raises(RenderError, match="MUJOCO_GL"):
+    with pytest.raises(ConfigError, match="MUJOCO_GL"):
         MujocoBody(ACSAR).image(8, 6)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mover_tools import HALL
 
-from acsar_gym.errors import RenderError
+from acsar_gym.errors import ConfigError
 from acsar_gym.render.renderer import Window
 from acsar_gym.render.top_view import MOVER_COLOUR
 
@@ -69,7 +69,7 @@ def test_without_a_display_it_says_what_to_do(
         monkeypatch.setenv("DISPLAY", display)
     window = Window("a title")
     for _ in range(2):
-        with pytest.raises(RenderError, match=r"needs a display.*rgb_array"):
+        with pytest.raises(ConfigError, match=r"needs a display.*rgb_array"):
             window.show(HALVES)
     assert not window.closed
     for _ in range(2):

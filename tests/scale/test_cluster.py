@@ -18,7 +18,7 @@ import pytest
 from cluster_tools import Nodes, nodes
 from job_tools import Job, broken, missing, square
 
-from acsar_gym.errors import JobError, MissingExtraError
+from acsar_gym.errors import AcsarError, MissingExtraError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.jobs import completed
@@ -46,9 +46,9 @@ def test_jobs_run_on_both_nodes_and_their_results_come_in_order_of_completion(
 def test_errors_are_those_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
     with pytest.raises(MissingExtraError, match="this job needs an extra"):
         list(completed(missing, [1], address=cluster.address))
-    with pytest.raises(JobError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
+    with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
         list(completed(broken, [5], address=cluster.address))
-    with pytest.raises(JobError, match="a process that ran a job ended"):
+    with pytest.raises(AcsarError, match="a process that ran a job ended"):
         list(completed(square, [Job(7, tmp_path, deaths=99)], address=cluster.address))
 
 

@@ -11,7 +11,7 @@ import pytest
 from range_finder import ThreeRays
 
 from acsar_gym import Robot, RobotConfig, Sensor, open_link
-from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.sensors.lidar import LidarSensor
 
 ACSAR = RobotConfig.preset("acsar")
@@ -106,6 +106,6 @@ def test_any_error_of_it_stops_the_robot(what: str) -> None:
         "read": one.read,
         "info": lambda: one.add_sensor_info({}),
     }
-    with pytest.raises(SensorError, match=rf"'.*': {what}\(\) raised RuntimeError: {what}"):
+    with pytest.raises(AcsarError, match=rf"'.*': {what}\(\) raised RuntimeError: {what}"):
         use[what]()
     assert not one.active

@@ -17,7 +17,7 @@ from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig, Sensor, World
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import LinkError, SensorError
+from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.links.base import Link
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal, PointGoal
@@ -174,7 +174,7 @@ def test_what_it_cannot_give_stops_the_robot(make: Make, what: Any, message: str
         assert truncated
         assert info["fault_reason"] == "the sonar is silent: check its cable"
     else:
-        with pytest.raises(SensorError, match=f"'three_rays'.*{message}") as caught:
+        with pytest.raises(AcsarError, match=f"'three_rays'.*{message}") as caught:
             env.step(FORWARD)
         assert "\n" not in str(caught.value)
     assert not env.robot.active

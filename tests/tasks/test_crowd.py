@@ -13,7 +13,7 @@ from task_tools import ACSAR, Played
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import outline_radius
-from acsar_gym.errors import TaskError
+from acsar_gym.errors import ConfigError
 from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, log_share
 from acsar_gym.tasks import Crowd, DynaBarn, ObstacleGoal, Task
@@ -96,5 +96,7 @@ def test_what_is_paid_for_is_where_somebody_is(robot: str) -> None:
 
 
 def test_a_task_among_people_must_sense_them() -> None:
-    with pytest.raises(TaskError, match=r"Blind\.sensors = \('map', 'lidar'\): must name 'movers'"):
+    with pytest.raises(
+        ConfigError, match=r"Blind\.sensors = \('map', 'lidar'\): must name 'movers'"
+    ):
         type("Blind", (Crowd,), {"sensors": ("map", "lidar")})

@@ -14,7 +14,7 @@ import pytest
 
 import acsar_gym
 from acsar_gym import Outcome, RobotEnv, State, Task
-from acsar_gym.errors import ConfigError, TaskError, TaskWarning
+from acsar_gym.errors import AcsarWarning, ConfigError
 from acsar_gym.vector.env import RobotVectorEnv
 
 register: Any = acsar_gym.register
@@ -58,7 +58,7 @@ OUTCOMES: dict[str, Any] = {
 def test_what_is_no_outcome_is_named(kind: Any, name: str) -> None:
     task = type("Mine", (Plain,), {"outcome": OUTCOMES[name]})
     said = rf"^Mine.outcome returned .*: must be an Outcome.* {place_of(OUTCOMES[name])}"
-    with pytest.raises(TaskError, match=said):
+    with pytest.raises(ConfigError, match=said):
         make(kind, task)
 
 
@@ -74,7 +74,7 @@ SIGNATURES: list[tuple[str, Any]] = [
 def test_a_method_with_another_signature_is_named(kind: Any, method: str, function: Any) -> None:
     task = type("Mine", (Plain,), {method: function})
     said = rf"^Mine: must have {method}\(state, memory.*\), .*: .* {place_of(function)}$"
-    with pytest.raises(TaskError, match=said):
+    with pytest.raises(ConfigError, match=said):
         make(kind, task)
 
 
@@ -97,7 +97,7 @@ def two(*_: Any) -> Any:
 def test_what_a_method_returns_is_named_with_its_line(
     method: str, function: Any, said: str
 ) -> None:
-    with pytest.raises(TaskError, match=rf"^Mine\.{said}.* {place_of(function)}$"):
+    with pytest.raises(ConfigError, match=rf"^Mine\.{said}.* {place_of(function)}$"):
         make(RobotEnv, type("Mine", (Plain,), {method: function}))
 
 
@@ -153,7 +153,7 @@ def test_an_observation_beyond_its_bounds_is_said_once(kind: Any, compiled: bool
             env.reset(seed=0)
             for _ in range(4):
                 seen = env.step(action)[0]
-    assert [warning.category for warning in caught] == [TaskWarning]
+    assert [warning.category for warning in caught] == [AcsarWarning]
     assert re.search(said, str(caught[0].message))
     assert np.ravel(seen)[1] == pytest.approx(0.4)  # it is neither scaled nor clipped
     env.close()

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from job_tools import Job, broken, missing, square, threads
 
-from acsar_gym.errors import ClusterError, JobError, MissingExtraError
+from acsar_gym.errors import AcsarError, LinkError, MissingExtraError
 from acsar_gym.tools import jobs
 from acsar_gym.tools.jobs import completed
 
@@ -38,7 +38,7 @@ def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
 
 
 def test_a_job_that_ends_its_process_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="a process that ran a job ended") as error:
+    with pytest.raises(AcsarError, match="a process that ran a job ended") as error:
         list(completed(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
     assert "\n" not in str(error.value)
 
@@ -50,7 +50,7 @@ def test_an_error_of_this_package_arrives_as_it_is(workers: int) -> None:
 
 
 def test_another_error_names_the_job_and_the_line() -> None:
-    with pytest.raises(JobError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
+    with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
         list(completed(broken, [5, 5], workers=2))
 
 
@@ -101,8 +101,8 @@ def test_an_address_that_doesnt_answer_is_one_error(
     monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as server:
         host = f"127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(ClusterError, match=f"--address '{kind}{host}': doesn't answer"):
+        with pytest.raises(LinkError, match=f"--address '{kind}{host}': doesn't answer"):
             list(completed(threads, [""], address=f"{kind}{host}"))
     monkeypatch.setenv("RAY_ADDRESS", f"{kind}{host}")
-    with pytest.raises(ClusterError, match="'auto': doesn't answer: start a cluster"):
+    with pytest.raises(LinkError, match="'auto': doesn't answer: start a cluster"):
         list(completed(threads, [""], address="auto"))

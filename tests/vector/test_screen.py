@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mover_tools import HALL
 
-from acsar_gym.errors import RenderError
+from acsar_gym.errors import ConfigError
 from acsar_gym.render.top_view import MOVER_COLOUR
 from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_PICTURES
 
@@ -70,7 +70,7 @@ def test_the_first_robots_of_a_large_batch_are_drawn() -> None:
 
 def test_there_is_nothing_to_see_before_a_reset_or_without_the_mode() -> None:
     env = make()
-    with pytest.raises(RenderError, match="reset"):
+    with pytest.raises(ConfigError, match="reset"):
         env.render()
     env.reset(seed=0)
     again = copy.deepcopy(env.unwrapped)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from range_finder import BEARINGS, REACH, ThreeRays
 
-from acsar_gym.errors import ConfigError, SensorError
+from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
 from acsar_gym.sensors.lidar import LidarSensor
@@ -221,7 +221,7 @@ def test_errors_name_the_robot_and_need_a_reset(what: Any, message: str) -> None
     env = batch(failing(what, 2), robots=4)
     first, _ = env.reset(seed=0)
     env.step(np.zeros((4, 2)))
-    with pytest.raises(SensorError, match=f"'three_rays'.*{message}") as caught:
+    with pytest.raises(AcsarError, match=f"'three_rays'.*{message}") as caught:
         env.step(np.zeros((4, 2)))
     notes = getattr(caught.value, "__notes__", [])
     assert "sensor 'three_rays' of robot 2" in [*notes, str(caught.value).partition(":")[0]]

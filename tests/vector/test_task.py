@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotEnv, Task
-from acsar_gym.errors import ConfigError, TaskError
+from acsar_gym.errors import ConfigError
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Outcome, PointGoal, State
 from acsar_gym.tasks.task import is_compiled
@@ -193,7 +193,7 @@ def test_what_a_step_cannot_use_is_named_and_a_reset_recovers(
     for _ in range(2):
         env.reset(seed=0)
         env.step(action)
-        with pytest.raises(TaskError, match=rf"^Wrong.*{said}"):
+        with pytest.raises(ConfigError, match=rf"^Wrong.*{said}"):
             env.step(action)
     env.close()
 

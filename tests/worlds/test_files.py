@@ -100,7 +100,6 @@ def test_bad_fields_are_refused(
         ("bad.json", b" " * (files.MAX_TEXT_BYTES + 1), "larger than 5 MB"),
         ("bad.yaml", ENDS + "circles: [[.nan, 0, 1]]", "circles.0.0 = nan"),
         ("bad.yaml", "a: &a [*a]", "has an alias"),
-        ("bad.yaml", "[" + "[]," * 1_000_000 + "]", "too many values"),
     ],
 )
 def test_bad_texts_are_refused(name: str, text: str | bytes, problem: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gazebo_texts import CYLINDER, body, include, model, moving, pose, sdf_of, write_model
 
-from acsar_gym.errors import WorldError, WorldWarning
+from acsar_gym.errors import AcsarWarning, WorldError
 from acsar_gym.worlds import files, generators, sdf
 from acsar_gym.worlds.files import Placement
 from acsar_gym.worlds.world import Region
@@ -245,7 +245,7 @@ ACTOR = "<actor name='person'><script><trajectory id='0' type='walk'/></script><
 def test_what_moves_is_named(parts: list[str], said: str, tmp_path: Path) -> None:
     path = tmp_path / "moving.world"
     path.write_bytes(sdf_of(*parts))
-    with pytest.warns(WorldWarning) as caught:
+    with pytest.warns(AcsarWarning) as caught:
         files.load_world(path, ENDS)
     (warning,) = caught
     start = f"{path}: what moves in Gazebo doesn't move here: {said}"

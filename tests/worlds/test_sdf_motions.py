@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from gazebo_texts import body, include, model, moving, pose, sdf_of, write_model
 
-from acsar_gym.errors import WorldError, WorldWarning
+from acsar_gym.errors import AcsarWarning, WorldError
 from acsar_gym.worlds import files, sdf_motions
 from acsar_gym.worlds.movers import Mover, Repeat
 from acsar_gym.worlds.world import World
@@ -34,7 +34,7 @@ def load(folder: Path, *parts: str) -> World:
     """Read a world, whose parts all move."""
     (folder / "hall.world").write_bytes(sdf_of(*parts))
     with warnings.catch_warnings():
-        warnings.simplefilter("error", WorldWarning)
+        warnings.simplefilter("error", AcsarWarning)
         return files.load_world(folder / "hall.world", ENDS)
 
 
@@ -214,6 +214,6 @@ def test_a_source_without_numbers_leaves_the_model_standing_and_named(
     assert sdf_motions.parse_keys(text) is None
     (tmp_path / "obs_3.cc").write_text(text)
     (tmp_path / "hall.world").write_bytes(sdf_of(CYLINDER))
-    with pytest.warns(WorldWarning, match=r"model 'obs' \(plugin 'libobs_3.so'\) stands where"):
+    with pytest.warns(AcsarWarning, match=r"model 'obs' \(plugin 'libobs_3.so'\) stands where"):
         world = files.load_world(tmp_path / "hall.world", ENDS)
     assert (len(world.circles), world.movers) == (1, ())

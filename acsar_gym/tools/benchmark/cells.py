@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, explain_error
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 
@@ -126,7 +126,7 @@ class Store:
         try:
             file.parent.mkdir(exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{file.parent}: {reading.explain_error(error)}") from error
+            raise ConfigError(f"{file.parent}: {explain_error(error)}") from error
         line = json.dumps(result.as_dict(), allow_nan=False, separators=(",", ":"))
         reading.write_atomically(file, line.encode())
         return CellResult.of(reading.parse_json(line.encode()))

@@ -25,12 +25,8 @@ except ImportError:  # on Windows
 import acsar_gym
 from acsar_gym.errors import (
     AcsarError,
+    AcsarWarning,
     ConfigError,
-    PolicyWarning,
-    RecordingWarning,
-    SafetyWarning,
-    TaskWarning,
-    WorldWarning,
     escape_unprintable,
     show_value,
     suggest_name,
@@ -131,8 +127,7 @@ def _format_one_line(
     line: str | None = None,
 ) -> str:
     """Format a warning of this package as one line, and others as usual."""
-    kinds = SafetyWarning | RecordingWarning | PolicyWarning | TaskWarning | WorldWarning
-    if issubclass(category, kinds):
+    if issubclass(category, AcsarWarning):
         return f"acsar-gym: {escape_unprintable(str(message))}\n"
     return FORMAT_WARNING(message, category, filename, lineno, line)
 

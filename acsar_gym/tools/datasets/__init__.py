@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from acsar_gym.errors import ConfigError
-from acsar_gym.reading import explain_error
+from acsar_gym.errors import ConfigError, explain_error
 from acsar_gym.tools.datasets.demonstrations import (
     DemonstrationEpisode,
     Demonstrations,

@@ -26,7 +26,6 @@ from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links import Link, open_link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
-from acsar_gym.reading import open_lines, write_line
 from acsar_gym.tools.emulation.cable import EmulatedCable
 from acsar_gym.tools.emulation.lidar import LidarEmulator, RplidarTwin
 from acsar_gym.worlds import Scene
@@ -102,7 +101,7 @@ class Emulator:
             """Whether movers wait for a client."""
             self._lidar = ours.enter_context(self._make_lidar(config)) if sees else None
             self.lidar_device = self._lidar.device if self._lidar else None
-            self._log = open_lines(log) if log else None
+            self._log = log.open("w", buffering=1, encoding="ascii") if log else None
             if self._log is not None:
                 ours.callback(self._log.close)
             self._cable = EmulatedCable(config.baud_rate, name)
@@ -204,7 +203,7 @@ class Emulator:
 
     def _log_event(self, event: dict[str, object]) -> None:
         if self._log is not None:
-            write_line(self._log, json.dumps({"t": time.monotonic(), **event}) + "\n")
+            self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
     def close(self) -> None:
         """Unplug the cable and close terminals and log. Idempotent."""

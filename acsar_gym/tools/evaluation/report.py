@@ -17,7 +17,7 @@ from rich.segment import Segment
 from rich.table import Table
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError, escape_unprintable
+from acsar_gym.errors import ConfigError, escape_unprintable, explain_error
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, TOLD_PREFIX, Summary
@@ -74,9 +74,7 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: can't be made a folder: {reading.explain_error(error)}"
-        ) from error
+        raise ConfigError(f"{path}: can't be made a folder: {explain_error(error)}") from error
 
 
 def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None = 2) -> None:

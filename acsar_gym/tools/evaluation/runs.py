@@ -22,11 +22,13 @@ from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import (
     AcsarError,
+    AcsarWarning,
     ConfigError,
     EmergencyStopError,
     LinkError,
     PolicyError,
-    PolicyWarning,
+    escape_unprintable,
+    format_error,
     require_extra,
     show_value,
 )
@@ -48,7 +50,7 @@ from acsar_gym.tools.policies import (
     statistics_beside,
 )
 from acsar_gym.tools.policies.bundle import RETRAIN_HINT, describe_policy, env_policy_rate
-from acsar_gym.tools.policies.policy import PolicyContext, format_error, quote_text
+from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import registry
 from acsar_gym.worlds.pool import read_worlds
 from acsar_gym.worlds.search import lidar_height
@@ -205,7 +207,7 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
 
 def _check_id(policy: FilePolicy) -> str:
     """Return the id of the env that a policy is for; PolicyError if it may not name it."""
-    env_id = quote_text(policy.env_id)
+    env_id = escape_unprintable(policy.env_id, 300)
     if not env_id:
         raise PolicyError(
             f"{policy.path}: doesn't say which environment it is for: convert it with "
@@ -481,9 +483,9 @@ def drive_to_goals(
 
 
 def _warn_differences(policy: FilePolicy) -> None:
-    """Issue a PolicyWarning for each way in which the robot differs from those of the training."""
+    """Issue an AcsarWarning for each way in which the robot differs from those of the training."""
     for line in (*policy.outside, *policy.differences):
-        warnings.warn(f"{policy.path}: {line}", PolicyWarning, stacklevel=3)
+        warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=3)
 
 
 def refuse_outside(policy: FilePolicy) -> None:

@@ -27,7 +27,7 @@ from acsar_gym.config.robot import hash_calibration, hash_config
 from acsar_gym.config.section import Section
 from acsar_gym.envs.ids import full_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError, escape_unprintable, shorten_text
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError, escape_unprintable
 from acsar_gym.physics import Randomization
 from acsar_gym.physics.model import turn_factor
 from acsar_gym.recording.messages import to_plain_json
@@ -229,7 +229,7 @@ def parse_bundle(text: str) -> Bundle:
     except ConfigError as error:
         raise PolicyError(
             f"its bundle is damaged, or of another version of acsar_gym: "
-            f"{escape_unprintable(shorten_text(str(error), 300))}: export the policy again"
+            f"{escape_unprintable(str(error), 300)}: export the policy again"
         ) from error
 
 
@@ -476,7 +476,7 @@ def check_bundle(
 
 def _quote(text: str) -> str:
     """Return text from a file as one short line without control characters."""
-    return escape_unprintable(shorten_text(text, MAX_QUOTED_CHARS))
+    return escape_unprintable(text, MAX_QUOTED_CHARS)
 
 
 def robot_number(config: RobotConfig, name: str) -> Value:

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from acsar_gym import reading
-from acsar_gym.errors import PolicyError, require_extra
+from acsar_gym.errors import PolicyError, format_error, require_extra
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, NormalizerSummary
-from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES, format_error
+from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES
 
 with require_extra("writing an ONNX policy (torch, onnx, onnxscript)", "train"):
     import onnx

@@ -16,7 +16,7 @@ from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.ids import find_id
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError
+from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError, format_error
 from acsar_gym.physics import Randomization
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.bundle import (
@@ -31,7 +31,6 @@ from acsar_gym.tools.policies.policy import (
     MAX_POLICY_BYTES,
     NO_POLICY,
     FilePolicy,
-    format_error,
     resolve,
 )
 

@@ -7,7 +7,6 @@ import importlib.util
 import math
 import re
 import sys
-import textwrap
 import traceback
 import zlib
 from abc import ABC, abstractmethod
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, PolicyError, suggest_name
+from acsar_gym.errors import AcsarError, PolicyError, format_error, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import LIDAR, Sensor
 from acsar_gym.sensors.map.sensor import MapSensor, find_map
@@ -192,16 +191,6 @@ def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
     known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
     others = f"; baselines: {', '.join(baselines)}" if baselines else ""
     raise PolicyError(f"{path}: no such policy file; policies that come along: {known}{others}")
-
-
-def quote_text(text: str) -> str:
-    """Shorten text from a file to one line with escaped control characters, for messages."""
-    return textwrap.shorten(text.encode("unicode_escape").decode("ascii"), 300, placeholder="...")
-
-
-def format_error(error: BaseException) -> str:
-    """Format an exception as one short line: its type and its message."""
-    return textwrap.shorten(f"{type(error).__name__}: {quote_text(str(error))}", 200)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, PolicyError, require_extra
+from acsar_gym.errors import ConfigError, PolicyError, format_error, require_extra
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, StateLayout
-from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.vector.env import RobotVectorEnv
 
 with require_extra("stable-baselines3", "train"):

@@ -17,13 +17,19 @@ from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import MissingExtraError, PolicyError, require_extra, shorten_text
+from acsar_gym.errors import (
+    MissingExtraError,
+    PolicyError,
+    escape_unprintable,
+    format_error,
+    require_extra,
+)
 from acsar_gym.sensors import Sensor
 from acsar_gym.tasks import Observation, Task
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.spec import task_spaces
 from acsar_gym.tools.policies.bundle import BUNDLE_KEY, parse_bundle
-from acsar_gym.tools.policies.policy import NO_POLICY, FilePolicy, format_error, resolve
+from acsar_gym.tools.policies.policy import NO_POLICY, FilePolicy, resolve
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -165,7 +171,7 @@ def describe_space(space: Space[Any]) -> str:
     if isinstance(space, Box):
         return f"Box({space.low.min()}, {space.high.max()}, {space.shape})"
     if isinstance(space, Dict):
-        return f"a Dict of {shorten_text(', '.join(map(str, space)))}"
+        return f"a Dict of {escape_unprintable(', '.join(map(str, space)))}"
     return f"a {type(space).__name__}"
 
 

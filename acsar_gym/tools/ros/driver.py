@@ -32,7 +32,6 @@ from acsar_gym.errors import (
     LinkError,
     WorldError,
     escape_unprintable,
-    shorten_text,
     show_value,
     suggest_name,
 )
@@ -659,7 +658,7 @@ def parse_scene(text: str) -> Scene:
     try:
         start, goal, world = _read_scene(**json.loads(text))
     except (ValueError, TypeError) as error:
-        short = shorten_text(" ".join(text.split()), 60)
+        short = escape_unprintable(" ".join(text.split()), 60)
         raise ConfigError(
             f'scene = {short}: must be like {{"start": [0, 0, 0], "goal": [2, 1], "world": null}}'
         ) from error

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import IdentificationError
+from acsar_gym.errors import AcsarError
 from acsar_gym.protocol import MOTORS, PRINTED_STEP, WHEELS
 from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import WireLog
@@ -283,7 +283,7 @@ def _find_slow_range(tracks: Sequence[BoardTrack], k: int) -> float:
 
 
 def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
-    """Check that no wheel is reversed or swapped; IdentificationError names the first that is.
+    """Check that no wheel is reversed or swapped; AcsarError names the first that is.
 
     Short logs, from which nothing is fitted, aren't checked.
     """
@@ -298,9 +298,9 @@ def check_wheel_order(tracks: Sequence[BoardTrack]) -> None:
         best = int(np.argmax(np.abs(found)))
         if abs(found[best]) > max(ANSWER_CORRELATION, abs(found[wheel]) + ANSWER_ADVANTAGE):
             way = " backward" if found[best] < 0.0 else ""
-            raise IdentificationError(f"{name} answers {WHEELS[best]}'s command{way}: {advice}")
+            raise AcsarError(f"{name} answers {WHEELS[best]}'s command{way}: {advice}")
         if found[wheel] < -ANSWER_CORRELATION:
-            raise IdentificationError(f"{name} turns backward at forward commands: {advice}")
+            raise AcsarError(f"{name} turns backward at forward commands: {advice}")
 
 
 def correlate_wheel(tracks: Sequence[BoardTrack], wheel: int) -> Floats:

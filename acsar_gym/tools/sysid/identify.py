@@ -13,7 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from acsar_gym.config import Measured, RobotConfig, update_measured
-from acsar_gym.errors import ConfigError, IdentificationError
+from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.links import Link
 from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.recording import Recorder
@@ -96,7 +96,7 @@ def identify_logs(
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
-        IdentificationError: a wheel doesn't answer its own command.
+        AcsarError: a wheel doesn't answer its own command.
     """
     tracks = [one for one in (decode_track(log, config) for log in logs) if one is not None]
     if not tracks:
@@ -183,10 +183,10 @@ class Identification:
         """Check that this is worth a robot's file.
 
         Raises:
-            IdentificationError: it isn't, and why.
+            AcsarError: it isn't, and why.
         """
         if len(self.dead) == len(WHEELS):
-            raise IdentificationError(
+            raise AcsarError(
                 "nothing to write: no wheel turned; check the motors' power and every encoder, "
                 "with 'acsar-gym doctor DEVICE --spin' ('acsar-gym doctor ros2')"
             )
@@ -197,14 +197,14 @@ class Identification:
             same = abs(rate.value / rate.before - 1.0) < SAME_RATE
             told |= {} if same else {parameter_findings.RATE_NAME: rate}
         if not told:
-            raise IdentificationError(
+            raise AcsarError(
                 f"nothing to write: nothing new was found{dead}; the table says what is missing"
             )
         if self.model is not None and self.model.pattern and not anyway:
             hint = ""
             if any(one.name == SEPARATION_NAME for one in self.findings):
                 hint = "; are linear_limits and angular_limits of the file those of its controller?"
-            raise IdentificationError(
+            raise AcsarError(
                 f"nothing to write: the model {self.model.verdict}{hint}; a twin would answer "
                 "otherwise than this board; --anyway writes the file"
             )

@@ -21,8 +21,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Self
 
 from acsar_gym import reading
-from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.tools.policies.policy import format_error
+from acsar_gym.errors import AcsarError, ConfigError, format_error
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm

@@ -9,9 +9,8 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError
+from acsar_gym.errors import AcsarError, ConfigError, PolicyError, format_error
 from acsar_gym.tools.policies import ZipPolicy, sb3
-from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.tools.training import checkpoints
 from acsar_gym.tools.training.checkpoints import TrainingState
 from acsar_gym.tools.training.held_out import FIRST_HELD_OUT_SEED, Decide

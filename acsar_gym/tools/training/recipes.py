@@ -21,9 +21,8 @@ from pydantic import BeforeValidator, ConfigDict, Field, create_model
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import ConfigError, require_extra, shorten_text, show_value, suggest_name
+from acsar_gym.errors import ConfigError, format_error, require_extra, show_value, suggest_name
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.policies.policy import format_error
 from acsar_gym.worlds import registry
 
 if TYPE_CHECKING:  # imports torch
@@ -111,7 +110,7 @@ def check_class(place: str, name: str, modules: Collection[str] = ()) -> None:
     if name not in allowed and module not in allowed and module not in modules:
         raise ConfigError(
             f"{place}: {show_value(name)}: not a class that recipes may name"
-            f"{suggest_name(shorten_text(name), allowed)}; a module of your own is named with "
+            f"{suggest_name(name[:100], allowed)}; a module of your own is named with "
             "--modules"
         )
 
@@ -267,9 +266,15 @@ def read_recipe(
     data = reading.read_file(path, MAX_RECIPE_BYTES, ConfigError)
     names = (env_id, DEFAULT_KEY) if entry is None else (entry,)
     with name_errors(path):
-        key, given = reading.parse_yaml_entry(
-            reading.decode_text(data), names, hint="name one with --conf-entry"
-        )
+        entries = reading.parse_yaml(reading.decode_text(data), aliases=True)
+        if not isinstance(entries, dict):
+            raise ConfigError("must be values by name")
+        key = next((name for name in names if name in entries), None)
+        if key is None:
+            missing = " and no ".join(map(show_value, names))
+            similar = suggest_name(names[0], map(str, entries))[:120].removesuffix("?")
+            raise ConfigError(f"has no {missing}{similar}: name one with --conf-entry")
+        given = entries[key]
     with name_errors(path, key):
         if not isinstance(given, dict):
             raise ConfigError("must be hyperparameters by name")

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import acsar_gym
 from acsar_gym import reading
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, escape_unprintable, require_extra
+from acsar_gym.errors import ConfigError, escape_unprintable, explain_error, require_extra
 from acsar_gym.recording.messages import to_plain_json
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.policies import ZipPolicy
@@ -131,7 +131,7 @@ def _lock_folder(folder: Path, lock: contextlib.ExitStack) -> str | None:
         return "a training is running in it: wait for its end, or name another folder"
     except OSError as error:
         if error.errno not in UNLOCKABLE_ERRNOS:
-            why = reading.explain_error(error)
+            why = explain_error(error)
             raise ConfigError(f"--out {folder}: can't be written: {why}") from error
     return None
 
@@ -217,7 +217,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = dict(reading.parse_yaml(reading.decode_text(data))[RUN_KEY])
     except (ConfigError, KeyError, TypeError, ValueError) as error:
-        said = reading.explain_error(error)
+        said = explain_error(error)
         raise ConfigError(f"{path}: not of 'acsar-gym train': {said}") from error
     return found
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from acsar_gym.errors import ConfigError, escape_unprintable, shorten_text
+from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
@@ -42,7 +42,7 @@ def find_recording(source: str) -> Path:
     path = Path(source.removeprefix("replay:"))
     is_recording = path.suffix == ".mcap" or path.is_file() or path.is_dir()
     if not is_recording and (source in BODIES or source == "serial" or is_device(source)):
-        raise ConfigError(f"{shorten_text(source)}: isn't a recording: {RECORD_HINT}")
+        raise ConfigError(f"{source}: isn't a recording: {RECORD_HINT}")
     return path
 
 

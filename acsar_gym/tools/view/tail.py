@@ -103,7 +103,7 @@ class RecordingTail:
         self.run = 0
         self._file: tuple[int, int] | None = None
         self._begin()
-        with open_file(path, None) as file:
+        with open_file(path) as file:
             for _ in self._read(file, only_header=True):
                 pass
         self._begin()
@@ -115,7 +115,7 @@ class RecordingTail:
 
     def read(self) -> Iterator[Block]:
         """Yield what was added since the last call, in blocks."""
-        with open_file(self.path, None) as file:
+        with open_file(self.path) as file:
             status = os.fstat(file.fileno())
             identity = status.st_dev, status.st_ino
             if self._file not in (None, identity) or status.st_size < self._size:

@@ -17,8 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.reading import explain_error
+from acsar_gym.errors import ConfigError, explain_error, require_extra
 
 HOST = "127.0.0.1"
 CONTENT_POLICY = (

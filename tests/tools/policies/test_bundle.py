@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from onnx_tools import ENV_ID, GOOD, bundle_of, changed, counting, fitting, relabelled
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import PolicyError, PolicyWarning
+from acsar_gym.errors import AcsarWarning, PolicyError
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tools import cli
 from acsar_gym.tools.evaluation import runs
@@ -230,7 +230,7 @@ def test_driving_warns_once_a_field_and_the_header_says_it(alone: Path) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         done = runs.evaluate_policy(policy, "planar", robot, range(1))
-    told = [str(one.message) for one in caught if one.category is PolicyWarning]
+    told = [str(one.message) for one in caught if one.category is AcsarWarning]
     assert told == [f"{policy.path}: {line}" for line in policy.differences]
     assert len(told) == 2
     assert done.header["policy"]["differences"] == list(policy.differences)
@@ -358,7 +358,7 @@ def test_run_refuses_another_robot_and_evaluate_warns(tmp_path: Path) -> None:
     policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robots={"max_linear": [0.3, 2.0]}))
     ACSAR.with_(max_linear=2.5).save(tmp_path / "fast.yaml")
     robot, said = str(tmp_path / "fast.yaml"), "max_linear of this robot is 2.5, the policy is for"
-    with pytest.warns(PolicyWarning, match=said):
+    with pytest.warns(AcsarWarning, match=said):
         done = runs.evaluate_policy(policy, "planar", robot, range(1))
     assert done.header["policy"]["differences"][0].startswith(said)
     with pytest.raises(PolicyError, match=f"{said} 0.3 to 2: train it again") as raised:

@@ -22,7 +22,7 @@ from quirks import apply_to_config, make_link, parse_quirks
 from sysid_tools import TOLERANCES, draw_misfit, draw_motors, find_missed_truths, score_findings
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import IdentificationError
+from acsar_gym.errors import AcsarError
 from acsar_gym.tools.sysid.identify import Identification, identify_device
 
 quirk_file = str(Path(__file__).parents[2] / "quirks.py")
@@ -58,7 +58,7 @@ def refuses(found: Identification) -> bool:
     """Whether no file is written."""
     try:
         found.check()
-    except IdentificationError:
+    except AcsarError:
         return True
     return False
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sysid_tools import ACSAR, drive_wire
 
-from acsar_gym.errors import IdentificationError
+from acsar_gym.errors import AcsarError
 from acsar_gym.tools.sysid.board_log import (
     BoardTrack,
     Floats,
@@ -106,7 +106,7 @@ def drive(commands: Floats, **hidden: Any) -> list[BoardTrack]:
     ],
 )
 def test_a_miswired_wheel_is_named(wheels: Any, said: str) -> None:
-    with pytest.raises(IdentificationError, match=said):
+    with pytest.raises(AcsarError, match=said):
         check_wheel_order(drive(manoeuvre(12.0), wheels=wheels))
 
 

@@ -12,7 +12,7 @@ from quirks import apply_to_config, make_link, parse_quirks
 from sysid_tools import ACSAR, score_findings
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.errors import ConfigError, IdentificationError
+from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.physics.randomization import measured_ranges
 from acsar_gym.protocol import encode
 from acsar_gym.recording import Recorder, read
@@ -131,7 +131,7 @@ def test_a_board_outside_the_model_is_named_and_not_written(
     found = identify_quirky(HIDDEN.with_(motor=motor), *([quirk] if quirk else []))
     assert found.model is not None
     assert said in found.model.pattern
-    with pytest.raises(IdentificationError, match="--anyway"):
+    with pytest.raises(AcsarError, match="--anyway"):
         found.check()
     found.check(anyway=True)
     robot = found.robot()
@@ -179,7 +179,7 @@ def test_dead_wheels_are_named_and_no_file_is_written_of_four(
     if len(dead) < 4:
         known.check(anyway=True)
         return
-    with pytest.raises(IdentificationError, match="no wheel turned"):
+    with pytest.raises(AcsarError, match="no wheel turned"):
         known.check(anyway=True)
 
 

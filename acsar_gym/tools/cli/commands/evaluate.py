@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LateTicksError, LinkError
+from acsar_gym.errors import BUSY_HINT, LateTicksError, LinkError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
@@ -211,5 +211,8 @@ def report_run(
     if to_goal and not all(episode.success for episode in done.results):
         return 1
     if done.late and not link.startswith("replay:"):  # nobody can mend what was recorded
-        raise LateTicksError(done.late, len(done.results))
+        raise LateTicksError(
+            f"too many late ticks in {done.late} of {len(done.results)} episodes: {BUSY_HINT}, or "
+            "allow a larger --late-share"
+        )
     return 0
