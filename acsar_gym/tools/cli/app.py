@@ -32,7 +32,7 @@ from acsar_gym.errors import (
     suggest_name,
 )
 from acsar_gym.reading import COMMAND
-from acsar_gym.streams import open_streams, print_error, run_guarded
+from acsar_gym.streams import print_error, run_guarded
 from acsar_gym.tools.cli import commands
 from acsar_gym.tools.cli.commands import COMMANDS, CommandSection, command
 from acsar_gym.tools.cli.options import report_broken
@@ -134,7 +134,6 @@ def _format_one_line(
 
 def main() -> None:
     """Run a command; exceptions of this package become one line and an exit code."""
-    open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")

@@ -39,6 +39,10 @@ class SafeConsole(Console):
                 text = "\n".join(map(escape_unprintable, text.split("\n")))  # noqa: PLW2901
             yield Segment(text, style, control)
 
+    def on_broken_pipe(self) -> None:
+        """Leave the exit code to `streams.run_guarded`."""
+        raise  # noqa: PLE0704 - the BrokenPipeError that rich has caught
+
 
 def escape_text(text: str) -> str:
     """Escape markup and control characters, for text from files in a cell or a title."""
