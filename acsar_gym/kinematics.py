@@ -16,29 +16,33 @@ __all__ = ["forward", "inverse"]
 
 
 def forward(
-    speeds: Sequence[float],
-    wheel_radius: float,
-    wheel_separation: float,
-    *,
-    left_wheel_radius_multiplier: float = 1.0,
-    right_wheel_radius_multiplier: float = 1.0,
+    speeds: Sequence[float], wheel_radius: float, wheel_separation: float
 ) -> tuple[float, float]:
     """Compute the twist of four wheel speeds.
 
     Args:
-        speeds: wheel speeds [rad/s] in the order of this module.
-        wheel_radius: [m].
-        wheel_separation: effective separation [m], which includes wheel_separation_multiplier.
-        left_wheel_radius_multiplier: factor from wheel_radius to the radius of the left wheels.
-        right_wheel_radius_multiplier: factor from wheel_radius to the radius of the right wheels.
+        speeds: Wheel speeds [rad/s] in the order of this module.
+        wheel_radius: Radius of the wheels [m].
+        wheel_separation: Effective separation [m], which includes wheel_separation_multiplier.
 
     Returns:
         Linear [m/s] and angular velocity [rad/s].
+
+    Example:
+        >>> from acsar_gym import kinematics
+        >>> kinematics.forward((10.0, 10.0, 10.0, 10.0), wheel_radius=0.05, wheel_separation=0.3)
+        (0.5, 0.0)
     """
     a, b, c, d = speeds
-    left_radius = wheel_radius * left_wheel_radius_multiplier
-    right_radius = wheel_radius * right_wheel_radius_multiplier
-    return compute_twist(a, b, c, d, left_radius, right_radius, wheel_separation)
+    return compute_twist(
+        a,
+        b,
+        c,
+        d,
+        left_radius=wheel_radius,
+        right_radius=wheel_radius,
+        wheel_separation=wheel_separation,
+    )
 
 
 def compute_twist(
@@ -50,10 +54,10 @@ def compute_twist(
     right_radius: float,
     wheel_separation: float,
 ) -> tuple[float, float]:
-    """Compute `forward` from four single wheel speeds, for compiled code."""
-    left = (b * left_radius + c * left_radius) / 2.0
-    right = (a * right_radius + d * right_radius) / 2.0
-    return (left + right) / 2.0, (right - left) / wheel_separation
+    """Compute the twist of four wheel speeds, for each side's own radius; also in compiled code."""
+    left_speed = (b * left_radius + c * left_radius) / 2.0
+    right_speed = (a * right_radius + d * right_radius) / 2.0
+    return (left_speed + right_speed) / 2.0, (right_speed - left_speed) / wheel_separation
 
 
 def inverse(
@@ -62,44 +66,70 @@ def inverse(
     wheel_radius: float,
     wheel_separation: float,
     max_speed: float = math.inf,
-    *,
-    left_wheel_radius_multiplier: float = 1.0,
-    right_wheel_radius_multiplier: float = 1.0,
 ) -> Speeds:
     """Compute the wheel speeds of a twist.
 
     Args:
-        linear: linear velocity [m/s].
-        angular: angular velocity [rad/s].
-        wheel_radius: [m].
-        wheel_separation: effective separation [m], which includes wheel_separation_multiplier.
-        max_speed: largest wheel speed [rad/s]. Beyond it, all four are scaled by the same
+        linear: Linear velocity [m/s].
+        angular: Angular velocity [rad/s].
+        wheel_radius: Radius of the wheels [m].
+        wheel_separation: Effective separation [m], which includes wheel_separation_multiplier.
+        max_speed: Largest wheel speed [rad/s]. If it is exceeded, all four are scaled by the same
             factor, which keeps the turning radius.
-        left_wheel_radius_multiplier: factor from wheel_radius to the radius of the left wheels.
-        right_wheel_radius_multiplier: factor from wheel_radius to the radius of the right wheels.
 
     Returns:
         Wheel speeds [rad/s] in the order of this module.
 
     Raises:
-        ConfigError: a length isn't positive, or `max_speed` is negative.
-        CommandError: a wheel speed would not be finite.
+        ConfigError: A length isn't positive, or `max_speed` is negative.
+        CommandError: A wheel speed would not be finite.
+
+    Example:
+        >>> from acsar_gym import kinematics
+        >>> kinematics.inverse(0.5, 0.0, wheel_radius=0.05, wheel_separation=0.3)
+        (10.0, 10.0, 10.0, 10.0)
     """
-    left_radius = wheel_radius * left_wheel_radius_multiplier
-    right_radius = wheel_radius * right_wheel_radius_multiplier
-    if not (min(left_radius, right_radius) > 0.0 and wheel_separation > 0.0 and max_speed >= 0.0):
+    if not (wheel_radius > 0.0 and wheel_separation > 0.0 and max_speed >= 0.0):
         raise ConfigError(
             f"wheel_radius = {wheel_radius}, wheel_separation = {wheel_separation}, max_speed = "
-            f"{max_speed}: must be positive, and so must the multipliers"
+            f"{max_speed}: must be positive"
         )
-    right, left = compute_sides(
-        linear, angular, left_radius, right_radius, wheel_separation, max_speed
+    return compute_speeds(
+        linear,
+        angular,
+        left_radius=wheel_radius,
+        right_radius=wheel_radius,
+        wheel_separation=wheel_separation,
+        max_speed=max_speed,
     )
-    if not (math.isfinite(right) and math.isfinite(left)):
+
+
+def compute_speeds(
+    linear: float,
+    angular: float,
+    left_radius: float,
+    right_radius: float,
+    wheel_separation: float,
+    max_speed: float,
+) -> Speeds:
+    """Compute the wheel speeds of `inverse`, for each side's own radius [m].
+
+    Raises:
+        CommandError: A wheel speed would not be finite.
+    """
+    right_speed, left_speed = compute_sides(
+        linear,
+        angular,
+        left_radius=left_radius,
+        right_radius=right_radius,
+        wheel_separation=wheel_separation,
+        max_speed=max_speed,
+    )
+    if not (math.isfinite(right_speed) and math.isfinite(left_speed)):
         raise CommandError(
             f"twist = ({linear}, {angular}): must be finite m/s and rad/s, and so must wheel speeds"
         )
-    return right, left, left, right
+    return right_speed, left_speed, left_speed, right_speed
 
 
 def compute_sides(
@@ -110,10 +140,10 @@ def compute_sides(
     wheel_separation: float,
     max_speed: float,
 ) -> tuple[float, float]:
-    """Return the right and left wheel speeds [rad/s] of `inverse`, unchecked; NaN on overflow."""
+    """Return the right and left wheel speeds [rad/s], also in compiled code; NaN on overflow."""
     half_turn = angular * wheel_separation / 2.0
-    left = (linear - half_turn) / left_radius
-    right = (linear + half_turn) / right_radius
-    fastest = max(abs(left), abs(right))
+    left_speed = (linear - half_turn) / left_radius
+    right_speed = (linear + half_turn) / right_radius
+    fastest = max(abs(left_speed), abs(right_speed))
     scale = max_speed / fastest if fastest > max_speed else 1.0
-    return scale * right, scale * left
+    return scale * right_speed, scale * left_speed

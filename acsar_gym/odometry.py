@@ -31,17 +31,17 @@ def integrate_twist(
     """Integrate a twist over `dt` [s], equations (4)-(9).
 
     Args:
-        x: [m], odometry frame.
-        y: [m], odometry frame.
-        theta: heading [rad].
-        cos: cosine of theta.
-        sin: sine of theta.
-        linear: [m/s], base frame.
-        angular: [rad/s].
-        dt: duration [s].
+        x: Position in the odometry frame [m].
+        y: Position in the odometry frame [m].
+        theta: Heading [rad].
+        cos: Cosine of theta.
+        sin: Sine of theta.
+        linear: Forward velocity [m/s].
+        angular: Yaw rate [rad/s].
+        dt: Duration [s].
 
     Returns:
-        The new x, y and theta; theta isn't normalized.
+        The new x, y and theta. Theta isn't normalized.
     """
     x += linear * cos * dt
     y += linear * sin * dt
@@ -52,22 +52,27 @@ class Odometry:
     """Integrates wheel speeds to a pose in the odometry frame, which starts at the origin.
 
     Args:
-        wheel_radius: [m].
-        wheel_separation: [m].
-        wheel_separation_multiplier: factor for the skidding of the wheels, as in ROS
-            diff_drive_controller; with 1.0 the equations are those of the document.
-        left_wheel_radius_multiplier: factor from wheel_radius to the radius of the left wheels.
-        right_wheel_radius_multiplier: factor from wheel_radius to the radius of the right wheels.
+        wheel_radius: Radius of the wheels [m].
+        wheel_separation: Distance of the wheels of both sides [m].
+        wheel_separation_multiplier: Factor for the skidding of the wheels, as in ROS
+            diff_drive_controller. With 1.0 the equations are those of the document.
 
     Attributes:
         pose: x [m], y [m], theta [rad] within [-pi, pi].
-        twist: linear [m/s], angular [rad/s], in the base frame.
-        wheel_positions: integrated wheel angles [rad], in the order of `protocol.WHEELS`.
-        pose_covariance: row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).
-        twist_covariance: likewise.
+        twist: Linear [m/s] and angular velocity [rad/s], in the base frame.
+        wheel_positions: Integrated wheel angles [rad], in the order of `protocol.WHEELS`.
+        pose_covariance: Row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).
+        twist_covariance: Row-major 6 x 6 matrix of the twist.
 
     Raises:
-        ConfigError: an argument isn't positive and finite.
+        ConfigError: An argument isn't positive and finite.
+
+    Example:
+        >>> from acsar_gym.odometry import Odometry
+        >>> odometry = Odometry(wheel_radius=0.05, wheel_separation=0.3)
+        >>> odometry.update((10.0, 10.0, 10.0, 10.0), dt=2.0)
+        >>> odometry.pose
+        (1.0, 0.0, 0.0)
     """
 
     pose: tuple[float, float, float]
@@ -81,22 +86,15 @@ class Odometry:
         wheel_radius: float,
         wheel_separation: float,
         wheel_separation_multiplier: float = 1.0,
-        *,
-        left_wheel_radius_multiplier: float = 1.0,
-        right_wheel_radius_multiplier: float = 1.0,
     ) -> None:
-        given = {
-            "wheel_radius": wheel_radius,
-            "wheel_separation": wheel_separation,
-            "wheel_separation_multiplier": wheel_separation_multiplier,
-            "left_wheel_radius_multiplier": left_wheel_radius_multiplier,
-            "right_wheel_radius_multiplier": right_wheel_radius_multiplier,
-        }
-        for name, value in given.items():
-            if not 0.0 < value < math.inf:
-                raise ConfigError(f"{name} = {value}: must be positive and finite")
-        self._left_radius = wheel_radius * left_wheel_radius_multiplier
-        self._right_radius = wheel_radius * right_wheel_radius_multiplier
+        lengths = (wheel_radius, wheel_separation, wheel_separation_multiplier)
+        if not all(0.0 < value < math.inf for value in lengths):
+            raise ConfigError(
+                f"wheel_radius = {wheel_radius}, wheel_separation = {wheel_separation}, "
+                f"wheel_separation_multiplier = {wheel_separation_multiplier}: must be positive "
+                "and finite"
+            )
+        self._left_radius = self._right_radius = wheel_radius
         self._separation = wheel_separation * wheel_separation_multiplier
         self.reset()
 
@@ -105,15 +103,13 @@ class Odometry:
         """Return the odometry of a robot, at the origin.
 
         Args:
-            config: of the robot.
+            config: Robot configuration.
         """
-        return cls(
-            config.wheel_radius,
-            config.wheel_separation,
-            config.wheel_separation_multiplier,
-            left_wheel_radius_multiplier=config.left_wheel_radius_multiplier,
-            right_wheel_radius_multiplier=config.right_wheel_radius_multiplier,
+        odometry = cls(
+            config.wheel_radius, config.wheel_separation, config.wheel_separation_multiplier
         )
+        odometry._left_radius, odometry._right_radius = config.wheel_radii
+        return odometry
 
     def reset(self) -> None:
         """Set pose, twist and wheel angles to zero."""
@@ -125,29 +121,41 @@ class Odometry:
         """Integrate wheel speeds over time.
 
         Args:
-            speeds: four wheel speeds [rad/s], in the order of `protocol.WHEELS`.
-            dt: duration [s].
+            speeds: Four wheel speeds [rad/s], in the order of `protocol.WHEELS`.
+            dt: Duration [s].
 
         Raises:
-            CommandError: there aren't four finite speeds, or `dt` is negative or not finite.
+            CommandError: There aren't four finite speeds, or `dt` is negative or not finite.
         """
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         a, b, c, d = speeds
         linear, angular = kinematics.compute_twist(
-            a, b, c, d, self._left_radius, self._right_radius, self._separation
+            a,
+            b,
+            c,
+            d,
+            left_radius=self._left_radius,
+            right_radius=self._right_radius,
+            wheel_separation=self._separation,
         )
+
         x, y, theta = self.pose
-        cos, sin = math.cos(theta), math.sin(theta)
-        x, y, theta = integrate_twist(x, y, theta, cos, sin, linear, angular, dt)
+        cos = math.cos(theta)
+        sin = math.sin(theta)
+        x, y, theta = integrate_twist(
+            x, y, theta, cos=cos, sin=sin, linear=linear, angular=angular, dt=dt
+        )
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
+
         if abs(theta) > 1e3:  # the loops of equation (10) would take long
             theta = math.remainder(theta, 2.0 * math.pi)
         while theta > math.pi:
             theta -= 2.0 * math.pi
         while theta < -math.pi:
             theta += 2.0 * math.pi
+
         self.pose = (x, y, theta)
         self.twist = (linear, angular)
         turned_a, turned_b, turned_c, turned_d = self.wheel_positions

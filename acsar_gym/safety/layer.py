@@ -142,14 +142,13 @@ class Safety:
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Wheel speeds [rad/s] for a twist, at most the top speed, at the same turn radius."""
         numbers = self._rules
-        return kinematics.inverse(
+        return kinematics.compute_speeds(
             linear,
             angular,
-            1.0,
-            numbers.separation,
-            numbers.top,
-            left_wheel_radius_multiplier=numbers.left_radius,
-            right_wheel_radius_multiplier=numbers.right_radius,
+            left_radius=numbers.left_radius,
+            right_radius=numbers.right_radius,
+            wheel_separation=numbers.separation,
+            max_speed=numbers.top,
         )
 
 
