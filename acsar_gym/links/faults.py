@@ -21,8 +21,11 @@ WIRE_BUFFER = 65536  # most bytes that wait behind a late line, as in a driver's
 TIME_TOLERANCE = 1e-9  # tolerance for comparing times that are sums of periods [s]
 
 # The numbers of `line_hash`. They decide which lines are lost, so they never change.
-FEEDBACK_LINE, COMMAND_LINE, WHOLE_EPISODE = 0, 1, 2
-DROPPED_LINE, LATE_LINE = 0, 4
+FEEDBACK_LINE = 0
+COMMAND_LINE = 1
+WHOLE_EPISODE = 2
+DROPPED_LINE = 0
+LATE_LINE = 4
 FAULT_KINDS = 8  # largest number of kinds of faults
 
 Share = Annotated[float, Field(ge=0.0, le=1.0, strict=True)]
