@@ -150,6 +150,7 @@ class Gamepad:
                 "no gamepad: plug one in, name its device (ls /dev/input/by-id/*-event-joystick), "
                 "or, if it is there, sudo usermod -aG input $USER and log in again"
             )
+
         self._path = path
         self._wait = 0
         self._device: InputDevice[str] | None = None
@@ -171,6 +172,7 @@ class Gamepad:
         if triggers is None:
             device.close()
             raise CommandError(f"{path}: not a gamepad, or one without triggers")
+
         axes = {code: Axis.of(device, code) for code in (ecodes.ABS_X, *triggers)}
         self._controls = Controls(axes, *triggers)
         self._device = device
@@ -251,6 +253,7 @@ def find_triggers(device: InputDevice[str]) -> tuple[int, int] | None:
     axes = set(capabilities.get(ecodes.EV_ABS, ()))
     if not {ecodes.BTN_TL, *BUTTONS} <= keys or ecodes.ABS_X not in axes:
         return None
+
     if {ecodes.ABS_HAT2Y, ecodes.ABS_HAT2X} <= axes:
         return ecodes.ABS_HAT2Y, ecodes.ABS_HAT2X
     if {ecodes.ABS_BRAKE, ecodes.ABS_GAS} <= axes:

@@ -50,13 +50,14 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
         raise CommandError(
             "--linear and --angular must be finite numbers, --duration finite and not negative"
         )
+
     ticks = None if duration is None else round(duration * robot.config.control_rate)
     with robot:
-        begin = robot.link.now()
-        for done in itertools.count(1) if ticks is None else range(1, ticks + 1):
+        start = robot.link.now()
+        for tick in itertools.count(1) if ticks is None else range(1, ticks + 1):
             robot.drive(linear, angular)
-            robot.safety.check(robot.link.now() - begin)
-            if done % SHOW_EVERY == 0 and sys.stdout.isatty():
+            robot.safety.check(robot.link.now() - start)
+            if tick % SHOW_EVERY == 0 and sys.stdout.isatty():
                 _print_status(robot)
         _print_status(robot)
     sys.stdout.write("\n")
@@ -72,7 +73,9 @@ def drive_keyboard(robot: Robot) -> None:
         )
     # Only read keys; don't query the terminal.
     terminal = Terminal(stream=screens[0], force_styling=None)
-    config, keys = robot.config, DriveKeys()
+
+    config = robot.config
+    keys = DriveKeys()
     print(KEY_HELP)
     with robot, terminal.cbreak():
         for tick in itertools.count():
@@ -87,6 +90,7 @@ def drive_keyboard(robot: Robot) -> None:
                     robot.reset(Scene())
                     keys.press(" ", robot.link.now())
                 keys.press(str(key.name or key), robot.link.now())
+
             linear, angular = keys.twist(robot.link.now())
             robot.drive(linear * config.max_linear, angular * config.max_angular)
             if tick % SHOW_EVERY == 0 and sys.stdout.isatty():
@@ -121,6 +125,7 @@ def drive_gamepad(robot: Robot, device: str = "") -> None:
                     _warn(f"{pad.name}: lost; the robot stands until it is plugged in again")
                 elif event is PadEvent.BACK:
                     _warn(f"{pad.name}: back; press LB to drive on")
+
             linear, angular = pad.twist()
             robot.drive(linear * config.max_linear, angular * config.max_angular)
             if tick % SHOW_EVERY == 0 and sys.stdout.isatty():

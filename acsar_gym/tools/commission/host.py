@@ -30,6 +30,7 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
     high = os.sched_get_priority_max(os.SCHED_FIFO) - 1
     if not low <= priority <= high:
         raise ConfigError(f"real-time priority = {priority}: must be {low} to {high}")
+
     try:
         for allowed in (priority + 1, priority):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(allowed))
@@ -53,16 +54,20 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
 def _pin_to_cores(cores: Sequence[int]) -> None:
     if not hasattr(os, "sched_setaffinity"):
         raise ConfigError("cores: this operating system can't pin a process; run without --cores")
-    before = os.sched_getaffinity(0)
+
+    allowed = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, cores)
         missing = set(cores) - os.sched_getaffinity(0)
     except (OSError, OverflowError, ValueError):  # ValueError: a negative number
         missing = set(cores)
     if missing or not cores:
-        os.sched_setaffinity(0, before)
-        asked, allowed = (", ".join(map(str, those)) or "none" for those in (cores, sorted(before)))
+        os.sched_setaffinity(0, allowed)
         raise ConfigError(
-            f"cores = {asked}: this process may use {allowed}; name some of those, or run without "
-            "--cores"
+            f"cores = {_list_cores(cores)}: this process may use {_list_cores(sorted(allowed))}; "
+            "name some of those, or run without --cores"
         )
+
+
+def _list_cores(cores: Sequence[int]) -> str:
+    return ", ".join(map(str, cores)) or "none"
