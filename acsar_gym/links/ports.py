@@ -315,6 +315,21 @@ class OpenPort:
         with self._translating_errors():
             self.serial.reset_output_buffer()
 
+    def set_baud_rate(self, rate: int) -> None:
+        """Change the baud rate [bit/s]; LinkError if the port can't have it."""
+        with self._translating_errors():
+            try:
+                self.serial.baudrate = rate
+            except (ValueError, NotImplementedError) as error:
+                raise LinkError(
+                    f"{self._name}: {error}", "connect the device by another adapter"
+                ) from error
+
+    def set_dtr(self, *, on: bool) -> None:
+        """Set the line DTR; a port without this line, such as a pseudo-terminal, ignores it."""
+        with contextlib.suppress(*PORT_ERRORS):
+            self.serial.dtr = on
+
     def fileno(self) -> int | None:
         """Return the file descriptor; None if it can't be shared, as on Windows."""
         try:

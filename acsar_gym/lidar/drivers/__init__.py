@@ -1,4 +1,4 @@
-"""LiDARs on serial devices: one file a maker, found by the names of its models."""
+"""LiDARs on serial ports: one file a maker, found by the names of its models."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from acsar_gym.lidar.serial import Driver
 
 @functools.cache
 def find_drivers() -> dict[str, Callable[[], Driver]]:
-    """Find the drivers of this folder: what makes each one, by the model's name in a URL."""
+    """Return what makes the drivers of this folder, by the model's name in a URL."""
     makers: dict[str, Callable[[], Driver]] = {}
     for file in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{file.name}")

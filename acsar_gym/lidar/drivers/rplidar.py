@@ -1,10 +1,10 @@
-"""RPLIDARs of SLAMTEC: A1, A2, A3 in their standard mode, S1, S2, S3, C1 in their dense one.
+"""RPLIDARs of SLAMTEC: A1, A2, A3 in their standard mode, S1, S2, S3, C1 in their dense mode.
 
-In the standard mode one measurement is five bytes without a checksum, so a revolution is believed
-only where its angles grow evenly, and its start only where valid measurements follow. The dense
-mode packs 40 measurements with a checksum. Both are those of SLAMTEC's "RPLIDAR interface protocol
-and application notes" (LR001); that leaves open how an A3's own mode compresses distances, so an A3
-measures 4,000 times a second here. DTR holds an A1's motor.
+A measurement of the standard mode has five bytes and no checksum. So its revolutions must grow
+evenly, and valid measurements must follow their start. The dense mode packs 40 measurements with a
+checksum. Both follow SLAMTEC's "RPLIDAR interface protocol and application notes" (LR001). As these
+don't describe how an A3's own mode compresses distances, an A3 makes 4,000 measurements a second
+here. DTR stops an A1's motor.
 """
 
 from __future__ import annotations
@@ -19,47 +19,46 @@ from typing import Any, ClassVar
 
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.serial import (
-    READ_BYTES,
+    NO_MEASUREMENTS,
     READ_PERIOD,
     Driver,
-    Outbox,
     Packet,
+    find_start,
     load_lds2d,
 )
-from acsar_gym.links.ports import PORT_ERRORS, write_all
+from acsar_gym.links.ports import OpenPort
 
-NODE_BYTES = 5  # bytes of a measurement
 GET_INFO = b"\xa5\x50"
 INFO_DESCRIPTOR = b"\xa5\x5a\x14\x00\x00\x00\x04"
 GET_HEALTH = b"\xa5\x52"
 HEALTH_DESCRIPTOR = b"\xa5\x5a\x03\x00\x00\x00\x06"
 HEALTH_BROKEN = 2  # health status of a device that refuses to scan
-MOTOR_ON = bytes.fromhex("a5 f0 02 94 02 c1")
-"""Motor speed of 660 of 1023, the maker's default; adapters that switch the motor by DTR ignore
-it."""
-MOTOR_OFF = bytes.fromhex("a5 f0 02 00 00 57")
-STOP_DELAY = 0.02  # time from a stop command to the last measurement that still comes [s]
-ANSWER_TIMEOUT = 0.6  # a device that doesn't answer within this time doesn't use this baud rate [s]
+STOP_DELAY = 0.02  # time from a stop command to the last measurement [s]
+ANSWER_TIMEOUT = 0.6  # a device with this baud rate answers sooner [s]
 BAUD_TRIES = 2  # how often each baud rate is tried
 
-
+GET_CONFIG, SCAN_EXPRESS = 0x84, 0x82
 CONFIG_DESCRIPTOR_TYPE = 0x20
-TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75  # for GET_LIDAR_CONF: recommended mode, what a mode sends
+TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75  # of GET_CONFIG: recommended mode, answers of a mode
 DENSE_ANSWER = 0x85  # type of the answers that are dense capsules
-SCAN_ANSWER = bytes.fromhex("a5 5a 54 00 00 40 85")  # what comes before the first capsule
-CAPSULE_BYTES, CAPSULE_POINTS = 84, 40
-CAPSULE_FIRST = 0x8000  # flag in the start angle of the first capsule after the start of a scan
-MOTOR_SPEED = 600  # of the models that are told turns per minute, the maker's default
+SYNC = (0xA, 0x5)
+CAPSULE_POINTS = 40
+CAPSULE_FIRST = 0x8000  # flag in the start angle of the first capsule of a scan
+
+
+def compute_check(data: bytes) -> int:
+    """Return the exclusive or of bytes."""
+    return functools.reduce(operator.xor, data, 0)
 
 
 def encode_request(command: int, payload: bytes) -> bytes:
     """Encode a request with payload and checksum."""
     body = bytes((0xA5, command, len(payload))) + payload
-    return body + bytes((functools.reduce(operator.xor, body),))
+    return body + bytes((compute_check(body),))
 
 
 class RplidarDriver(Driver):
-    """An RPLIDAR. "rplidar" finds its baud rate."""
+    """An RPLIDAR; "rplidar" finds its baud rate."""
 
     models: ClassVar[Mapping[str, str]] = {
         "rplidar": "115200 460800 256000 1000000",
@@ -68,85 +67,101 @@ class RplidarDriver(Driver):
         "rplidar_a3": "256000",
     }
     """Names in URLs, and the baud rates at which these models answer."""
-    start_proof = 8  # bytes shifted by a loss are invalid sooner
-    max_unevenness, max_jump = 15.0, 5.0
+    motor_command = 0xF0
+    """Sets the speed of the motor. Adapters that switch the motor by DTR ignore it."""
+    motor_speed = 660
+    """Of 1023: the maker's default."""
+    packet_bytes = 5
+    start_proof = 8  # bytes that are shifted by a loss are invalid sooner
+    max_unevenness = 15.0
+    max_jump = 5.0
 
     def __init__(self, model: str) -> None:
-        super().__init__(model)
         self._library = load_lds2d().rplidar
         self._baud_rates = [int(rate) for rate in self.models[model].split()]
+        self._heard = 0
         self.product = "RPLIDAR"
 
-    def start(self, port: Any) -> None:
+    def start(self, port: OpenPort) -> None:
         """Find the baud rate at which a healthy device answers, and start it.
 
-        A device that still measures for a process that crashed is stopped first.
+        A device that still measures for a crashed process is stopped first.
         """
-        heard = 0
-        device = self._library.RPLIDAR_A1(Outbox(port))
+        self._heard = 0
         for baud_rate in self._baud_rates * BAUD_TRIES:
-            self.set_baud_rate(port, baud_rate)
-            device.stop()
+            port.set_baud_rate(baud_rate)
+            port.write(self._library.build_stop_command())
             time.sleep(STOP_DELAY)
-            port.reset_input_buffer()
-            with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no DTR
-                port.dtr = False
-            self._set_motor(port, on=True)
-            info, count = _ask(port, GET_INFO, INFO_DESCRIPTOR)
-            heard += count
-            if info is None:
-                continue
-            health, _ = _ask(port, GET_HEALTH, HEALTH_DESCRIPTOR)
-            if health is not None and health[0] == HEALTH_BROKEN:
-                raise LidarError(
-                    f"reports error 0x{health[2]:02x}{health[1]:02x} and won't measure",
-                    "unplug it for a few seconds, then reset; if it comes again, the device is "
-                    "broken",
-                )
-            self._start_scan(port)
-            return
-        waited = len(self._baud_rates) * BAUD_TRIES * ANSWER_TIMEOUT
-        if heard:
-            raise LidarError(
-                f"{heard} bytes in {waited:g} s, but none from an RPLIDAR",
-                "check the port's name; another device, or another make of LiDAR, is connected "
-                "there",
-            )
-        raise LidarError(
-            f"no answer in {waited:g} s", "check its power and cable, and the port's name"
-        )
+            port.drop_input()
+            port.set_dtr(on=False)
+            self._set_motor(port, self.motor_speed)
+            if self._ask(port, GET_INFO, INFO_DESCRIPTOR):
+                self._check_health(port)
+                self._start_scan(port)
+                return
 
-    def stop(self, port: Any) -> None:
+        waited = f"in {len(self._baud_rates) * BAUD_TRIES * ANSWER_TIMEOUT:g} s"
+        if self._heard:
+            raise LidarError(
+                f"{self._heard} bytes {waited}, but none from an RPLIDAR",
+                "check the port's name: another device, or another make of LiDAR, is there",
+            )
+        raise LidarError(f"no answer {waited}", "check its power and cable, and the port's name")
+
+    def _check_health(self, port: OpenPort) -> None:
+        """Raise LidarError if the device reports that it is broken."""
+        health = self._ask(port, GET_HEALTH, HEALTH_DESCRIPTOR)
+        if health and health[0] == HEALTH_BROKEN:
+            raise LidarError(
+                f"reports error 0x{health[2]:02x}{health[1]:02x} and won't measure",
+                "unplug it for a few seconds, then reset; if the error comes again, the device is "
+                "broken",
+            )
+
+    def _start_scan(self, port: OpenPort) -> None:
+        port.write(self._library.build_scan_command())
+
+    def _set_motor(self, port: OpenPort, speed: int) -> None:
+        port.write(encode_request(self.motor_command, struct.pack("<H", speed)))
+
+    def stop(self, port: OpenPort) -> None:
         """Stop the scan; stop the motor by command and by DTR, which stays asserted."""
         try:
-            self._library.RPLIDAR_A1(Outbox(port)).stop()
-            self._set_motor(port, on=False)
+            port.write(self._library.build_stop_command())
+            self._set_motor(port, 0)
         finally:
-            hold_motor(port)
+            port.set_dtr(on=True)
+            keep_dtr(port)
 
-    def _set_motor(self, port: Any, *, on: bool) -> None:
-        write_all(port, MOTOR_ON if on else MOTOR_OFF)
+    def _ask(self, port: OpenPort, request: bytes, descriptor: bytes) -> bytes:
+        """Send a request; returns the payload after the descriptor, or nothing without answer."""
+        port.write(request)
+        answer = b""
+        size = descriptor[2]
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while time.monotonic() < deadline:
+            time.sleep(READ_PERIOD)
+            data = port.read()
+            self._heard += len(data)
+            answer += data
+            payload = answer.partition(descriptor)[2]
+            if len(payload) >= size:
+                return payload[:size]
+        return b""
 
-    def _start_scan(self, port: Any) -> None:
-        self._library.RPLIDAR_A1(Outbox(port)).start()
-
-    def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
-        """Find a measurement of five bytes."""
-        if len(data) - at < NODE_BYTES:
-            return 0, None
-        node = bytes(data[at : at + NODE_BYTES])
-        if not self._library.node_ok(node):
-            return 1, None
-        point, starts = self._library.parse_node(node)
-        start = 0 if starts else None
-        return NODE_BYTES, Packet((point.angle_deg,), (point.dist_mm,), 1.0, start)
+    def decode(self, data: bytes) -> Packet | None:
+        """Decode a measurement of five bytes."""
+        if not self._library.node_ok(data):
+            return None
+        point, is_start = self._library.parse_node(data)
+        return Packet((point.angle_deg,), (point.dist_mm,), 1.0, start=0 if is_start else None)
 
 
 class DenseRplidarDriver(RplidarDriver):
-    """An RPLIDAR that recommends its dense mode; in the standard one where it recommends another.
+    """An RPLIDAR that recommends its dense mode; otherwise the standard mode is used.
 
-    A capsule has its first angle and 40 distances: the other angles lie evenly before the first one
-    of the next capsule, so its measurements are known when that has come.
+    A capsule has its first angle and 40 distances. Its other angles lie evenly before the first
+    angle of the next capsule, so its measurements are known when that has arrived.
     """
 
     models: ClassVar[Mapping[str, str]] = {
@@ -155,6 +170,11 @@ class DenseRplidarDriver(RplidarDriver):
         "rplidar_s2": "1000000",
         "rplidar_s3": "1000000",
     }
+    motor_command = 0xA8
+    motor_speed = 600
+    """In turns per minute: the maker's default."""
+    greeting = bytes.fromhex("a5 5a 54 00 00 40 85")
+    packet_bytes = 84
 
     def __init__(self, model: str) -> None:
         super().__init__(model)
@@ -162,89 +182,68 @@ class DenseRplidarDriver(RplidarDriver):
         self.forget()
 
     def forget(self) -> None:
-        """Forget the newest capsule, and how far its angles were apart."""
+        """Forget the newest capsule, and the angle between its measurements."""
         self._capsule: tuple[float, list[int]] | None = None
-        self._step: float | None = None
+        self._step = 0.0
 
-    def _set_motor(self, port: Any, *, on: bool) -> None:
-        write_all(port, encode_request(0xA8, struct.pack("<H", MOTOR_SPEED if on else 0)))
-
-    def _start_scan(self, port: Any) -> None:
-        """Start to measure, in the mode that the device recommends if that is the dense one."""
-        mode = self._ask_config(port, struct.pack("<I", TYPICAL_MODE), 2)
-        kind = b""
-        if mode:
-            kind = self._ask_config(port, struct.pack("<I", ANSWER_TYPE) + mode, 1)
+    def _start_scan(self, port: OpenPort) -> None:
+        """Start to measure, in the recommended mode if that is the dense mode."""
+        mode = self._ask_config(port, struct.pack("<I", TYPICAL_MODE), size=2)
+        kind = mode and self._ask_config(port, struct.pack("<I", ANSWER_TYPE) + mode, size=1)
         self._is_dense = kind == bytes((DENSE_ANSWER,))
-        if not self._is_dense:
+        if self._is_dense:
+            self.max_unevenness = Driver.max_unevenness
+            self.max_jump = Driver.max_jump
+            port.write(encode_request(SCAN_EXPRESS, bytes((mode[0], 0, 0, 0, 0))))
+        else:
+            self.packet_bytes = RplidarDriver.packet_bytes
             super()._start_scan(port)
-            return
-        self.max_unevenness, self.max_jump = Driver.max_unevenness, Driver.max_jump
-        write_all(port, encode_request(0x82, bytes((mode[0], 0, 0, 0, 0))))
 
-    def _ask_config(self, port: Any, question: bytes, size: int) -> bytes:
-        """Ask GET_LIDAR_CONF; empty where the device doesn't answer, as one with old firmware."""
+    def _ask_config(self, port: OpenPort, question: bytes, size: int) -> bytes:
+        """Ask for a setting of this size; empty without answer, as from old firmware."""
         descriptor = b"\xa5\x5a" + struct.pack("<IB", 4 + size, CONFIG_DESCRIPTOR_TYPE)
-        answer, _ = _ask(port, encode_request(0x84, question), descriptor)
-        return (answer or b"")[4:]
+        return self._ask(port, encode_request(GET_CONFIG, question), descriptor)[4:]
 
-    def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
-        """Find a capsule of 84 bytes."""
+    def decode(self, data: bytes) -> Packet | None:
+        """Decode a capsule, to the measurements of the previous capsule."""
         if not self._is_dense:
-            return super().parse(data, at)
-        if data.startswith(SCAN_ANSWER, at):
-            return len(SCAN_ANSWER), Packet((), (), 0.0)
-        capsule = bytes(data[at : at + CAPSULE_BYTES])
-        is_start = all(byte >> 4 == sync for byte, sync in zip(capsule, (0xA, 0x5), strict=False))
-        if is_start and len(capsule) < CAPSULE_BYTES:
-            return 0, None
-        check = functools.reduce(operator.xor, capsule[2:], 0)
-        if not is_start or check != capsule[0] & 15 | (capsule[1] & 15) << 4:
+            return super().decode(data)
+
+        # The first two bytes have half a sync byte and half the checksum each.
+        first, second = data[:2]
+        if (first >> 4, second >> 4) != SYNC or (
+            compute_check(data[2:]) != first & 15 | (second & 15) << 4
+        ):
             self.forget()
-            return 1, None
-        return CAPSULE_BYTES, self._place(capsule)
+            return None
+        word, *distances = struct.unpack_from(f"<{1 + CAPSULE_POINTS}H", data, 2)
+        capsule = (word % CAPSULE_FIRST / 64.0, distances)
+        previous = self._capsule
+        self._capsule = capsule
+        if previous is None or word & CAPSULE_FIRST:
+            return NO_MEASUREMENTS
 
-    def _place(self, capsule: bytes) -> Packet:
-        """Say at which angles the distances of the capsule before this one were measured."""
-        word, *distances = struct.unpack_from(f"<{1 + CAPSULE_POINTS}H", capsule, 2)
-        before, self._capsule = self._capsule, (word % CAPSULE_FIRST / 64.0, distances)
-        if before is None or word & CAPSULE_FIRST:
-            return Packet((), (), 0.0)
-        first, distances = before
-        step = (self._capsule[0] - first) % 360.0 / CAPSULE_POINTS
-        step_before, self._step = self._step, step
-        if step_before is not None and abs(step - step_before) > step_before / 2.0:
-            return Packet((), (), 0.0, gap=True)
-        turned = [(first + step * k) % 360.0 for k in range(-1, CAPSULE_POINTS)]
-        start = next((k for k in range(CAPSULE_POINTS) if turned[k + 1] < turned[k]), None)
-        points = float(CAPSULE_POINTS)
-        return Packet(turned[1:], distances, points, start, delay=points)
+        # If the step changes much, capsules were lost.
+        angle, distances = previous
+        step = (capsule[0] - angle) % 360.0 / CAPSULE_POINTS
+        last_step = self._step or step
+        self._step = step
+        if abs(step - last_step) > last_step / 2.0:
+            return NO_MEASUREMENTS._replace(gap=True)
 
-
-def _ask(port: Any, request: bytes, descriptor: bytes) -> tuple[bytes | None, int]:
-    """Send a request.
-
-    Returns the payload behind the descriptor, or None, and how many bytes came.
-    """
-    write_all(port, request)
-    heard, size = b"", descriptor[2]
-    deadline = time.monotonic() + ANSWER_TIMEOUT
-    while time.monotonic() < deadline:
-        time.sleep(READ_PERIOD)
-        heard += port.read(READ_BYTES)
-        payload = heard.partition(descriptor)[2]
-        if len(payload) >= size:
-            return payload[:size], len(heard)
-    return None, len(heard)
+        angles = [(angle + step * k) % 360.0 for k in range(CAPSULE_POINTS)]
+        start = find_start((angle - step) % 360.0, angles)
+        duration = float(CAPSULE_POINTS)
+        return Packet(angles, distances, duration, start=start, delay=duration)
 
 
-def hold_motor(port: Any) -> None:
-    """Stop an A1's motor by DTR, and keep DTR asserted after the port is closed."""
-    with contextlib.suppress(*PORT_ERRORS):
-        port.dtr = True
-    with contextlib.suppress(ImportError, *PORT_ERRORS):  # Windows has no termios
+def keep_dtr(port: OpenPort) -> None:
+    """Keep DTR as it is after the port is closed, if this system has termios."""
+    with contextlib.suppress(ImportError):
         import termios  # noqa: PLC0415
 
-        attributes = termios.tcgetattr(port.fileno())
-        attributes[2] &= ~termios.HUPCL
-        termios.tcsetattr(port.fileno(), termios.TCSANOW, attributes)
+        with contextlib.suppress(termios.error, TypeError):
+            descriptor: Any = port.fileno()
+            attributes = termios.tcgetattr(descriptor)
+            attributes[2] &= ~termios.HUPCL
+            termios.tcsetattr(descriptor, termios.TCSANOW, attributes)

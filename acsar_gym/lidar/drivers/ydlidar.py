@@ -1,22 +1,20 @@
 """LiDARs of YDLIDAR: X2, X3, X4, X4 PRO, SCL, T-minis. They measure at a constant rate.
 
 A packet has up to 40 measurements between its first and its last angle, and a checksum. The adapter
-boards of these LiDARs switch the motor by DTR; an X4 takes commands as well.
+boards of these LiDARs switch the motor by DTR. An X4 also has commands.
 """
 
 from __future__ import annotations
 
-import contextlib
+import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from acsar_gym.lidar.serial import Driver, Outbox, Packet, load_lds2d
-from acsar_gym.links.ports import PORT_ERRORS
+from acsar_gym.lidar.serial import NO_MEASUREMENTS, Driver, Packet, load_lds2d, wrap_degrees
+from acsar_gym.links.ports import OpenPort
 
-HEADER = b"\xaa\x55"
-HEADER_BYTES = 10
-SCAN_ANSWER = bytes.fromhex("a5 5a 05 00 00 40 81")  # what an X4 answers before its head turns
-MAX_JUMP = 3.0  # further turns between two packets lack measurements [deg]
+MAX_BYTES = 130  # of a packet: a header of ten bytes, and 40 measurements of three bytes
+MAX_JUMP = 3.0  # larger angles between two packets lack measurements [deg]
 
 
 class YdlidarDriver(Driver):
@@ -35,9 +33,9 @@ class YdlidarDriver(Driver):
         "ydlidar_tmini_plus": "YDLidarTmini",
         "ydlidar_tmini_pro": "YDLidarTmini",
     }
+    greeting = bytes.fromhex("a5 5a 05 00 00 40 81")  # of an X4, before its head turns
 
     def __init__(self, model: str) -> None:
-        super().__init__(model)
         library = load_lds2d().ydlidar
         self._kind = getattr(library, self.models[model])
         self._decoders = [self._kind(None)]
@@ -47,69 +45,59 @@ class YdlidarDriver(Driver):
         self.forget()
 
     def forget(self) -> None:
-        """Forget where the newest packet ended."""
+        """Forget the end of the newest packet."""
         self._angle: float | None = None
         self._step = 0.0
 
-    def start(self, port: Any) -> None:
+    def start(self, port: OpenPort) -> None:
         """Set the baud rate; start motor and scan."""
-        self.set_baud_rate(port, self._kind.DEFAULT_BAUD)
-        with contextlib.suppress(*PORT_ERRORS):  # a pseudo-terminal has no DTR
-            port.dtr = True
-        self._kind(Outbox(port)).start()
+        port.set_baud_rate(self._kind.DEFAULT_BAUD)
+        port.set_dtr(on=True)
+        self._kind(port).start()
 
-    def stop(self, port: Any) -> None:
+    def stop(self, port: OpenPort) -> None:
         """Stop scan and motor."""
         try:
-            self._kind(Outbox(port)).stop()
+            self._kind(port).stop()
         finally:
-            with contextlib.suppress(*PORT_ERRORS):
-                port.dtr = False
+            port.set_dtr(on=False)
 
     def parse(self, data: bytearray, at: int) -> tuple[int, Packet | None]:
         """Find a packet of a header of ten bytes, and two or three bytes for each measurement."""
-        if data.startswith(SCAN_ANSWER, at):
-            return len(SCAN_ANSWER), Packet((), (), 0.0)
-        if not HEADER.startswith(data[at : at + len(HEADER)]):
-            return 1, None
-        if len(data) - at < HEADER_BYTES:
-            return 0, None
-        count = data[at + 3]
-        for decoder in self._decoders:  # a packet's checksum tells which one it is for
-            packet = data[at : at + HEADER_BYTES + count * decoder.SAMPLE_BYTES]
-            used, decoded = decoder._try_parse(packet)  # noqa: SLF001 - its scans() wait
-            if not used:
-                return 0, None
-            if decoded is not None:
+        if data.startswith(self.greeting, at):
+            return len(self.greeting), NO_MEASUREMENTS
+        packet = data[at : at + MAX_BYTES]
+        for decoder in self._decoders:  # the checksum shows which decoder a packet is for
+            size, decoded = decoder._try_parse(packet)  # noqa: SLF001
+            if size != 1:
                 break
-        else:
-            return 1, None
-        # The head's own angles; those of the measurements allow for the lens beside the laser.
-        first, last = ((packet[k] | packet[k + 1] << 8) / 128.0 for k in (4, 6))
+        if decoded is None:
+            return size, None
+        kind, count, first, last = struct.unpack_from("<BBHH", packet, 2)
+
+        # The head's angles. Those of the measurements allow for the lens beside the laser.
         gap = False
         if count > 1:
-            self._step = ((last - first) % 360.0) / (count - 1)
+            self._step = (last - first) / 128.0 % 360.0 / (count - 1)
         if self._angle is not None:
-            jump = (first - self._angle - self._step + 180.0) % 360.0 - 180.0
-            gap = abs(jump) > MAX_JUMP
-        self._angle = last
-        points = decoded[1]
-        angles, distances = [p.angle_deg for p in points], [p.dist_mm for p in points]
-        start = 0 if packet[2] & 1 else None
-        return len(packet), Packet(angles, distances, float(count), start, gap)
+            gap = abs(wrap_degrees(first / 128.0 - self._angle - self._step)) > MAX_JUMP
+        self._angle = last / 128.0
+        return size, Packet(
+            angles=[point.angle_deg for point in decoded[1]],
+            distances=[point.dist_mm for point in decoded[1]],
+            duration=float(count),
+            start=0 if kind & 1 else None,
+            gap=gap,
+        )
 
 
 def make_intensity_decoder(library: Any) -> Any:
-    """Make the decoder of a T-mini Pro or Plus: three bytes a sample, as an SCL's.
+    """Return the decoder of a T-mini Pro or Plus: three bytes a sample, as an SCL's.
 
-    The first is the intensity, the others the distance in quarters of a millimetre, whose last two
-    bits say what disturbed it. A T-mini's angles need no correction (YDLidar-SDK, `parsePoints`).
+    The first byte is the intensity. The others are the distance in quarters of a millimetre, whose
+    last two bits tell what disturbed it. A T-mini's angles need no correction (YDLidar-SDK,
+    `parsePoints`).
     """
-
-    class IntensityDecoder(library.YDLidarSCL):  # type: ignore[misc]
-        """Samples with intensity, at the head's own angles."""
-
-        def _angle_correction_deg64(self, sample: bytes, dist_mm: int) -> float:
-            return 0.0
-
-    return IntensityDecoder(None)
+    decoder = library.YDLidarSCL(None)
+    decoder._angle_correction_deg64 = lambda sample, distance: 0.0  # noqa: SLF001
+    return decoder
