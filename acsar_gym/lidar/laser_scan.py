@@ -8,11 +8,10 @@ NaN for a failure.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from acsar_gym.errors import LidarError, show_value
 from acsar_gym.lidar.scan import FULL_TURN, MAX_DISTANCE, Floats, Revolution
@@ -52,36 +51,37 @@ class LaserScan(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Pose of a scanner in the base frame."""
+    """Pose of a scanner on a robot."""
 
     x: float = 0.0
-    """Forward [m]."""
+    """Forward from the base frame, or from where the robot's file has the LiDAR [m]."""
     y: float = 0.0
-    """To the left [m]."""
+    """Likewise, to the left [m]."""
     yaw: float = 0.0
     """Direction of the scanner's x axis, counter-clockwise from the robot's [rad]."""
 
 
-def read_mount(translation: Sequence[float], rotation: Sequence[float], source: str) -> Mount:
-    """Read the pose of a scanner from the transform of its frame.
+def read_mount(transform: Any, source: str) -> Mount:
+    """Read the pose of a scanner from the transform of its frame in the base frame.
 
     Args:
-        translation: x, y, z in the base frame [m].
-        rotation: Quaternion x, y, z, w.
+        transform: A geometry_msgs/Transform.
         source: Name of the scanner in messages.
 
     Raises:
         LidarError: The transform isn't finite, or the scanner isn't horizontal and upright.
     """
-    length = math.hypot(*rotation)
-    if not (math.isfinite(math.fsum(translation)) and 1e-6 < length < math.inf):
+    place = transform.translation
+    turn = transform.rotation
+    length = math.hypot(turn.x, turn.y, turn.z, turn.w)
+    if not (math.isfinite(place.x + place.y) and 1e-6 < length < math.inf):
         raise LidarError(
-            f"{source}: its transform is {show_value([*translation])}, {show_value([*rotation])}",
+            f"{source}: its transform is {show_value(transform)}",
             "must be finite numbers and a quaternion of length 1: see which node publishes it",
         )
 
-    x, y, z, w = (number / length for number in rotation)
-    tilt = math.acos(max(min(1.0 - 2.0 * (x * x + y * y), 1.0), -1.0))  # of the z axis
+    x, y, z, w = (number / length for number in (turn.x, turn.y, turn.z, turn.w))
+    tilt = 2.0 * math.asin(min(math.hypot(x, y), 1.0))  # of the z axis
     if tilt > MAX_TILT:
         raise LidarError(
             f"{source}: its frame is tilted by {math.degrees(tilt):.1f} degrees",
@@ -89,7 +89,7 @@ def read_mount(translation: Sequence[float], rotation: Sequence[float], source: 
             "so; most drivers can flip the scans of a LiDAR that hangs upside down",
         )
     yaw = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))  # of the x axis
-    return Mount(float(translation[0]), float(translation[1]), yaw)
+    return Mount(float(place.x), float(place.y), yaw)
 
 
 def read_scan(scan: LaserScan, mount: Mount, source: str, timeout: float) -> Revolution:
@@ -100,12 +100,12 @@ def read_scan(scan: LaserScan, mount: Mount, source: str, timeout: float) -> Rev
 
     Args:
         scan: Message.
-        mount: Pose of the scanner, of which only the yaw matters.
+        mount: Pose of the scanner, from where the robot's file has it.
         source: Name of the scanner in messages, such as its topic.
         timeout: Longest time that the rays of a scan may take [s].
 
     Returns:
-        Bearings from the robot's x axis, within half a turn. Distances are 0 for failed
+        Measurements as from where the robot's file has the scanner. Distances are 0 for failed
         measurements, and range_min for things that are too near.
 
     Raises:
@@ -119,6 +119,11 @@ def read_scan(scan: LaserScan, mount: Mount, source: str, timeout: float) -> Rev
     is_measured = (scan.range_min <= ranges) & (ranges <= min(scan.range_max, MAX_DISTANCE))
     distances = np.where(is_measured, ranges, 0.0)
     distances[ranges == -math.inf] = scan.range_min
+    if mount.x or mount.y:  # failed measurements keep their direction
+        points = complex(mount.x, mount.y) + distances * np.exp(1j * bearings)
+        bearings = np.where(distances > 0.0, np.angle(points), bearings)
+        distances = np.where(distances > 0.0, np.abs(points), 0.0)
+
     step = scan.time_increment or scan.scan_time * abs(scan.angle_increment) / FULL_TURN
     times = scan.stamp + rays * step
     return Revolution(_wrap(bearings), distances, times, float(times.max()))
@@ -160,27 +165,6 @@ def _check_fields(scan: LaserScan, count: int, source: str, timeout: float) -> N
     raise LidarError(f"{source}: {problem}", "the scanner's driver publishes bad scans")
 
 
-def move_revolution(revolution: Revolution, dx: float, dy: float) -> Revolution:
-    """Return what a scanner at another place of the robot would have measured.
-
-    Failed measurements keep their direction.
-
-    Args:
-        revolution: Bearings from the robot's x axis.
-        dx: Where it was measured, forward from the other place [m].
-        dy: Likewise, to the left [m].
-    """
-    if dx == dy == 0.0:
-        return revolution
-    x = dx + revolution.distances * np.cos(revolution.bearings)
-    y = dy + revolution.distances * np.sin(revolution.bearings)
-    is_measured = revolution.distances > 0.0
-    return revolution._replace(
-        bearings=np.where(is_measured, np.arctan2(y, x), revolution.bearings),
-        distances=np.where(is_measured, np.hypot(x, y), 0.0),
-    )
-
-
 def make_scan(
     revolution: Revolution,
     range_min: float,
@@ -192,7 +176,7 @@ def make_scan(
     """Make a message of a full turn, counter-clockwise, as mapping programs expect.
 
     Each ray has the range of the measurement that is nearest in direction, or inf if this
-    measurement failed or is a step away. Numbers are representable as float32.
+    measurement failed or is a step away.
 
     Args:
         revolution: Measurements at any bearings.
@@ -205,51 +189,42 @@ def make_scan(
     Raises:
         LidarError: The revolution has no measurements.
     """
-    bearings, distances, times, _ = revolution
-    if not len(bearings):
+    if not len(revolution.times):
         raise LidarError("the revolution has no measurements", "check the LiDAR")
-    order = np.argsort(times, kind="stable")
-    rate = _find_rate(np.unwrap(bearings[order]), times[order])
-
-    # Directions of the rays, and of the measurements in rays.
+    order = np.argsort(revolution.times, kind="stable")
+    bearings = np.unwrap(revolution.bearings[order])
+    times = revolution.times[order]
+    duration = times[-1] - times[0]
+    rate = (bearings[-1] - bearings[0]) / duration if duration > 0.0 else 0.0
     if angle_min is None:
-        angle_min = float(_wrap(bearings[order[0 if rate >= 0.0 else -1]]))
+        angle_min = float(_wrap(bearings[0 if rate >= 0.0 else -1]))
     rays = rays or _count_rays(bearings)
-    angle_min = _as_float32(angle_min)
-    increment = _as_float32(FULL_TURN / rays)
-    places = np.mod(bearings - angle_min, FULL_TURN) / increment
+    increment = FULL_TURN / rays
 
-    # The range of each ray.
-    low = _as_float32(range_min)
-    high = _as_float32(range_max)
-    ranges = np.where(distances > 0.0, distances, math.inf).astype(np.float32)
-    ranges[ranges > high] = math.inf
-    ranges[ranges < low] = -math.inf
-    nearest, gaps = _find_nearest(places, rays)
-    ranges = np.where(gaps < 1.0, ranges[nearest], math.inf).astype(np.float32)
+    # Each measurement is a candidate for the rays on both sides; the nearest is written last.
+    places = np.mod(bearings - angle_min, FULL_TURN) / increment
+    low = np.floor(places).astype(np.int64)
+    gaps = np.concatenate([places - low, low + 1 - places])
+    by_gap = np.argsort(-gaps, kind="stable")
+    distances = revolution.distances[order]
+    distances[(distances == 0.0) | (distances > range_max)] = math.inf
+    distances[distances < range_min] = -math.inf
+    ranges = np.full(rays, math.inf, np.float32)
+    ranges[np.concatenate([low, low + 1])[by_gap] % rays] = np.tile(distances, 2)[by_gap]
 
     # The time of the first ray: the median, as some measurements may be of another turn.
-    step = _as_float32(increment / rate) if rate else 0.0
+    step = increment / rate if abs(rate) > MIN_RATE else 0.0
     places = np.where(places > rays - 0.5, places - rays, places)  # just before the first ray
-    stamp = float(np.median(times - places * step))
     return LaserScan(
         angle_min=angle_min,
         angle_increment=increment,
         time_increment=step,
         scan_time=abs(step) * rays,
-        range_min=low,
-        range_max=high,
+        range_min=float(np.float32(range_min)),
+        range_max=float(np.float32(range_max)),
         ranges=ranges,
-        stamp=stamp,
+        stamp=float(np.median(times - places * step)),
     )
-
-
-def _find_rate(bearings: Floats, times: Floats) -> float:
-    """Return the rate of a head by its measurements in the order of time [rad/s]; 0 if unknown."""
-    ages = times - times.mean()
-    spread = float(ages @ ages)
-    rate = float(ages @ (bearings - bearings.mean())) / spread if spread > 0.0 else 0.0
-    return rate if abs(rate) > MIN_RATE else 0.0
 
 
 def _count_rays(bearings: Floats) -> int:
@@ -260,22 +235,6 @@ def _count_rays(bearings: Floats) -> int:
     return round(FULL_TURN / max(step, FULL_TURN / (MAX_DENSITY * count))) if step else count
 
 
-def _find_nearest(places: Floats, rays: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return the measurement that is nearest to each ray, and how many rays it is away."""
-    order = np.argsort(places)
-    targets = np.arange(rays)
-    above = np.searchsorted(places[order], targets)
-    neighbours = order[np.stack([above - 1, above % len(places)])]  # -1: the last, a turn before
-    gaps = np.abs(places[neighbours] - targets)
-    gaps = np.minimum(gaps, rays - gaps)
-    side = np.argmin(gaps, axis=0)
-    return neighbours[side, targets], gaps[side, targets]
-
-
 def _wrap(angles: Floats) -> Floats:
     """Return angles from -pi to less than pi."""
     return np.mod(angles + math.pi, FULL_TURN) - math.pi
-
-
-def _as_float32(value: float) -> float:
-    return float(np.float32(value))

@@ -9,7 +9,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LidarError, show_value
 from acsar_gym.lidar.contract import check_age
-from acsar_gym.lidar.laser_scan import LaserScan, Mount, move_revolution, read_mount, read_scan
+from acsar_gym.lidar.laser_scan import LaserScan, Mount, read_mount, read_scan
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.links.base import WHILE_WAITING, Link
 from acsar_gym.ros.node import NANOSECONDS, RosNode, read_stamp
@@ -47,7 +47,7 @@ class RosLidar:
         self._owns_node = False
         self._epoch = 0  # time of the node's clock at time 0 of the link's clock [ns]
         self._start = 0.0
-        self._transforms: dict[str, Any] = {}  # geometry_msgs/TransformStamped, by their frames
+        self._transforms: dict[str, tuple[str, Any]] = {}  # parents and transforms of frames
         self._mount: Mount | None = None
         self._newest: Revolution | None = None
         self._problem: LidarError | None = None
@@ -98,72 +98,59 @@ class RosLidar:
         """Take static transforms."""
         self._mount = None
         for stamped in message.transforms:
-            self._transforms[stamped.child_frame_id.lstrip("/")] = stamped
+            parent = stamped.header.frame_id.lstrip("/")
+            self._transforms[stamped.child_frame_id.lstrip("/")] = (parent, stamped.transform)
 
     def _on_scan(self, message: Any) -> None:
         """Take a scan that started after the reset."""
         stamp = (read_stamp(message.header.stamp) - self._epoch) / NANOSECONDS
         fields = {name: getattr(message, name) for name in LaserScan._fields if name != "stamp"}
         scan = LaserScan(**fields, stamp=stamp)
-        config = self._config
+        timeout = self._config.lidar.timeout
+
         try:
-            mount = self._mount or self._find_mount(message.header.frame_id)
-            revolution = read_scan(scan, mount, self.topic, timeout=config.lidar.timeout)
+            mount = self._mount or self._find_mount(message.header.frame_id.lstrip("/"))
+            revolution = read_scan(scan, mount, self.topic, timeout=timeout)
         except LidarError as error:
             self._problem = error
             return
+
         if stamp < self._start:
             self._problem = LidarError(
                 f"{self.topic}: its newest scan began {self._start - stamp:.2f} s before the reset",
                 "do the clocks agree? In a simulation every node needs use_sim_time",
             )
             return
-        dx = mount.x - config.lidar_x_offset
-        dy = mount.y - config.lidar_y_offset
-        self._newest = move_revolution(revolution, dx, dy)
+        self._newest = revolution
         self._mount = mount
         self._problem = None
 
     def _find_mount(self, frame: str) -> Mount:
-        """Return the pose of the LiDAR, by its transform or by the robot's file."""
+        """Return the pose of the LiDAR, from where the robot's file has it."""
         config = self._config
         base = config.base_frame.lstrip("/")
-        frame = frame.lstrip("/")
-        if frame == base:
-            return Mount()
-        if self._find_parent(frame) == base:
-            transform = self._transforms[frame].transform
-            place, turn = transform.translation, transform.rotation
-            return read_mount(
-                (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w), self.topic
-            )
+        parent, transform = self._transforms.get(frame, ("", None))
+        if base in (frame, parent):
+            mount = Mount() if frame == base else read_mount(transform, self.topic)
+            x = mount.x - config.lidar_x_offset
+            y = mount.y - config.lidar_y_offset
+            return Mount(x, y, mount.yaw)
 
         # The transform may come after the first scan.
         waited = self._link.clock() - self._start
-        if config.lidar_yaw is not None and waited > min(
-            STATIC_TIMEOUT, 0.5 * config.connect_timeout
-        ):
-            return Mount(config.lidar_x_offset, config.lidar_y_offset, config.lidar_yaw)
+        patience = min(STATIC_TIMEOUT, 0.5 * config.connect_timeout)
+        if config.lidar_yaw is not None and waited > patience:
+            return Mount(yaw=config.lidar_yaw)
+        chain = [frame]
+        while parent and parent not in chain:
+            chain.insert(0, parent)
+            parent, _ = self._transforms.get(parent, ("", None))
         raise LidarError(
             f"{self.topic}: no transform from {show_value(base)} to its frame {show_value(frame)} "
-            f"({self._describe_chain(frame)})",
+            f"(/tf_static has {' -> '.join(chain)})",
             "write the LiDAR's pose on the robot into its file: lidar_x_offset, lidar_y_offset and "
             f"lidar_yaw, as 'ros2 run tf2_ros tf2_echo {base} {frame}' shows them",
         )
-
-    def _describe_chain(self, frame: str) -> str:
-        """Return the transforms from which a frame hangs, for a message."""
-        chain = [frame]
-        while (parent := self._find_parent(chain[0])) and parent not in chain:
-            chain.insert(0, parent)
-        if len(chain) == 1:
-            return "/tf_static doesn't have the frame"
-        return f"/tf_static has only {' -> '.join(chain)}"
-
-    def _find_parent(self, frame: str) -> str:
-        """Return the frame in which a frame is defined; empty if it is unknown."""
-        stamped = self._transforms.get(frame)
-        return "" if stamped is None else str(stamped.header.frame_id.lstrip("/"))
 
     def scan(self) -> Revolution:
         """Return the newest revolution, without waiting.
@@ -177,7 +164,8 @@ class RosLidar:
         if self._owns_node:
             self._node.spin(0.0)
         if self._problem is not None:
-            raise LidarError(self._problem.found, self._problem.fix)
+            raise self._problem.with_traceback(None)
+
         if self._newest is None:
             raise LidarError(
                 f"LiDAR {self.topic}: no scan in {self._config.connect_timeout:g} s",

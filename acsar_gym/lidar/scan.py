@@ -309,17 +309,13 @@ def sort_into_rays(
     gaps = np.full((2, count), NOTHING)
     for k in range(len(places)):
         low = int(np.floor(places[k]))
-        high = low + 1
         gap = places[k] - low
-        if is_full_turn:
-            low = count - 1 if low < 0 else low
-            high = 0 if high >= count else high
-        if 0 <= low < count and gap < gaps[ABOVE, low]:
-            sides[ABOVE, low] = lengths[k]
-            gaps[ABOVE, low] = gap
-        if 0 <= high < count and 1.0 - gap < gaps[BELOW, high]:
-            sides[BELOW, high] = lengths[k]
-            gaps[BELOW, high] = 1.0 - gap
+        for side, place in ((ABOVE, low), (BELOW, low + 1)):
+            ray = place % count if is_full_turn else place
+            if 0 <= ray < count and gap < gaps[side, ray]:
+                sides[side, ray] = lengths[k]
+                gaps[side, ray] = gap
+            gap = 1.0 - gap
     spread_to_empty(sides[BELOW], gaps[BELOW], 0, step=1, is_full_turn=is_full_turn)
     spread_to_empty(sides[ABOVE], gaps[ABOVE], count - 1, step=-1, is_full_turn=is_full_turn)
 

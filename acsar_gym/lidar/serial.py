@@ -123,12 +123,13 @@ class Driver:
         """
         if self.greeting and data.startswith(self.greeting, at):
             return len(self.greeting), NO_MEASUREMENTS
-        if not self.header.startswith(data[at : at + len(self.header)]):
+        candidate = bytes(data[at : at + self.packet_bytes])
+        if not self.header.startswith(candidate[: len(self.header)]):
             return 1, None
-        if len(data) < at + self.packet_bytes:
+        if len(candidate) < self.packet_bytes:
             return 0, None
-        packet = self.decode(bytes(data[at : at + self.packet_bytes]))
-        return (1, None) if packet is None else (self.packet_bytes, packet)
+        packet = self.decode(candidate)
+        return (1, None) if packet is None else (len(candidate), packet)
 
     def decode(self, data: bytes) -> Packet | None:
         """Decode a packet of `packet_bytes`; None if the bytes aren't a packet."""
@@ -401,15 +402,15 @@ class SerialLidar:
     def _explain_silence(self, driver: Driver, assembler: RevolutionAssembler) -> LidarError:
         """Return the error of a device that delivers no revolution."""
         waited = f"in {SPIN_UP_TIMEOUT:g} s"
-        found = f"no complete turn {waited}"
+        problem = f"no complete turn {waited}"
         fix = "check that its head turns freely and that its 5 V supply is strong enough"
         if not assembler.packets:
-            found = f"{assembler.heard} bytes {waited}, but none from the {driver.product}"
+            problem = f"{assembler.heard} bytes {waited}, but none from the {driver.product}"
             fix = "check the port's name: another device, or another model of LiDAR, is there"
         if not assembler.heard:
-            found = f"no answer {waited}"
+            problem = f"no answer {waited}"
             fix = "check its power and cable, and the port's name"
-        return LidarError(f"LiDAR {self.device}: {found}", fix)
+        return LidarError(f"LiDAR {self.device}: {problem}", fix)
 
     def scan(self) -> Revolution:
         """Return the newest complete revolution, without waiting.
@@ -497,6 +498,7 @@ class _Reader(threading.Thread):
                 time.sleep(READ_PERIOD)
                 data = self.port.read()
                 now = self._now()
+
                 asleep_since = awake
                 awake = time.monotonic()
                 if awake - asleep_since > MAX_SLEEP:
@@ -504,6 +506,7 @@ class _Reader(threading.Thread):
                     self._assembler.forget()
                 elif revolutions := self._assembler.feed(data, now):
                     self.newest = revolutions[-1]
+
         except LinkError as error:
             self.error = LidarError(f"LiDAR {error.found}", "check the cable, then reset")
         except Exception as error:  # noqa: BLE001 - of a user's driver

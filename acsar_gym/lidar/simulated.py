@@ -412,9 +412,11 @@ class SimulatedLidar:
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Take over the scene's obstacles and physics; draw the phase and the key of the errors."""
-        config, world = self._config, scene.world
+        config = self._config
+        world = scene.world
         obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
         self._around = make_surroundings(obstacles, ray_spec(config), 1, config)
+
         physics = scene.physics or compute_physics(config)
         phase, key = draw_episode(rng)
         self._traits = LidarTraits(
@@ -427,6 +429,7 @@ class SimulatedLidar:
             phase=phase,
             key=key,
         )
+
         self.oldest = 2.0 / physics.scan_rate
         self._trail = Trail(self.oldest, config.period)
         self._passers = see_nobody()

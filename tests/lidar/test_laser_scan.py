@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,41 +72,47 @@ def test_failures_are_zero_and_too_near_is_near() -> None:
     assert read(unlimited).distances.tolist() == [0.0, 20.0]
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> list[float]:
-    """The quaternion of a URDF's rpy."""
-    cr, cp, cy = np.cos([roll / 2.0, pitch / 2.0, yaw / 2.0])
-    sr, sp, sy = np.sin([roll / 2.0, pitch / 2.0, yaw / 2.0])
-    return [
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    ]
+def make_transform(roll: float, pitch: float, yaw: float, *, scale: float = 1.0) -> Any:
+    """The geometry_msgs/Transform of a URDF's rpy; a quaternion may have any length."""
+    cr, cp, cy = scale * math.cos(roll / 2.0), math.cos(pitch / 2.0), math.cos(yaw / 2.0)
+    sr, sp, sy = scale * math.sin(roll / 2.0), math.sin(pitch / 2.0), math.sin(yaw / 2.0)
+    rotation = SimpleNamespace(
+        x=sr * cp * cy - cr * sp * sy,
+        y=cr * sp * cy + sr * cp * sy,
+        z=cr * cp * sy - sr * sp * cy,
+        w=cr * cp * cy + sr * sp * sy,
+    )
+    return SimpleNamespace(translation=SimpleNamespace(x=0.2, y=-0.1, z=0.4), rotation=rotation)
 
 
 @given(yaw=ANGLES, roll=st.floats(-0.05, 0.05), pitch=st.floats(-0.05, 0.05))
 def test_bearings_are_turned_by_the_yaw_of_the_mount(yaw: float, roll: float, pitch: float) -> None:
-    mount = read_mount((0.2, -0.1, 0.4), quaternion(roll, pitch, yaw), "/scan")
+    mount = read_mount(make_transform(roll, pitch, yaw, scale=1.5), "/scan")
     assert mount[:2] == (0.2, -0.1)
     assert angles_between(yaw, np.array(mount.yaw)) < 1e-9
-    bearings = read(SCAN, mount).bearings
+    bearings = read(SCAN, Mount(yaw=mount.yaw)).bearings
     assert (np.abs(bearings) <= math.pi).all()
     assert angles_between(yaw - 0.5, bearings)[0] < 1e-9
 
 
+def test_measurements_are_moved_by_the_place_of_the_mount() -> None:
+    revolution = read(SCAN._replace(angle_min=0.0, ranges=[2.0, INF]), Mount(1.0, 3.0, math.pi / 2))
+    assert revolution.bearings == pytest.approx([math.atan2(5.0, 1.0), math.pi / 2 + 0.25])
+    assert revolution.distances == pytest.approx([math.hypot(1.0, 5.0), 0.0])
+
+
 @pytest.mark.parametrize(
-    ("x", "rotation", "message"),
+    ("transform", "message"),
     [
-        (0.0, [0.0, 0.0, 0.0, 0.0], "must be finite numbers and a quaternion"),
-        (NAN, [0.0, 0.0, 0.0, 1.0], "must be finite numbers and a quaternion"),
-        (0.0, [NAN, 0.0, 0.0, 1.0], "must be finite numbers and a quaternion"),
-        (0.0, quaternion(0.0, 0.2, 1.0), "/scan: its frame is tilted by 11.5 degrees"),
-        (0.0, quaternion(math.pi, 0.0, 0.3), "is tilted by 180.0 degrees: .* upside down"),
+        (make_transform(0.0, 0.0, 0.0, scale=0.0), "must be finite numbers and a quaternion"),
+        (make_transform(0.0, 0.0, NAN), "must be finite numbers and a quaternion"),
+        (make_transform(0.0, 0.2, 1.0), "/scan: its frame is tilted by 11.5 degrees"),
+        (make_transform(math.pi, 0.0, 0.3), "is tilted by 180.0 degrees: .* upside down"),
     ],
 )
-def test_a_bad_mount_is_one_line(x: float, rotation: list[float], message: str) -> None:
+def test_a_bad_mount_is_one_line(transform: Any, message: str) -> None:
     with pytest.raises(LidarError, match=message) as caught:
-        read_mount((x, 0.0, 0.3), rotation, "/scan")
+        read_mount(transform, "/scan")
     assert str(caught.value).isprintable()
 
 

@@ -37,9 +37,11 @@ STOP_DELAY = 0.02  # time from a stop command to the last measurement [s]
 ANSWER_TIMEOUT = 0.6  # a device with this baud rate answers sooner [s]
 BAUD_TRIES = 2  # how often each baud rate is tried
 
-GET_CONFIG, SCAN_EXPRESS = 0x84, 0x82
+GET_CONFIG = 0x84
+SCAN_EXPRESS = 0x82
 CONFIG_DESCRIPTOR_TYPE = 0x20
-TYPICAL_MODE, ANSWER_TYPE = 0x7C, 0x75  # of GET_CONFIG: recommended mode, answers of a mode
+TYPICAL_MODE = 0x7C  # of GET_CONFIG: the recommended mode
+ANSWER_TYPE = 0x75  # of GET_CONFIG: the type of a mode's answers
 DENSE_ANSWER = 0x85  # type of the answers that are dense capsules
 SYNC = (0xA, 0x5)
 CAPSULE_POINTS = 40
