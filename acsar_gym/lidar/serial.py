@@ -22,7 +22,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import LidarError, LinkError, require_extra
+from acsar_gym.errors import LidarError, LinkError, format_error, require_extra
 from acsar_gym.guard.shutdown import close_at_exit, forget_link, install_handlers
 from acsar_gym.lidar.contract import check_age
 from acsar_gym.lidar.scan import FULL_TURN, Floats, Revolution
@@ -510,10 +510,8 @@ class _Reader(threading.Thread):
         except LinkError as error:
             self.error = LidarError(f"LiDAR {error.found}", "check the cable, then reset")
         except Exception as error:  # noqa: BLE001 - of a user's driver
-            text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-            self.error = LidarError(
-                f"{type(self._driver).__name__}.parse() raised {text}", "fix it"
-            )
+            driver = type(self._driver).__name__
+            self.error = LidarError(f"{driver} raised {format_error(error)}", "fix that driver")
 
     def check(self) -> None:
         """Raise the error that ended the thread, if there is one."""
