@@ -47,7 +47,11 @@ _END_OF_PART = re.compile(rb"[pn]?[ +-]*[0-9.]{0,9}")
 SAMPLE_BYTES = 60  # length of the sample of a damaged line, and of a note [bytes]
 MAX_NOTES = 8  # number of different notes that are kept
 _MAX_CACHED = 5000  # largest number of cached parts per motor
-_CACHED_PARTS: tuple[dict[bytes, float], ...] = ({}, {}, {}, {})
+_CACHED_A: dict[bytes, float] = {}  # speeds of parts, which are the same in many lines
+_CACHED_B: dict[bytes, float] = {}
+_CACHED_C: dict[bytes, float] = {}
+_CACHED_D: dict[bytes, float] = {}
+_CACHED_PARTS = (_CACHED_A, _CACHED_B, _CACHED_C, _CACHED_D)
 
 
 def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
@@ -194,12 +198,7 @@ class Decoder:
             parts.pop()  # after a trailing comma
         try:
             a, b, c, d = parts
-            speeds = (
-                _CACHED_PARTS[0][a],
-                _CACHED_PARTS[1][b],
-                _CACHED_PARTS[2][c],
-                _CACHED_PARTS[3][d],
-            )
+            speeds = (_CACHED_A[a], _CACHED_B[b], _CACHED_C[c], _CACHED_D[d])
         except (ValueError, KeyError):
             return self._read_parts(line, parts)
 

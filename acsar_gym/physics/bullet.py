@@ -185,8 +185,7 @@ class BulletBody:
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot, client = self._robot, self._client
-        position, orientation = _pose_of(robot, client)
-        velocity, spin = _velocity_of(robot, client)
+        position, orientation, velocity, spin = self._motion or self._read_motion()
         force, torque, self.wheel_speeds, self.wheel_angles = _push_robot(
             orientation,
             velocity,

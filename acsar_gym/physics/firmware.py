@@ -84,26 +84,27 @@ class Firmware:
         Time that is left after whole firmware loops is added to the next period.
         """
         self._elapsed += period
-        now = self._elapsed + TIME_EPSILON
-        while (self._loops + 1) * self._dt <= now:
-            self._run_loop()
+        end = self._elapsed + TIME_EPSILON
+        while (self._loops + 1) * self._dt <= end:
+            self._run_loop(self._loops * self._dt)
+
         arrived = []
-        while self._sent and self._sent[0][0] <= now:
+        while self._sent and self._sent[0][0] <= end:
             arrived.append(self._sent.popleft())
         self.arrived = arrived
-        return b"".join([line for _, line in arrived])
+        return arrived[0][1] if len(arrived) == 1 else b"".join([line for _, line in arrived])
 
-    def _run_loop(self) -> None:
+    def _run_loop(self, now: float) -> None:
         """Run one loop: newest commands, ramps, motors, encoders, and a line if it is due."""
-        now, received, body = self._loops * self._dt, self._received, self._body
-        while received and received[0][0] <= now + TIME_EPSILON:
-            self._take_commands(received.popleft()[1], now)
+        while self._received and self._received[0][0] <= now + TIME_EPSILON:
+            self._take_commands(self._received.popleft()[1], now)
         if now - self._last_command > self._timeout + TIME_EPSILON:
             self._targets = ZERO
         if self._set_points != self._targets:
             self._set_points = ramp_set_points(self._set_points, self._targets, self._ramps)
-        body.step(self._set_points)
-        self._angles.append(body.wheel_angles)
+
+        self._body.step(self._set_points)
+        self._angles.append(self._body.wheel_angles)
         self._loops += 1
         if self._loops >= self._line_due:
             self._lines += 1

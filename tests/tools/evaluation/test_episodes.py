@@ -121,11 +121,10 @@ def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
     timing = as_json(run(shared_device, max_episode_steps=10))["timing"]
     assert timing["lateness"]["ticks"] == 99
     assert timing["lateness"]["worst"] >= timing["lateness"]["p99"] >= timing["lateness"]["p50"]
-    assert timing["feedback_age"]["count"] == 99
-    assert timing["round_trip"]["count"] >= 1
-    assert timing["round_trip"]["worst"] > 0.0
+    assert timing["worst_feedback_age"] >= 0.0
+    assert min(timing["round_trips"]) > 0.0
     nothing = as_json(run(shared_device, lambda _: np.zeros(2, np.float32)))["timing"]
-    assert nothing["round_trip"] == {"count": 0, "p50": None, "p99": None, "worst": None}
+    assert nothing["round_trips"] == []
 
 
 def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:
