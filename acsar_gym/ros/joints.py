@@ -1,4 +1,4 @@
-"""Wheel speeds from the fields of sensor_msgs/JointState; pure, needs no ROS."""
+"""Wheel speeds from the fields of sensor_msgs/JointState. This module is pure and needs no ROS."""
 
 from __future__ import annotations
 
@@ -10,17 +10,21 @@ from acsar_gym.errors import show_value
 from acsar_gym.protocol import Speeds
 
 MAX_WHEEL_SPEED = 1000.0
-"""No wheel turns faster; positions that say so jumped, as where encoders were reset [rad/s]."""
+"""No wheel turns faster. If positions would mean more, encoders were reset [rad/s]."""
+WRAPPING_RANGE = 4.0 * math.pi
+"""Positions that wrap at a full turn, or at two, are smaller than this [rad]."""
 
 
 class JointReader:
     """Reads the speeds of four wheels from joint states, in any order and among other joints.
 
     Args:
-        joints: names of the joints of the wheels a, b, c, d; one that stands for a side twice.
+        joints: Names of the joints of the wheels a, b, c and d. A joint that drives both wheels of
+            a side is named twice.
 
-    Attributes: `refused`, how many messages were refused, by reason; `reason`, one line that says
-    what was wrong with the newest message, empty where nothing was.
+    Attributes:
+        refused: Number of refused messages, by kind.
+        reason: Why the newest message was refused, in one line. Empty if it wasn't.
 
     Example:
         >>> reader = JointReader(["right", "left", "left", "right"])
@@ -32,8 +36,14 @@ class JointReader:
         self._joints = tuple(joints)
         self._stamp = -math.inf
         self._positions: tuple[float, ...] | None = None
+        self._speeds: tuple[float, ...] = (0.0,) * len(self._joints)
+        self._has_velocities = False
         self.refused: Counter[str] = Counter()
         self.reason = ""
+
+    def names_wheels(self, names: Sequence[str]) -> bool:
+        """Return whether a message is about a wheel."""
+        return not set(names).isdisjoint(self._joints)
 
     def read(
         self,
@@ -45,20 +55,21 @@ class JointReader:
         """Read one message.
 
         Without velocities (an empty array, or NaN for all wheels, as joint_state_broadcaster
-        writes where the hardware has none) speeds are the differences of positions since the
-        message before.
+        publishes if the hardware has none), the speeds are the differences of the positions. Once
+        velocities have been received, messages without them are refused: they come from another
+        publisher, such as a joint_state_publisher.
 
         Args:
-            names: of the joints.
-            positions: [rad], one for each name, or none.
-            velocities: [rad/s], one for each name, or none.
-            stamp: of the header, on any clock [s].
+            names: Names of the joints.
+            positions: Position of each joint [rad], or an empty array.
+            velocities: Velocity of each joint [rad/s], or an empty array.
+            stamp: Time of the header on any clock [s].
 
         Returns:
-            Speeds of the wheels a, b, c, d [rad/s]; None for a message of other joints, for the
-            first one where positions must do, and for one that is refused: see `refused`.
+            Speeds of the wheels a, b, c and d [rad/s]. None if the message has other joints only,
+            is the first one without velocities, or is refused (see `refused`).
         """
-        if not {*names} & {*self._joints}:
+        if not self.names_wheels(names):
             return None
         try:
             speeds = self._measure(names, positions, velocities, stamp)
@@ -76,54 +87,82 @@ class JointReader:
         velocities: Sequence[float],
         stamp: float,
     ) -> Speeds | None:
-        """The speeds that a message of the wheels says; None for the first one of positions."""
-        places = self._find_joints(names)
-        turned = _take("position", positions, len(names), places)
-        speeds = _take("velocity", velocities, len(names), places)
-        if speeds is None and turned is None:
-            raise _RefusedError("no numbers", "has neither velocities nor positions of the wheels")
-        self._check_finite("velocity", speeds or ())
-        if speeds is None:
-            self._check_finite("position", turned or ())
+        self._check_names(names)
+        turned = self._select("position", positions, names)
+        speeds = self._select("velocity", velocities, names)
+        self._check_values(turned, speeds)
         if not self._stamp < stamp < math.inf:
             raise _RefusedError(
-                "stamp", f"is stamped {stamp:.9g} s, not after the one before ({self._stamp:.9g} s)"
+                "stamp",
+                f"is stamped {stamp:.9g} s, not after the previous message ({self._stamp:.9g} s)",
             )
-        before, elapsed = self._positions, stamp - self._stamp
+
+        elapsed = stamp - self._stamp
+        previous = self._positions
         self._stamp = stamp
         self._positions = turned if turned and all(map(math.isfinite, turned)) else None
-        if speeds is None and before and turned:
-            speeds = tuple((b - a) / elapsed for a, b in zip(before, turned, strict=True))
-        if speeds is None:
+        if speeds is not None:
+            self._has_velocities = True
+        elif previous and turned:
+            speeds = tuple(
+                _unwrap(new - old, max(abs(new), abs(old)), speed * elapsed) / elapsed
+                for old, new, speed in zip(previous, turned, self._speeds, strict=True)
+            )
+        else:
             return None
+
         fastest = max(speeds, key=abs)
         if abs(fastest) > MAX_WHEEL_SPEED:
             joint = show_value(self._joints[speeds.index(fastest)])
             raise _RefusedError(
                 "too fast",
-                f"says that {joint} turns at {fastest:.4g} rad/s, more than {MAX_WHEEL_SPEED:,.0f}",
+                f"reports that {joint} turns at {fastest:.4g} rad/s, more than "
+                f"{MAX_WHEEL_SPEED:,.0f}",
             )
+        self._speeds = speeds
         a, b, c, d = speeds
         return a, b, c, d
 
-    def _find_joints(self, names: Sequence[str]) -> list[int]:
-        """The wheels' places in a message; refused if one is missing, or named twice."""
-        listed = Counter(name for name in names if name in self._joints)
+    def _check_names(self, names: Sequence[str]) -> None:
+        """Refuse a message that doesn't name each wheel once."""
+        counts = Counter(name for name in names if name in self._joints)
         for joint in self._joints:
-            if not listed[joint]:
+            if not counts[joint]:
                 listing = ", ".join(map(show_value, names[:6])) + (", ..." if names[6:] else "")
                 raise _RefusedError(
                     "joint missing", f"has no {show_value(joint)} (it has {listing})"
                 )
-            if listed[joint] > 1:
+            if counts[joint] > 1:
                 raise _RefusedError(
-                    "joint repeated", f"names {show_value(joint)} {listed[joint]} times"
+                    "joint repeated", f"names {show_value(joint)} {counts[joint]} times"
                 )
-        return [names.index(joint) for joint in self._joints]
 
-    def _check_finite(self, field: str, values: Sequence[float]) -> None:
-        """Refuse NaN and inf."""
-        for joint, value in zip(self._joints, values, strict=False):
+    def _select(
+        self, field: str, values: Sequence[float], names: Sequence[str]
+    ) -> tuple[float, ...] | None:
+        """Return the values of the wheels; None if there are none, or all are NaN."""
+        if len(values) not in (0, len(names)):
+            raise _RefusedError(
+                "wrong length", f"has {len(names)} names and {len(values)} values of {field}"
+            )
+        if not len(values):
+            return None
+        selected = tuple(float(values[names.index(joint)]) for joint in self._joints)
+        return None if all(map(math.isnan, selected)) else selected
+
+    def _check_values(
+        self, positions: tuple[float, ...] | None, speeds: tuple[float, ...] | None
+    ) -> None:
+        """Refuse a message without values, or whose values aren't finite."""
+        if speeds is None and positions is None:
+            raise _RefusedError("no numbers", "has neither velocities nor positions of the wheels")
+        if speeds is None and self._has_velocities:
+            raise _RefusedError(
+                "no velocities",
+                "has no velocities, unlike earlier messages: a second node publishes the wheels",
+            )
+        field = "position" if speeds is None else "velocity"
+        for joint, value in zip(self._joints, speeds or positions or (), strict=True):
             if not math.isfinite(value):
                 raise _RefusedError(
                     "not finite", f"has {value} as the {field} of {show_value(joint)}"
@@ -131,20 +170,21 @@ class JointReader:
 
 
 class _RefusedError(Exception):
-    """Why a message can't be used; `kind` is what it counts as."""
+    """Why a message can't be used. `kind` is the key under which it is counted."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
         self.kind = kind
 
 
-def _take(
-    field: str, values: Sequence[float], count: int, places: Sequence[int]
-) -> tuple[float, ...] | None:
-    """The wheels' values; None where there are none, or all are NaN."""
-    if len(values) not in (0, count):
-        raise _RefusedError(
-            "wrong length", f"has {count} names and {len(values)} values of {field}"
-        )
-    taken = tuple(float(values[place]) for place in places) if len(values) else ()
-    return taken if not all(map(math.isnan, taken)) else None
+def _unwrap(difference: float, largest: float, expected: float) -> float:
+    """Return a difference of positions [rad] without the full turns by which they wrapped.
+
+    Args:
+        difference: New position minus old position.
+        largest: Larger magnitude of both. Beyond `WRAPPING_RANGE`, positions don't wrap.
+        expected: Difference by the previous speed. The result is the one nearest to it.
+    """
+    if largest >= WRAPPING_RANGE:
+        return difference
+    return difference - math.tau * round((difference - expected) / math.tau)

@@ -1,6 +1,6 @@
-"""The one file that imports rclpy: nodes with an executor and a context of their own.
+"""The only file that imports rclpy: a node with its own executor and context.
 
-ROS 2 isn't installed by pip, but comes with a system; where it is missing, one line says so.
+ROS 2 isn't installed by pip. It comes with a system, and if it is missing, one line reports it.
 """
 
 from __future__ import annotations
@@ -8,14 +8,17 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import signal
 import sys
+import threading
 import time
 import warnings
-from collections.abc import Callable, Sequence
-from types import SimpleNamespace
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
+from types import FrameType, SimpleNamespace
 from typing import Any
 
-from acsar_gym.errors import AcsarError
+from acsar_gym.errors import AcsarError, escape_unprintable
 
 MISSING_ROS = (
     "source /opt/ros/DISTRO/setup.bash in this terminal, and use an environment that was made with "
@@ -27,14 +30,22 @@ COMMAND_KINDS = {
     "twist": "geometry_msgs/msg/Twist",
     "wheel_speeds": "std_msgs/msg/Float64MultiArray",
 }
-"""Types of messages that command wheels, by their names in a robot's file, the preferred first."""
+"""Types of messages that command wheels, by their names in a robot's file, the best first."""
+WATCHDOG_SUFFIX = "_watchdog"
+"""End of the name of a watchdog's node, which publishes nothing but zeros."""
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name of a node that ROS has just discovered, such as our watchdog's."""
+CLOCK_GAP = 1e7
+"""Wall-clock time and simulated time differ by more than this [s]: four months."""
+ROS_ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("ros_arguments", default=())
+"""Arguments (what follows --ros-args) of nodes that aren't given any, such as a link's."""
 
 
 class MissingRosError(AcsarError):
     """ROS 2 isn't installed, or not in this Python.
 
     Args:
-        reason: why it can't be imported.
+        reason: Why it can't be imported.
     """
 
     exit_code = 2
@@ -43,38 +54,41 @@ class MissingRosError(AcsarError):
         super().__init__(f"ROS 2 can't be used here ({reason}): {MISSING_ROS}")
 
 
+_SOURCE_PLACE = re.compile(r",? at \S+:\d+")
+"""Place in ROS's sources where an error was raised."""
+
+
+class RosSetupError(AcsarError):
+    """A node can't be made, for example because ROS doesn't allow its name, or it has failed."""
+
+    exit_code = 2
+
+    def __init__(self, name: str, namespace: str, error: Exception) -> None:
+        reason = _SOURCE_PLACE.sub("", " ".join(str(error).split()))[:300]
+        if type(error).__name__ == "UnknownROSArgsError":
+            reason = f"unknown arguments of ROS: {reason}"
+        super().__init__(f"ROS node {namespace.rstrip('/')}/{name}: {reason}")
+
+
 def load_ros() -> SimpleNamespace:
     """Import rclpy and the messages that this package uses.
 
     Returns:
-        Classes and functions, by their names in ROS; `TFMessage` is None where tf2_msgs is missing.
+        Classes and functions, by their names in ROS. `TFMessage` is None if tf2_msgs is missing.
 
     Raises:
-        MissingRosError: something else is missing.
+        MissingRosError: Another package is missing.
     """
     try:
-        from diagnostic_msgs.msg import (
-            DiagnosticArray,
-            DiagnosticStatus,
-            KeyValue,
-        )
-        from geometry_msgs.msg import (
-            Point,
-            PoseStamped,
-            TransformStamped,
-            Twist,
-            TwistStamped,
-        )
+        from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+        from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped
         from nav_msgs.msg import Odometry, Path
-        from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+        from rcl_interfaces.msg import ParameterDescriptor
         from rcl_interfaces.srv import SetParameters
         from rclpy import init, logging, parameter, qos
         from rclpy.context import Context
         from rclpy.duration import Duration
-        from rclpy.event_handler import (
-            PublisherEventCallbacks,
-            SubscriptionEventCallbacks,
-        )
+        from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
@@ -82,7 +96,6 @@ def load_ros() -> SimpleNamespace:
         from sensor_msgs.msg import JointState, LaserScan
         from std_msgs.msg import Float64MultiArray
         from std_srvs.srv import Trigger
-        from visualization_msgs.msg import Marker, MarkerArray
     except ImportError as error:
         raise MissingRosError(" ".join(str(error).split())) from error
     try:
@@ -93,20 +106,26 @@ def load_ros() -> SimpleNamespace:
 
 
 class RosNode:
-    """A node, with a context and an executor of its own, so that others don't end it.
+    """A node with its own context and executor, so that no other node ends it.
 
-    Signals are left to the program. Nothing of it may be used in a forked child.
-
-    Attributes: `ros`, what `load_ros` returns; `node`, the rclpy.node.Node; `problem`, an
-    incompatibility that the middleware reported, in words, or empty.
+    Signals are left to the program. A forked child must not use any of it.
 
     Args:
-        name: of the node.
-        namespace: of the node, such as "/robot1".
-        arguments: ROS's own, after "--ros-args".
-        parameters: to declare, by name, with their defaults.
-        overrides: values of parameters that count more than those of ROS's arguments.
-        services: whether others may read and set its parameters.
+        name: Name of the node.
+        namespace: Namespace of the node, such as "/robot1".
+        arguments: Arguments of ROS, which follow "--ros-args". Those of `ROS_ARGUMENTS` if empty.
+        parameters: Parameters to declare, with their defaults.
+        overrides: Values of parameters that have precedence over those of `arguments`.
+        services: Whether other nodes may read and set its parameters.
+
+    Attributes:
+        ros: The namespace that `load_ros` returns.
+        node: The rclpy.node.Node.
+        problem: Incompatibility that the middleware reported, in words. Empty if there is none.
+
+    Raises:
+        MissingRosError: ROS 2 isn't installed.
+        RosSetupError: ROS refuses the name or the arguments.
     """
 
     def __init__(
@@ -122,18 +141,19 @@ class RosNode:
         self.ros = ros = load_ros()
         self.problem = ""
         self._context = ros.Context()
-        given = ["--ros-args", *arguments] if arguments else None
+        words = list(arguments or ROS_ARGUMENTS.get())
         try:
-            # What is wrong with the arguments is said by the exception, too.
+            # The exception reports wrong arguments, so that the log needn't.
             ros.logging.set_logger_level("rcl", ros.logging.LoggingSeverity.FATAL)
             ros.init(
-                args=given,
+                args=["--ros-args", *words] if words else None,
                 context=self._context,
                 signal_handler_options=ros.SignalHandlerOptions.NO,
             )
             ros.logging.set_logger_level("rcl", ros.logging.LoggingSeverity.UNSET)
+
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # beside the error that says why
+                warnings.simplefilter("ignore", RuntimeWarning)  # repeats the exception
                 self.node = ros.Node(
                     name,
                     namespace=namespace or None,
@@ -165,20 +185,28 @@ class RosNode:
         return str(self.node.get_namespace())
 
     def declare(self, parameters: dict[str, Any], *, fixed: bool = True) -> None:
-        """Declare parameters with their defaults; nobody can change those that are fixed."""
+        """Declare parameters with their defaults. Fixed ones can't be set later."""
         descriptor = self.ros.ParameterDescriptor(dynamic_typing=True, read_only=fixed)
         for name, value in parameters.items():
-            if not self.node.has_parameter(name):  # ROS's arguments don't give it
+            if not self.node.has_parameter(name):  # the arguments don't contain it
                 self.node.declare_parameter(name, value)
             self.node.set_descriptor(name, descriptor)
 
     def list_parameters(self) -> list[str]:
-        """List the names of all parameters, those that ROS's arguments give included."""
+        """List the names of all parameters, including those of the arguments."""
         return list(self.node.list_parameters([], 0).names)
 
     def read_parameter(self, name: str) -> Any:
         """Return the value of a parameter."""
         return self.node.get_parameter(name).value
+
+    def say(self, text: str) -> None:
+        """Log a line about a success."""
+        self.node.get_logger().info(escape_unprintable(text))
+
+    def warn(self, text: str) -> None:
+        """Log a line about a problem."""
+        self.node.get_logger().warning(escape_unprintable(text))
 
     def publish(self, topic: str, kind: Any, depth: int = 1, *, latched: bool = False) -> Any:
         """Make a publisher, which is reliable."""
@@ -202,7 +230,7 @@ class RosNode:
         best_effort: bool = False,
         latched: bool = False,
     ) -> Any:
-        """Make a subscription, whose callback takes the message, or message and message info."""
+        """Make a subscription. Its callback takes the message, or the message and its info."""
         return self.node.create_subscription(
             kind,
             topic,
@@ -214,11 +242,34 @@ class RosNode:
             ),
         )
 
+    def subscribe_transforms(
+        self, callback: Callable[[Any], None], *, moving: bool = True, namespace: str = ""
+    ) -> bool:
+        """Subscribe /tf_static and, if `moving`, /tf, and the topics of a namespace likewise.
+
+        Args:
+            callback: Takes a tf2_msgs/TFMessage.
+            moving: Whether /tf is needed.
+            namespace: Namespace whose transforms count as well. Empty for that of the node.
+
+        Returns:
+            Whether tf2_msgs is installed. If not, nothing is subscribed.
+        """
+        kind = self.ros.TFMessage
+        if kind is None:
+            return False
+        prefix = (namespace or self.namespace).rstrip("/")
+        for start in dict.fromkeys(("", prefix)):
+            self.subscribe(f"{start}/tf_static", kind, callback, depth=100, latched=True)
+            if moving:
+                self.subscribe(f"{start}/tf", kind, callback, depth=100)
+        return True
+
     def make_qos(self, depth: int, *, best_effort: bool = False, latched: bool = False) -> Any:
         """Return a QoS profile that keeps the last `depth` messages."""
-        qos = self.ros.qos
-        reliability, durability = qos.ReliabilityPolicy, qos.DurabilityPolicy
-        return qos.QoSProfile(
+        reliability = self.ros.qos.ReliabilityPolicy
+        durability = self.ros.qos.DurabilityPolicy
+        return self.ros.qos.QoSProfile(
             depth=depth,
             reliability=reliability.BEST_EFFORT if best_effort else reliability.RELIABLE,
             durability=durability.TRANSIENT_LOCAL if latched else durability.VOLATILE,
@@ -233,7 +284,7 @@ class RosNode:
         return str(self.node.resolve_topic_name(topic))
 
     def list_peers(self, topic: str, *, publishers: bool) -> list[tuple[str, str]]:
-        """List the nodes that publish a topic, or subscribe it: full name of the node, and type."""
+        """List publishers or subscriptions of a topic: full name of the node, and type."""
         name = self.resolve(topic)
         if publishers:
             peers = self.node.get_publishers_info_by_topic(name)
@@ -243,6 +294,13 @@ class RosNode:
             (f"{peer.node_namespace.rstrip('/')}/{peer.node_name}", peer.topic_type)
             for peer in peers
         ]
+
+    def list_commanders(self, topic: str) -> list[str]:
+        """List the nodes that publish a topic, without this node and watchdogs."""
+        ignored = (WATCHDOG_SUFFIX, UNKNOWN_NODE)
+        own_name = f"{self.namespace.rstrip('/')}/{self.name}"
+        names = [name for name, _ in self.list_peers(topic, publishers=True)]
+        return [name for name in names if name != own_name and not name.endswith(ignored)]
 
     def use_sim_time(self) -> None:
         """Take the time from /clock from now on."""
@@ -260,13 +318,14 @@ class RosNode:
         return self.ros.Duration(nanoseconds=round(seconds * NANOSECONDS))
 
     def spin(self, timeout: float) -> None:
-        """Handle what has arrived, or the first that arrives within a time [s]."""
-        self._executor.spin_once(timeout_sec=max(timeout, 0.0))
+        """Handle messages that have arrived, or the first that arrives within a time [s]."""
+        with interrupts_deferred():
+            self._executor.spin_once(timeout_sec=max(timeout, 0.0))
 
     def wait_until(
         self, condition: Callable[[], Any], timeout: float, poll: Callable[[], None] = lambda: None
     ) -> bool:
-        """Spin until a condition holds; whether it does within a time [s]."""
+        """Spin until a condition holds. Return whether it does within a time [s]."""
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() >= deadline:
@@ -285,20 +344,25 @@ class RosNode:
             self._context.try_shutdown()
 
 
-_PLACE = re.compile(r",? at \S+:\d+")
-"""Where in ROS's sources an error was raised."""
+@contextlib.contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Call the handler of SIGINT after the block instead of inside it.
 
-
-class RosSetupError(AcsarError):
-    """A node that can't be made, as for a name that ROS doesn't allow, or has failed."""
-
-    exit_code = 2
-
-    def __init__(self, name: str, namespace: str, error: Exception) -> None:
-        why = _PLACE.sub("", " ".join(str(error).split()))[:300]
-        if type(error).__name__ == "UnknownROSArgsError":
-            why = f"unknown arguments of ROS: {why}"
-        super().__init__(f"ROS node {namespace.rstrip('/')}/{name}: {why}")
+    rclpy swallows a KeyboardInterrupt in `Future.__del__`, and turns it into other errors in C++.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
+    if not (is_main and callable(handler)):
+        yield
+        return
+    interrupts: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: interrupts.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        for interrupt in interrupts:
+            handler(*interrupt)
 
 
 def make_stamp(ros: SimpleNamespace, nanoseconds: int) -> Any:
@@ -313,14 +377,21 @@ def read_stamp(stamp: Any) -> int:
     return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
-def child_environment() -> dict[str, str]:
-    """Return the environment of a process that must find what this one has imported."""
-    folders = [os.path.abspath(folder) for folder in sys.path]  # noqa: PTH100
-    return os.environ | {"PYTHONPATH": os.pathsep.join(folders)}
+def explain_age(age: float, *, simulated: bool) -> str:
+    """Explain why a message's stamp doesn't fit the clock.
+
+    Args:
+        age: Time of the clock minus the stamp [s].
+        simulated: Whether the clock is /clock.
+    """
+    if abs(age) > CLOCK_GAP:
+        return f"is of another clock: set use_sim_time: {str(simulated).lower()} in its publisher"
+    clock = "/clock" if simulated else "the clock of this computer"
+    return f"is {abs(age):.2f} s {'behind' if age > 0.0 else 'ahead of'} {clock}"
 
 
 def make_command(ros: SimpleNamespace, kind: str, frame: str = "") -> Any:
-    """Return a message of one of `COMMAND_KINDS` that commands zero, to be filled."""
+    """Return a message of one of `COMMAND_KINDS` that commands zero."""
     if kind == "wheel_speeds":
         return ros.Float64MultiArray(data=[0.0] * 4)
     if kind == "twist":
@@ -328,3 +399,9 @@ def make_command(ros: SimpleNamespace, kind: str, frame: str = "") -> Any:
     command = ros.TwistStamped()
     command.header.frame_id = frame
     return command
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment of a process that must find everything this process has imported."""
+    folders = [os.path.abspath(folder) for folder in sys.path]  # noqa: PTH100
+    return os.environ | {"PYTHONPATH": os.pathsep.join(folders)}

@@ -1,4 +1,4 @@
-"""What of the link to ROS 2 needs no ROS; tests/ros drives it."""
+"""The parts of the link to ROS 2 that need no ROS. tests/ros drives it."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ import copy
 from importlib.util import find_spec
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import Arrivals, Link
 from acsar_gym.links.factory import is_device
-from acsar_gym.links.ros2 import SLACK, Ros2Link, format_scene, read_command
+from acsar_gym.links.ros2 import SLACK, Ros2Link, read_command
 from acsar_gym.protocol import ZERO
 from acsar_gym.ros.node import MissingRosError
 from acsar_gym.wire import Wire
-from acsar_gym.worlds import Scene, World
 
 PERIOD = 0.01
 
@@ -74,7 +72,7 @@ def test_commands_are_told_apart_by_stamp_and_numbers() -> None:
 
 
 class StampedLink(Link):
-    """Hands over given lines with the times at which they were measured."""
+    """Returns lines with the times at which they were measured."""
 
     stamped = True
     lateness = 0.0
@@ -106,10 +104,3 @@ def test_each_line_holds_from_the_stamp_before_it_to_its_own() -> None:
     shares = [wire.shares(*wire.exchange(ZERO)) for _ in range(4)]
     measured = [[(speeds[0], round(share, 9)) for speeds, share in tick] for tick in shares]
     assert measured == [[(1.0, 0.0)], [], [(2.0, 0.011), (3.0, 0.0105)], [(4.0, 0.01)]]
-
-
-def test_a_scene_becomes_one_text() -> None:
-    world = World(circles=np.array([[1.0, 0.5, 0.2]]))
-    text = format_scene(Scene((0.1, 0.2, 0.3), (2.0, 1.0), world))
-    assert "\n" not in text
-    assert '"start": [0.1, 0.2, 0.3]' in text

@@ -141,10 +141,11 @@ def test_an_unknown_robot_has_the_driver_s_constant_covariance(
     messages: dict[str, list[Any]],
 ) -> None:
     newest = messages["/odom"][-1]
-    for found in (newest.pose.covariance, newest.twist.covariance):
-        matrix = found.reshape(6, 6)
-        assert matrix.diagonal().tolist() == [0.01, 0.01, 1e3, 1e3, 1e3, 0.01]
-        assert np.count_nonzero(matrix) == 6
+    pose = newest.pose.covariance.reshape(6, 6)
+    twist = newest.twist.covariance.reshape(6, 6)
+    assert pose.diagonal().tolist() == [0.01, 0.01, 1e3, 1e3, 1e3, 0.01]
+    assert twist.diagonal().tolist() == [0.01, 1e3, 1e3, 1e3, 1e3, 0.01]
+    assert np.count_nonzero(pose) == np.count_nonzero(twist) == 6
 
 
 def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ pytest.importorskip("rclpy")
 import ros_tools
 from ros_tools import Client, ForeignRobot, Program, StartProgram, StartRobot
 
-FIRST_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+FIRST_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) + 50 * WORKER
 DOMAINS = itertools.cycle(range(1, 102))
 """Domains whose ports are no ephemeral ones of Linux."""
 NUMBERS = itertools.count()

@@ -67,6 +67,7 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     add("--true-multiplier", type=float, help="the world's; else that of the controller")
     add("--rate", type=float, default=50.0, help="of joint_states and odom [Hz]")
     add("--positions-only", action="store_true", help="joint_states have no velocities")
+    add("--wrap", type=float, help="span of the positions, such as 6.2832 [rad]")
     add("--odom-only", action="store_true", help="no joint_states")
     add("--qos", choices=["reliable", "best_effort"], default="reliable", help="of the sensors")
     add("--frame", default="base_link")
@@ -283,6 +284,8 @@ class ForeignRobot:
             if name == given.missing_joint and self.begun(given.missing_after, now):
                 continue
             states.name.append(name)
+            if given.wrap:
+                position = (position + given.wrap / 2.0) % given.wrap - given.wrap / 2.0
             states.position.append(position)
             if not given.positions_only:
                 states.velocity.append(velocity)

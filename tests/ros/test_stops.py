@@ -19,9 +19,10 @@ from serial_tools import HEEDING_CTRL_C
 from acsar_gym import RobotConfig
 from acsar_gym.testing import emulated_board
 
-TRIALS = 3
+TRIALS = 2
 ROUNDS = 3
-"""A machine that stalls makes a robot look slow: it is measured again, at most so often."""
+"""Most measurements. A machine that stalls makes a robot look slow, and it is measured again."""
+INTERRUPTS = 100
 GROUPS = sorted({(kind.victim, kind.robot) for kind in KINDS})
 
 
@@ -35,6 +36,10 @@ def test_robots_stop_in_time(victim: str, robot: str) -> None:
             return
         kinds = [times.kind for times in late]
     pytest.fail("\n".join(map(str, late)))
+
+
+def test_no_ctrl_c_is_lost() -> None:
+    assert ros_stopping.count_interrupts(INTERRUPTS) == INTERRUPTS
 
 
 def children(program: Program) -> list[psutil.Process]:

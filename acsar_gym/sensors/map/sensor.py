@@ -491,7 +491,7 @@ class MapSensor(Sensor):
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
         self._odometry = Odometry.of(config)
-        self._goal = (0.0, 0.0)
+        self.goal = (0.0, 0.0)
 
     @property
     def _record(self) -> Any:
@@ -527,7 +527,7 @@ class MapSensor(Sensor):
         """
         if scene.goal is None:
             raise ConfigError("sensor 'map': the scene has no goal, to which it shows the way")
-        self._goal = to_odometry(scene.start, (*scene.goal, 0.0))[:2]
+        self.goal = to_odometry(scene.start, (*scene.goal, 0.0))[:2]
         clear_map(self._record)
 
     def read(self, truth: GroundTruth | None, now: float) -> Floats:
@@ -537,7 +537,7 @@ class MapSensor(Sensor):
             self._records,
             now,
             self._odometry.pose,
-            self._goal,
+            self.goal,
             self._lidar.scan.ranges,
             self._rays,
             (bearings, times, stamp),

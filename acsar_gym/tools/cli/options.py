@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import select
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,6 +34,17 @@ LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
 Force = Annotated[bool, tyro.conf.arg(help="Replace files that this command didn't write, too.")]
 RobotArg = Annotated[str | None, tyro.conf.arg(metavar="PRESET|FILE")]
+RosArgs = Annotated[
+    tuple[str, ...],
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="ARGUMENT [ARGUMENT ...]",
+        instance_from_str=lambda words: tuple(shlex.split(words[0])),
+        is_instance=lambda value: isinstance(value, tuple),
+        str_from_instance=lambda value: [shlex.join(value)],
+    ),
+]
+"""Arguments of ROS, which `app.join_ros_arguments` has joined to one word."""
 
 
 @dataclass(frozen=True)

@@ -523,7 +523,9 @@ def _collect_run(
     inner: Any = env.unwrapped
     seeds = range(max(len(driven), 1)) if seeds is None else seeds
     header = provenance.make_header(env, policy, link, seeds, options)
-    worlds = "none" if inner.pool is None else str(inner.pool)
+    link_used = inner.robot.link
+    is_placed = not link_used.is_real or (link_used.ros is not None and link_used.ros.is_simulated)
+    worlds = str(inner.pool) if inner.pool is not None and is_placed else "none"
     return EvaluationRun(header, worlds, driven, ended)
 
 

@@ -1,7 +1,7 @@
-"""A policy that drives a robot of ROS 2 to goals of others: `acsar-gym ros policy`.
+"""A policy that drives a robot in ROS 2 to the goals of other nodes: `acsar-gym ros policy`.
 
-Each goal is an episode as of `run --link ros2`. A node of its own, in a thread of its own, hears
-goals and transforms, and publishes what the control loop hands over after a step.
+Each goal is an episode, as in `run --link ros2`. The policy's own node receives goals and
+transforms in a thread, while the control loop drives with the node of the link.
 """
 
 from __future__ import annotations
@@ -9,698 +9,483 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium
-import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import (
-    ConfigError,
-    EmergencyStopError,
-    LidarError,
-    escape_unprintable,
-    show_value,
-)
-from acsar_gym.lidar.scan import ray_spec
+from acsar_gym.errors import ConfigError, EmergencyStopError, show_value
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.ros.node import RosNode, make_stamp
-from acsar_gym.sensors.lidar import newest_scan
 from acsar_gym.sensors.map.sensor import find_map
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.tools.ros.frames import Transform, find_transform
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_odometry, to_world
 
-Floats = NDArray[np.float64]
-Point = tuple[float, float]
 POLICY_NODE = "acsar_policy"
 DEFAULT_POLICY = "point_goal"
-VIEW_PERIOD = 0.1
-"""Plan and markers are published at most so often [s]."""
 IDLE_PERIOD = 0.05
-"""How soon a goal is noticed while the robot stands [s]."""
-CATCH_UP_TIMEOUT = 0.05
-"""Longest time for transforms that wait [s]."""
-FRAME_TIMEOUT = 2.0
-"""Longest wait until a goal's frame is known, while the robot stands [s]."""
-CLOSE_TIMEOUT = 1.0
-"""Longest wait for the thread's end [s]."""
-STILL_PERIOD, STILL_DISTANCE, STILL_TURN = 0.2, 0.002, 0.005
-"""The robot stands where its pose differs by less than this after a time [s, m, rad]."""
-STILL_TIMEOUT = 5.0
-"""Longest wait until it stands, and for the first pose [s]."""
-TF_DEPTH = 100
-FAR = 1e3
-"""Farther than any map reaches [m]."""
-MOST_CELLS = 4000
-"""Most cells of the map in a marker."""
-GOAL_FRAME = "the goal"
+"""How soon a goal is noticed while the robot is at rest [s]."""
+SPIN_PERIOD = 0.1
+"""How soon the thread notices that it must end [s]."""
 
 
 class GoalError(ConfigError):
-    """A goal that isn't driven to."""
+    """A goal to which the policy doesn't drive."""
 
 
 class Goal(NamedTuple):
-    """A goal that was asked for."""
+    """A goal that was given."""
 
-    place: tuple[float, float, float]
-    """x, y, z [m]."""
+    x: float
+    y: float
     frame: str = ""
-    """Of the place; "" for the one that begins where the robot stands."""
-
-    def check(self) -> None:
-        """Check a goal of others. GoalError for numbers that aren't finite, or no frame."""
-        if not all(map(math.isfinite, self.place)):
-            raise GoalError(f"{self}: must be finite numbers")
-        if not self.frame.strip("/"):
-            raise GoalError(f"{self}: its header names no frame")
+    """Frame of the goal. Empty for the frame that starts where the robot is."""
 
     def __str__(self) -> str:
-        x, y, _ = self.place
-        return f"goal ({x:g}, {y:g})" + (f" in {show_value(self.frame)}" if self.frame else "")
+        return f"goal ({self.x:g}, {self.y:g})" + (
+            f" in {show_value(self.frame)}" if self.frame else ""
+        )
 
 
 class Frames:
-    """Where frames are in that of the odometry, by what is heard. Pure.
-
-    Attributes: `odom`, `base`; `heard`, how often something was heard of where the robot is.
+    """Poses of frames in the plane, from /tf, /tf_static and the odometry's topic.
 
     Args:
-        odom: frame of the odometry.
-        base: frame of the robot.
+        odom: Frame of the odometry.
+        base: Frame of the robot.
     """
 
     def __init__(self, odom: str, base: str) -> None:
-        self.odom, self.base, self.heard = odom, base, 0
-        self._transforms: dict[str, Transform] = {}
-        self._pose: tuple[str, Transform] | None = None
+        self._odom = odom
+        self._base = base
+        self._placed: dict[str, tuple[str, Pose]] = {}
+        self._pose: Pose | None = None
 
-    def add(self, child: str, transform: Transform) -> None:
-        """Take over a transform of /tf or /tf_static."""
-        self._transforms[child.lstrip("/")] = transform
-        self.heard += transform.parent.lstrip("/") == self.odom
+    def add(self, parent: str, child: str, pose: Pose) -> None:
+        """Store the newest pose of a frame in its parent, unless it isn't finite."""
+        if all(map(math.isfinite, pose)):
+            self._placed[child.lstrip("/")] = (parent.lstrip("/"), pose)
 
-    def add_odometry(self, child: str, transform: Transform) -> None:
-        """Take over a pose of the odometry's topic, which counts where no transform says it."""
-        self._pose = child.lstrip("/") or self.base, transform
-        self.heard += 1
-
-    def find_goal(self, goal: Goal) -> Point:
-        """Transform a goal's place into the odometry's frame [m].
-
-        Raises:
-            GoalError: nothing connects the frames.
-        """
-        placed = Transform(goal.frame, goal.place, (0.0, 0.0, 0.0, 1.0))
-        found = self._find(GOAL_FRAME, placed)
-        if found is None:
-            raise GoalError(
-                f"{goal}: nothing on /tf and /tf_static connects this frame with "
-                f"{show_value(self.odom)}"
-            )
-        x, y, _ = found[0]
-        return x, y
+    def add_odometry(self, pose: Pose) -> None:
+        """Store the newest pose of the odometry's topic, for robots without transforms."""
+        if all(map(math.isfinite, pose)):
+            self._pose = pose
 
     def find_base(self) -> Pose | None:
-        """Find the robot's pose in the odometry's frame; None where it isn't known."""
-        found = self._find(self.base)
-        if found is None:
-            return None
-        (x, y, _), (qx, qy, qz, qw) = found
-        return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+        """Return the robot's pose in the odometry's frame. None if it isn't known."""
+        return self._climb(self._base, self._odom) or self._pose
 
-    def _find(self, frame: str, placed: Transform | None = None) -> Any:
-        """Translation and rotation of a frame in the odometry's; None where they aren't known."""
-        transforms = dict(self._transforms)
-        if self._pose is not None:
-            transforms.setdefault(*self._pose)
-        if placed is not None:
-            transforms[frame] = placed
-        try:
-            return find_transform(transforms, frame, self.odom)
-        except LidarError:
-            return None
+    def find_goal(self, goal: Goal) -> Goal:
+        """Return a goal in the odometry's frame.
 
+        Raises:
+            GoalError: It has no finite numbers, no frame, or a frame that no transforms connect
+                with the odometry's.
+        """
+        frame = goal.frame.lstrip("/")
+        if not math.isfinite(goal.x + goal.y):
+            raise GoalError(f"{goal}: must be finite numbers")
+        if not frame:
+            raise GoalError(f"{goal}: its header names no frame")
+        place = (goal.x, goal.y, 0.0)
+        frame_pose = self.find_base() if frame == self._base else self._climb(frame, self._odom)
+        if frame_pose is not None:
+            return Goal(*to_world(frame_pose, place)[:2], self._odom)
+        odom_pose = self._climb(self._odom, frame)
+        if odom_pose is not None:
+            return Goal(*to_odometry(odom_pose, place)[:2], self._odom)
+        raise GoalError(
+            f"{goal}: no transforms on /tf and /tf_static connect this frame with "
+            f"{show_value(self._odom)}"
+        )
 
-def _is_finite(transform: Transform) -> bool:
-    return math.isfinite(math.fsum((*transform.translation, *transform.rotation)))
+    def fix_goal(self, goal: Goal) -> Goal:
+        """Return a goal in a frame that doesn't move with the robot, such as map or odom."""
+        is_fixed = self._climb(self._odom, goal.frame.lstrip("/")) is not None
+        return goal if is_fixed else self.find_goal(goal)
+
+    def require_base(self, goal: Goal) -> Pose:
+        """Return the robot's pose in the odometry's frame. GoalError if it isn't known."""
+        base = self.find_base()
+        if base is None:
+            raise GoalError(f"{goal}: neither /tf nor the odometry's topic has the robot's pose")
+        return base
+
+    def _climb(self, child: str, ancestor: str) -> Pose | None:
+        """Return the pose of a frame in one of its ancestors. None if it isn't its ancestor."""
+        pose: Pose = (0.0, 0.0, 0.0)
+        for _ in range(len(self._placed) + 1):  # transforms may form a circle
+            if child == ancestor:
+                return pose
+            if child not in self._placed:
+                break
+            child, placed = self._placed[child]
+            pose = to_world(placed, pose)
+        return None
 
 
 class GoalRules(NamedTuple):
-    """How near and how far a task's goals may be [m]."""
+    """How near and how far the goals of a task may be [m]."""
 
     nearest: float
     farthest: float
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> GoalRules:
-        """Return those of an env: its task's, or what the top speed drives in its time limit.
+        """Return the rules of an env's task, or what the top speed reaches in its time limit.
 
         Raises:
-            ConfigError: its task has other goals than points.
+            ConfigError: Its task has no goals that are points.
         """
         inner: Any = env.unwrapped
         task = inner.task
         if not isinstance(task, GoalTask) or task.follows:
-            raise ConfigError(f"{task.id}: takes no goals; a policy for a task with goals does")
+            raise ConfigError(f"{task.id}: has no goals to drive to; use a policy for such a task")
         if inner.pool is None:
             return cls(*task.goal_distance)
-        steps = env.spec.max_episode_steps if env.spec is not None else None
         config = inner.robot.config
+        steps = env.spec.max_episode_steps if env.spec is not None else None
         seconds = math.inf if steps is None else steps * inner.ticks_per_step * config.period
         return cls(task.goal_tolerance, config.max_linear * seconds)
 
-    def check(self, place: Point, goal: Goal) -> None:
-        """Check a goal's place in the frame that begins at the robot [m]. GoalError otherwise."""
-        distance = math.hypot(*place)
+    def check(self, goal: Goal, distance: float) -> None:
+        """Raise GoalError unless a goal may be so far away [m]."""
         if not self.nearest <= distance <= self.farthest:
             raise GoalError(
                 f"{goal}: is {distance:.3g} m away: must be {self.nearest:g} to "
-                f"{self.farthest:g} m, by the policy's task; see --goal-distance"
+                f"{self.farthest:g} m, by the policy's task (see --goal-distance)"
             )
 
 
-@dataclass(frozen=True)
-class View:
-    """What there is to see after a step, in the frame of the odometry [m]."""
-
-    goal: Point
-    tolerance: float
-    way: Floats
-    """(n, 2): from the robot to the goal."""
-    origin: Point
-    """Of the rays."""
-    hits: Floats
-    """(n, 2): ends of the rays that met something."""
-    cells: Floats
-    """(n, 2): centres of the map's cells in which something was met."""
-    side: float
-    """Of a cell."""
-    stamp: int = 0
-    """Time of ROS [ns]."""
-
-
-def take_view(env: RobotEnv, start: Pose, stamp: int = 0) -> View:
-    """Note what an env's robot sees.
-
-    Args:
-        env: in an episode.
-        start: pose in the frame of the odometry at which the episode began.
-        stamp: time of ROS [ns].
-    """
-    robot = env.robot
-    pose, goal = robot.odometry.pose, env.episode.assignment.goal
-    way, cells, side = np.array([pose[:2], goal]), np.empty((0, 2)), 0.0
-    seen = find_map(robot.sensors)
-    if seen is not None:
-        ahead = seen.way_ahead[:, :2]
-        way = np.vstack([pose[:2], ahead]) if len(ahead) else way
-        side = seen.cell_side
-        cells = seen.centres_of(seen.cells_met(FAR)[:MOST_CELLS])
-    scan, config = newest_scan(robot.sensors), robot.config
-    origin = (config.lidar_x_offset, config.lidar_y_offset)
-    hits = np.empty((0, 2))
-    if scan is not None:
-        met = scan.ranges < config.lidar.max_range
-        bearings, ranges = ray_spec(config).angles()[met], scan.ranges[met]
-        ends = np.column_stack([np.cos(bearings), np.sin(bearings)]) * ranges[:, None]
-        hits = move_points(ends + origin, to_world(start, pose))
-    x, y, _ = to_world(to_world(start, pose), (*origin, 0.0))
-    goal_x, goal_y, _ = to_world(start, (*goal, 0.0))
-    return View(
-        (goal_x, goal_y),
-        env.task.goal_tolerance,
-        move_points(way, start),
-        (x, y),
-        hits,
-        move_points(cells, start),
-        side,
-        stamp,
-    )
-
-
-def move_points(points: Floats, start: Pose) -> Floats:
-    """Transform points (n, 2) from the frame that begins at a pose into that of the pose."""
-    x, y, theta = start
-    cos, sin = math.cos(theta), math.sin(theta)
-    moved: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-    return moved
-
-
 class PolicyNode:
-    """The node of a policy. What it hears is handled while the robot stands, or ticks.
-
-    Goals and the service arrive at the link's node, which spins in every tick; transforms and
-    poses at the policy's own, which spins only while the robot stands, as they come often. Plan
-    and markers are published in a thread.
-
-    Attributes: `frames`, where they are; `find_base`, says where the robot is now; `goal`, the
-    newest that nobody took yet; `is_cancelled`, whether the running episode shall end;
-    `is_driving`, whether one runs; `rules`, which goals may be, None for all.
+    """The node of a policy, in a thread.
 
     Args:
-        node: of ROS.
-        config: of the robot.
+        node: Node of ROS.
+        config: Robot configuration.
+
+    Attributes:
+        frames: Poses of frames.
+        rules: How near and how far goals may be.
+        goal: Newest goal that hasn't been taken. None if there is none.
+        is_driving: Whether an episode runs.
+        is_cancelled: Whether the running episode must end.
     """
 
     def __init__(self, node: RosNode, config: RobotConfig) -> None:
-        self._node, self._ros = node, node.ros
+        ros = node.ros
+        self._node = node
         self.frames = Frames(config.odom_frame, config.base_frame)
-        self.find_base: Callable[[], Pose | None] = self.frames.find_base
-        self.rules: GoalRules | None = None
+        self._odom_frame = config.odom_frame
+        self.rules = GoalRules(0.0, math.inf)
         self.goal: Goal | None = None
-        self.is_cancelled = self.is_driving = False
-        self._heard = 0
-        ros = self._ros
-        if ros.TFMessage is None:
-            self.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
-        else:
-            node.subscribe("/tf", ros.TFMessage, self._take_tf, TF_DEPTH)
-            node.subscribe("/tf_static", ros.TFMessage, self._take_tf, TF_DEPTH, latched=True)
-        node.subscribe(config.ros2.odom_topic, ros.Odometry, self._take_pose, best_effort=True)
+        self.is_driving = False
+        self.is_cancelled = False
+        if not node.subscribe_transforms(self._take_transforms):
+            node.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
+        node.subscribe(config.ros2.odom_topic, ros.Odometry, self._take_odometry, best_effort=True)
         self._plan = node.publish("plan", ros.Path)
-        self._markers = node.publish("~/markers", ros.MarkerArray)
-        self._view: View | None = None
-        self._points: dict[Point, Any] = {}
-        self._wake = threading.Event()
         self._running = True
-        self._thread = threading.Thread(target=self._publish, name=POLICY_NODE, daemon=True)
+        self._thread = threading.Thread(target=self._spin, name=POLICY_NODE, daemon=True)
         self._thread.start()
 
-    def listen(self, link_node: RosNode) -> None:
-        """Hear goals, and offer the service, by the node of the link."""
-        own, ros = self._node, self._ros
-        link_node.subscribe(own.resolve("goal_pose"), ros.PoseStamped, self._take_goal)
-        name = f"{own.namespace.rstrip('/')}/{own.name}/cancel"
-        link_node.node.create_service(ros.Trigger, name, self._cancel)
-
-    def catch_up(self) -> None:
-        """Handle the transforms and poses that wait."""
-        end = time.monotonic() + CATCH_UP_TIMEOUT
-        before = -1
-        while before != self._heard and time.monotonic() < end:
-            before = self._heard
-            self._node.spin(0.0)
+    def listen(self, rules: GoalRules, about: str) -> None:
+        """Receive goals and offer the service from now on."""
+        ros = self._node.ros
+        self.rules = rules
+        self._node.subscribe("goal_pose", ros.PoseStamped, self._take_goal)
+        self._node.node.create_service(ros.Trigger, "~/cancel", self._cancel)
+        self._node.say(f"{about}: waits for goals")
 
     def close(self) -> None:
         """End thread and node."""
         self._running = False
-        self._wake.set()
-        self._thread.join(CLOSE_TIMEOUT)
+        self._thread.join(2.0 * SPIN_PERIOD)
         self._node.close()
 
-    def say(self, text: str) -> None:
-        """Log a line about what goes well."""
-        self._node.node.get_logger().info(escape_unprintable(text))
+    def take_goal(self) -> Goal:
+        """Take the newest goal, to drive to it."""
+        goal = self.goal
+        assert goal is not None  # noqa: S101 - the caller has waited for it
+        self.goal = None
+        self.is_cancelled = False
+        self.is_driving = True
+        return goal
 
-    def warn(self, text: str) -> None:
-        """Log a line."""
-        self._node.node.get_logger().warning(escape_unprintable(text))
+    def find_place(self, goal: Goal) -> tuple[float, float]:
+        """Return a goal in the frame that starts where the robot is [m].
 
-    # What arrives
-
-    def _take_tf(self, message: Any) -> None:
-        self._heard += 1
-        for one in message.transforms:
-            at, turn = one.transform.translation, one.transform.rotation
-            placed = _make_transform(one.header.frame_id, at, turn)
-            if _is_finite(placed):
-                self.frames.add(one.child_frame_id, placed)
-
-    def _take_pose(self, message: Any) -> None:
-        self._heard += 1
-        pose = message.pose.pose
-        placed = _make_transform(message.header.frame_id, pose.position, pose.orientation)
-        if _is_finite(placed):
-            self.frames.add_odometry(message.child_frame_id, placed)
-
-    def _take_goal(self, message: Any) -> None:
-        """Take over a goal, which ends the one before, unless it is sure not to be driven to."""
-        at, base = message.pose.position, self.find_base()
-        goal = Goal((at.x, at.y, at.z), message.header.frame_id)
-        try:
-            goal.check()
-            if not self.is_driving:  # transforms may still come
-                self.goal = goal
-                return
-            place = self.frames.find_goal(goal)
-            if base is not None and self.rules is not None:
-                self.rules.check(to_odometry(base, (*place, 0.0))[:2], goal)
-        except GoalError as error:
-            self.warn(f"refused: {error}")
-        else:
-            self.goal = goal
-
-    def _cancel(self, _: Any, response: Any) -> Any:
-        response.success = self.is_driving or self.goal is not None
-        response.message = "cancelled" if response.success else "nothing is driven"
-        self.is_cancelled, self.goal = self.is_driving, None
-        return response
-
-    @property
-    def is_interrupted(self) -> bool:
-        """Whether the running episode shall end, or another goal has come."""
-        return self.is_cancelled or self.goal is not None
+        Raises:
+            GoalError: It is too near or too far, or its place isn't known.
+        """
+        place = goal[:2]
+        if goal.frame:
+            target = self.frames.find_goal(goal)
+            place = to_odometry(self.frames.require_base(goal), (*target[:2], 0.0))[:2]
+        self.rules.check(goal, math.hypot(*place))
+        return place
 
     def describe_end(self, episode: Episode) -> str:
-        """Say how the episode ended that has just ended."""
+        """Describe how the episode ended."""
         if episode.fault or episode.success:
             return episode.fault or f"reached in {episode.time:.1f} s"
         if self.is_cancelled:
             return "cancelled"
         return "replaced by another goal" if self.goal is not None else "not reached"
 
-    # What is published
+    def say(self, text: str) -> None:
+        """Log a line about a success."""
+        self._node.say(text)
+
+    def refuse(self, error: GoalError) -> None:
+        """Log why a goal isn't driven to."""
+        self._node.warn(f"refused: {error}")
 
     @property
-    def has_viewers(self) -> bool:
-        """Whether somebody subscribes plan or markers."""
-        publishers = (self._plan, self._markers)
-        return any(publisher.get_subscription_count() for publisher in publishers)
+    def is_interrupted(self) -> bool:
+        """Whether the running episode must end, or another goal has come."""
+        return self.is_cancelled or self.goal is not None
 
-    def show(self, view: View) -> None:
-        """Hand over a view; doesn't wait."""
-        self._view = view
-        self._wake.set()
+    def show_plan(self, points: Sequence[Sequence[float]], nanoseconds: int) -> None:
+        """Publish a path through points of the odometry's frame, if it has subscribers."""
+        if not self._plan.get_subscription_count():
+            return
+        ros = self._node.ros
+        plan = ros.Path()
+        plan.header.frame_id = self._odom_frame
+        plan.header.stamp = make_stamp(ros, nanoseconds)
+        for x, y in points:
+            pose = ros.PoseStamped(header=plan.header)
+            pose.pose.position.x, pose.pose.position.y = x, y
+            plan.poses.append(pose)
+        self._plan.publish(plan)
 
-    def _publish(self) -> None:
-        """Publish what is handed over, in a thread of its own."""
+    # In the thread
+
+    def _spin(self) -> None:
         while self._running:
-            self._wake.wait()
-            self._wake.clear()
-            view, self._view = self._view, None
-            if view is None:
-                continue
-            stamp, frame = make_stamp(self._ros, view.stamp), self.frames.odom
-            if self._plan.get_subscription_count():
-                self._plan.publish(make_plan(self._ros, view, frame, stamp))
-            if self._markers.get_subscription_count():
-                self._markers.publish(make_markers(self._ros, view, frame, stamp, self._points))
+            self._node.spin(SPIN_PERIOD)
+
+    def _take_transforms(self, message: Any) -> None:
+        for stamped in message.transforms:
+            place = stamped.transform
+            pose = _read_pose(place.translation, place.rotation)
+            self.frames.add(stamped.header.frame_id, stamped.child_frame_id, pose)
+
+    def _take_odometry(self, message: Any) -> None:
+        pose = message.pose.pose
+        self.frames.add_odometry(_read_pose(pose.position, pose.orientation))
+
+    def _take_goal(self, message: Any) -> None:
+        """Take a goal, which ends the previous one. Its yaw isn't used."""
+        place = message.pose.position
+        goal = Goal(place.x, place.y, message.header.frame_id)
+        try:
+            self.find_place(goal)
+            self.goal = self.frames.fix_goal(goal)
+        except GoalError as error:
+            self.refuse(error)
+
+    def _cancel(self, _: Any, response: Any) -> Any:
+        response.success = self.is_driving or self.goal is not None
+        response.message = "cancelled" if response.success else "nothing is driven"
+        self.is_cancelled = self.is_driving
+        self.goal = None
+        return response
 
 
-def _make_transform(frame: str, at: Any, turn: Any) -> Transform:
-    """Return a transform of a geometry_msgs/Point or Vector3, and a Quaternion."""
-    return Transform(frame, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+def _read_pose(place: Any, turn: Any) -> Pose:
+    """Return the planar pose of a geometry_msgs/Point or Vector3, and a Quaternion."""
+    sin = 2.0 * (turn.w * turn.z + turn.x * turn.y)
+    cos = 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z)
+    return place.x, place.y, math.atan2(sin, cos)
 
 
-def make_plan(ros: Any, view: View, frame: str, stamp: Any) -> Any:
-    """Return a nav_msgs/Path along the way, whose poses look ahead."""
-    plan = ros.Path()
-    plan.header.frame_id, plan.header.stamp = frame, stamp
-    ahead = np.diff(view.way, axis=0)
-    headings = np.arctan2(ahead[:, 1], ahead[:, 0]).tolist() or [0.0]
-    headings.append(headings[-1])
-    for (x, y), heading in zip(view.way.tolist(), headings, strict=False):
-        pose = ros.PoseStamped(header=plan.header)
-        pose.pose.position.x, pose.pose.position.y = x, y
-        pose.pose.orientation.z = math.sin(heading / 2.0)
-        pose.pose.orientation.w = math.cos(heading / 2.0)
-        plan.poses.append(pose)
-    return plan
+def move_goal(env: RobotEnv, place: tuple[float, float]) -> None:
+    """Move the goal of the running episode, x and y in its odometry frame [m]."""
+    episode = env.episode
+    episode.assignment = replace(episode.assignment, goal=place)
+    if (seen := find_map(env.sensors)) is not None:
+        seen.goal = place
 
 
-def make_markers(ros: Any, view: View, frame: str, stamp: Any, points: dict[Point, Any]) -> Any:
-    """Return a visualization_msgs/MarkerArray: goal, rays, and cells of the map.
+class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An env whose goal follows the transforms, and whose episode ends by a new goal or a cancel.
 
     Args:
-        ros: of `load_ros`.
-        view: to show.
-        frame: of the odometry.
-        stamp: of the header.
-        points: of cells, which are made once; kept by the caller.
+        env: Env whose link is `link`.
+        node: Node that receives goals.
+        link: Link to the robot.
+
+    Attributes:
+        goal: Goal of the episode.
     """
-    kinds = ros.Marker
-    goal = _make_marker(ros, "goal", kinds.CYLINDER, frame, stamp, (0.1, 0.8, 0.1, 0.5))
-    goal.pose.position.x, goal.pose.position.y = view.goal
-    goal.scale.x = goal.scale.y = 2.0 * view.tolerance
-    goal.scale.z = 0.02
-    rays = _make_marker(ros, "rays", kinds.LINE_LIST, frame, stamp, (0.9, 0.2, 0.1, 0.4))
-    rays.scale.x = 0.01
-    begin = ros.Point(x=view.origin[0], y=view.origin[1])
-    rays.points = [point for x, y in view.hits.tolist() for point in (begin, ros.Point(x=x, y=y))]
-    cells = _make_marker(ros, "map", kinds.CUBE_LIST, frame, stamp, (0.1, 0.3, 0.9, 0.6))
-    cells.scale.x = cells.scale.y = view.side
-    cells.scale.z = 0.02
-    if len(points) > MOST_CELLS:  # of other episodes
-        points.clear()
-    for x, y in view.cells.tolist():
-        if (x, y) not in points:
-            points[x, y] = ros.Point(x=x, y=y)
-        cells.points.append(points[x, y])
-    markers = [goal, rays, cells]
-    for marker in markers[1:]:
-        if not marker.points:
-            marker.action = kinds.DELETE
-    return ros.MarkerArray(markers=markers)
-
-
-def _make_marker(
-    ros: Any, name: str, kind: int, frame: str, stamp: Any, color: Sequence[float]
-) -> Any:
-    marker = ros.Marker(ns=name, type=kind, action=ros.Marker.ADD)
-    marker.header.frame_id, marker.header.stamp = frame, stamp
-    marker.pose.orientation.w = 1.0
-    marker.color.r, marker.color.g, marker.color.b, marker.color.a = color
-    return marker
-
-
-class WatchedEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An env that shows each step, and whose episode ends where another goal or a cancel came."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], node: PolicyNode, link: Ros2Link) -> None:
         super().__init__(env)
-        self._node, self._link = node, link
-        self._due = 0.0
-        self.start: Pose | None = None
-        """Where the episode began, in the frame of the odometry."""
+        inner = env.unwrapped
+        assert isinstance(inner, RobotEnv)  # noqa: S101 - `run_episodes` accepts no other
+        self._inner = inner
+        self._node = node
+        self._link = link
+        self._start: Pose | None = None
+        self.goal = Goal(0.0, 0.0)
 
-    def find_base(self) -> Pose | None:
-        """Find the robot's pose in the frame of the odometry."""
-        inner: Any = self.env.unwrapped
-        return None if self.start is None else to_world(self.start, inner.robot.odometry.pose)
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
+        """Start an episode. Its odometry frame starts where the robot is at rest now."""
+        result = self.env.reset(**options)
+        self._start = self._node.frames.find_base()
+        return result
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Do a step."""
+        if self.goal.frame and self._start is not None:
+            target = self._node.frames.find_goal(self.goal)
+            move_goal(self._inner, to_odometry(self._start, (*target[:2], 0.0))[:2])
         observation, reward, terminated, truncated, info = self.env.step(action)
-        node, inner = self._node, self.env.unwrapped
-        assert isinstance(inner, RobotEnv)  # noqa: S101 - `run_episodes` has no other
-        if node.is_interrupted:
-            inner.robot.stop()
+        if self._node.is_interrupted:
+            self._inner.robot.stop()
             truncated = True
-        elif self.start is not None and time.monotonic() >= self._due and node.has_viewers:
-            self._due = time.monotonic() + 0.9 * VIEW_PERIOD  # a step isn't exact
-            node.show(take_view(inner, self.start, self._link.ros_time()))
+        elif self._start is not None:
+            self._show_plan(self._start)
         return observation, float(reward), terminated, truncated, info
 
-
-class GoalDriver:
-    """Drives a policy's robot to one goal after the other.
-
-    Args:
-        node: that hears the goals.
-        policy: to drive with.
-        first: a goal that there is at once.
-        count: how many episodes there are; None for no end.
-        how: keyword arguments of `run_episodes`.
-    """
-
-    def __init__(
-        self,
-        node: PolicyNode,
-        policy: FilePolicy,
-        first: Goal | None = None,
-        count: int | None = None,
-        how: Mapping[str, Any] = {},
-    ) -> None:
-        self._node, self._policy, self._how = node, policy, how
-        node.goal = first
-        self._count = count
-
-    def drive(self, env: gymnasium.Env[Any, Any]) -> Iterator[Episode]:
-        """Drive, and yield each episode, until enough have ended, or one by a fault.
-
-        Raises:
-            GoalError: the first goal can't be driven to; those that were heard are refused.
-            LinkError: the robot can't be reached, or is silent while it waits.
-            EmergencyStopError: its emergency stop was used.
-        """
-        node, inner = self._node, env.unwrapped
-        assert isinstance(inner, RobotEnv)  # noqa: S101
-        node.rules = GoalRules.of(env)
-        robot = inner.robot
-        robot.connect()
-        link = robot.link.ros
-        assert link is not None  # noqa: S101
-        assert link.node is not None  # noqa: S101 - it is open
-        link.places_robot = False
-        node.listen(link.node)
-        node.say(f"{self._policy.path}: waits for goals")
-        watched, driven = WatchedEnv(env, node, link), 0
-        while self._count is None or driven < self._count:
-            goal = self._wait_for_goal(robot, link)
-            try:
-                watched.start = start = self._wait_until_still(robot, link)
-                if node.goal is not None:  # meanwhile
-                    goal, node.goal = node.goal, None
-                place = self._place(goal, start, robot, link)
-                node.find_base = watched.find_base
-                node.say(f"drives to {goal}")
-                (episode,) = run_episodes(
-                    watched, self._policy, 1, seed=driven, goal=place, **self._how
-                )
-                is_replaced = node.goal is not None and not node.is_cancelled
-                is_over = episode.success or bool(episode.fault) or not node.is_interrupted
-                end = node.describe_end(episode)
-            except GoalError as error:
-                if not goal.frame:  # of the command line
-                    raise
-                node.warn(f"refused: {error}")
-                continue
-            finally:
-                node.is_driving = node.is_cancelled = False
-                node.find_base = node.frames.find_base
-            node.say(f"{goal}: {end}")
-            driven += is_over or not is_replaced
-            if is_over:
-                yield episode
-            if episode.fault:
-                return
-
-    def _wait_for_goal(self, robot: Any, link: Ros2Link) -> Goal:
-        """Let time pass until there is a goal."""
-        node = self._node
-        while node.goal is None:
-            self._idle(robot, link, IDLE_PERIOD)
-        goal, node.goal = node.goal, None
-        node.is_driving = True
-        return goal
-
-    def _idle(self, robot: Any, link: Ros2Link, duration: float) -> None:
-        robot.check_estop()
-        if robot.safety.stopped:
-            raise EmergencyStopError
-        link.idle(duration)
-        self._node.catch_up()
-
-    def _wait_until_still(self, robot: Any, link: Ros2Link) -> Pose | None:
-        """Wait until the robot stands; return where, None where nothing says it.
-
-        Raises:
-            GoalError: it keeps moving, though nothing is commanded.
-        """
-        frames, before, heard = self._node.frames, None, 0
-        for _ in range(round(STILL_TIMEOUT / STILL_PERIOD)):
-            pose = frames.find_base() if frames.heard > heard else None
-            if pose is not None and before is not None and is_near(pose, before):
-                return pose
-            before, heard = pose, frames.heard
-            self._idle(robot, link, STILL_PERIOD)
-        if before is None:  # or nothing new
-            return None
-        raise GoalError(
-            f"the robot moves in {show_value(frames.odom)}, though it is commanded to stand"
+    def _show_plan(self, start: Pose) -> None:
+        robot = self._inner.robot
+        seen = find_map(robot.sensors)
+        ahead = [self._inner.episode.assignment.goal] if seen is None else seen.way_ahead.tolist()
+        places = [robot.odometry.pose, *((x, y, 0.0) for x, y, *_ in ahead)]
+        self._node.show_plan(
+            [to_world(start, place)[:2] for place in places], self._link.ros_time()
         )
 
-    def _place(self, goal: Goal, start: Pose | None, robot: Any, link: Ros2Link) -> Point:
-        """Return a goal in the frame that begins where the robot stands [m]."""
-        frames, rules = self._node.frames, self._node.rules
-        place = goal.place[:2]
-        if goal.frame:
-            place = self._wait_for_frame(goal, robot, link)
-            if start is None:
-                raise GoalError(
-                    f"{goal}: neither /tf nor the odometry's topic says where "
-                    f"{show_value(frames.base)} is in {show_value(frames.odom)}"
-                )
-            place = to_odometry(start, (*place, 0.0))[:2]
-        if rules is not None:
-            rules.check(place, goal)
-        if self._node.is_cancelled:
-            raise GoalError(f"{goal}: was cancelled")
-        return place
 
-    def _wait_for_frame(self, goal: Goal, robot: Any, link: Ros2Link) -> Point:
-        """Wait until a goal's frame is known; return the goal in that of the odometry [m]."""
-        end = time.monotonic() + FRAME_TIMEOUT
-        while True:
-            try:
-                return self._node.frames.find_goal(goal)
-            except GoalError:
-                if time.monotonic() > end:
-                    raise
-            self._idle(robot, link, IDLE_PERIOD)
+def drive_goals(
+    env: gymnasium.Env[Any, Any],
+    policy: FilePolicy,
+    node: PolicyNode,
+    count: int | None,
+    options: Mapping[str, Any],
+) -> Iterator[Episode]:
+    """Drive to one goal after another, and yield each episode.
 
+    Args:
+        env: Env of the policy, with a link to a robot in ROS 2.
+        policy: The policy.
+        node: Node that receives the goals.
+        count: Number of episodes. None for no end.
+        options: Keyword arguments of `run_episodes`.
 
-def is_near(one: Pose, other: Pose) -> bool:
-    """Return whether two poses are those of a robot that stands."""
-    turned = abs(math.remainder(one[2] - other[2], math.tau))
-    return math.dist(one[:2], other[:2]) < STILL_DISTANCE and turned < STILL_TURN
+    Raises:
+        GoalError: A goal of the command line can't be driven to. Goals of other nodes are refused.
+        LinkError: The robot can't be reached, or is silent while it waits.
+        EmergencyStopError: Its emergency stop was used.
+    """
+    inner: Any = env.unwrapped
+    robot = inner.robot
+    robot.connect()
+    link = robot.link.ros
+    link.places_robot = False
+    node.listen(GoalRules.of(env), str(policy.path))
+    watched = GoalEnv(env, node, link)
+    driven = 0
+    while count is None or driven < count:
+        while node.goal is None:
+            robot.check_estop()
+            if robot.safety.stopped:
+                raise EmergencyStopError
+            link.idle(IDLE_PERIOD)
+
+        watched.goal = goal = node.take_goal()
+        try:
+            place = node.find_place(goal)
+            node.say(f"drives to {goal}")
+            (episode,) = run_episodes(watched, policy, 1, seed=driven, goal=place, **options)
+        except GoalError as error:
+            if not goal.frame:
+                raise
+            node.refuse(error)
+            continue
+        finally:
+            node.is_driving = False
+
+        is_over = episode.success or bool(episode.fault) or not node.is_interrupted
+        node.say(f"{goal}: {node.describe_end(episode)}")
+        driven += is_over or node.is_cancelled
+        if is_over:
+            yield episode
+        if episode.fault:
+            return
 
 
 def drive_policy(
     options: Mapping[str, str],
     ready: Callable[[FilePolicy, str], Mapping[str, Any]],
+    *,
     namespace: str = "",
     arguments: Sequence[str] = (),
-    goal: Point | None = None,
+    goal: tuple[float, float] | None = None,
     count: int | None = None,
     how: Mapping[str, Any] = {},
-    *,
     trust: bool = False,
 ) -> tuple[str, str, EvaluationRun]:
-    """Drive the robot of a namespace to goals that others give, or to one, as a node of ROS.
+    """Drive the robot of a namespace to goals, as a node of ROS.
 
     Args:
-        options: "policy", "env", "robot" and "lidar", as of `run`; where one is empty, the node's
-            parameter of that name counts.
-        ready: is called with policy and link before anything is opened; returns more options of
-            the env.
-        namespace: of the node and the robot.
-        arguments: ROS's own, after "--ros-args".
-        goal: x, y of the first goal, from where the robot stands [m].
-        count: how many episodes there are; None for no end.
-        how: keyword arguments of `episodes.run_episodes`.
-        trust: whether the policy may be a file that can run code.
+        options: "policy", "env", "robot" and "lidar", as of `run`. If one is empty, the node's
+            parameter of that name is used.
+        ready: Is called with policy and link before anything is opened, and returns more options
+            of the env.
+        namespace: Namespace of the node and the robot.
+        arguments: Arguments of ROS, which follow "--ros-args".
+        goal: x and y of the first goal, from where the robot is [m].
+        count: Number of episodes. None for no end.
+        how: Keyword arguments of `run_episodes`.
+        trust: Whether the policy may be a file that can run code.
 
     Returns:
-        The policy's name as it was given, the link's URL, and the results.
+        The policy's name, the link's URL, and the results.
 
     Raises:
         MissingRosError: ROS 2 isn't installed.
-        PolicyError, ConfigError: an option can't be used.
-        LinkError: the robot can't be reached.
+        PolicyError, ConfigError: An option has a wrong value.
+        LinkError: The robot can't be reached.
     """
-    node = RosNode(
-        POLICY_NODE,
-        namespace,
-        arguments,
-        dict(options),
-    )
-    with contextlib.ExitStack() as ours:
-        ours.callback(node.close)
-        given = {name: value or str(node.read_parameter(name)) for name, value in options.items()}
-        name = given["policy"] or DEFAULT_POLICY
-        policy = load_policy(name, trust=trust, env=given["env"])
-        config = RobotConfig.of(given["robot"] or None)
-        link = "ros2" if node.namespace == "/" else f"ros2:{node.namespace}"
+    ros_node = RosNode(POLICY_NODE, namespace, arguments, dict(options))
+    with contextlib.ExitStack() as nodes:
+        nodes.callback(ros_node.close)
+        chosen = {
+            name: value or str(ros_node.read_parameter(name)) for name, value in options.items()
+        }
+        name = chosen["policy"] or DEFAULT_POLICY
+        policy = load_policy(name, trust=trust, env=chosen["env"])
+        config = RobotConfig.of(chosen["robot"] or None)
+        link = "ros2" if ros_node.namespace == "/" else f"ros2:{ros_node.namespace}"
         more = ready(policy, link)
-        own = PolicyNode(node, config)
-        ours.callback(own.close)
-        first = None if goal is None else Goal((*goal, 0.0))
-        driver = GoalDriver(own, policy, first, count, how)
+        node = PolicyNode(ros_node, config)
+        nodes.callback(node.close)
+        node.goal = None if goal is None else Goal(*goal)
         farthest = (more.get("goal_distance") or (0.0, math.hypot(*(goal or (0.0, 0.0)))))[1]
-        done = drive_to_goals(
-            policy, link, config, driver.drive, farthest, how, lidar=given["lidar"] or None, **more
+
+        def drive(env: gymnasium.Env[Any, Any]) -> Iterator[Episode]:
+            return drive_goals(env, policy, node, count, how)
+
+        results = drive_to_goals(
+            policy,
+            link,
+            config,
+            drive,
+            farthest=farthest,
+            about=how,
+            lidar=chosen["lidar"] or None,
+            **more,
         )
-        return name, link, done
+        return name, link, results

@@ -1,6 +1,6 @@
 """A simulated robot as a robot of ROS 2, and RViz.
 
-ros2 launch acsar_gym simulation.launch.py link:=bullet scene:=clutter:7-7
+ros2 launch acsar_gym simulation.launch.py link:=bullet scene:=clutter:7
 """
 
 from launch import LaunchDescription
@@ -13,13 +13,13 @@ from launch_ros.substitutions import FindPackageShare
 SHARE = FindPackageShare("acsar_gym")
 PARAMS = PathJoinSubstitution([SHARE, "config", "simulation.yaml"])
 RVIZ = PathJoinSubstitution([SHARE, "rviz", "acsar.rviz"])
-RVIZ_TOPICS = ("odom", "scan", "plan", "acsar_policy/markers", "goal_pose")
+RVIZ_TOPICS = ("odom", "scan", "plan", "goal_pose")
 ARGUMENTS = [
     DeclareLaunchArgument("params", default_value=PARAMS, description="parameter file"),
     DeclareLaunchArgument("link", default_value="", description="bullet, mujoco or planar"),
     DeclareLaunchArgument("robot", default_value="", description="preset or file; else by params"),
     DeclareLaunchArgument("lidar", default_value="", description="else by params"),
-    DeclareLaunchArgument("scene", default_value="", description="clutter:7-7, a file, or JSON"),
+    DeclareLaunchArgument("scene", default_value="", description="clutter:7, or a file"),
     DeclareLaunchArgument("realtime", default_value="1.0", description="speed, 1.0 is real time"),
     DeclareLaunchArgument("namespace", default_value="", description="of the driver"),
     DeclareLaunchArgument("rviz", default_value="true", description="whether RViz starts"),

@@ -59,7 +59,7 @@ def test_what_is_ros_own_is_left_as_it_is(
 
 
 def test_other_commands_have_no_such_option(call: Call) -> None:
-    code, _, error = call("evaluate", "--link", "planar", "--ros-args", "-p", "x:=1")
+    code, _, error = call("policy", "list", "--ros-args", "-p", "x:=1")
     assert code == 2
     assert "--ros-args" in error
     assert join_ros_arguments(["evaluate", "--", "-r"]) == ["evaluate", "--", "-r"]

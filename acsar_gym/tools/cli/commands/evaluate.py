@@ -11,6 +11,7 @@ import tyro
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import BUSY_HINT, LateTicksError, LinkError
+from acsar_gym.ros.node import ROS_ARGUMENTS
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     EnvArg,
@@ -20,6 +21,7 @@ from acsar_gym.tools.cli.options import (
     RecordOptions,
     ResultOptions,
     RobotArg,
+    RosArgs,
     WorldFileOptions,
     Worlds,
     countdown,
@@ -48,7 +50,7 @@ class RobotOptions(RecordOptions):
     """The robot and its devices, recording, and which drives count."""
 
     link: str = "bullet"
-    """bullet, planar, mujoco, or a serial device."""
+    """bullet, planar, mujoco, a serial device, or ros2 (ros2:/NAMESPACE)."""
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None
@@ -56,6 +58,8 @@ class RobotOptions(RecordOptions):
     rplidar:///dev/ttyUSB1 or ld06:///dev/ttyUSB1, or module:Class of your own."""
     late_share: float = 0.01
     """On hardware: largest share of late ticks in a valid episode."""
+    ros_args: RosArgs = ()
+    """With ros2: arguments of ROS, up to the end or to --, such as -r /tf:=/robot1/tf."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,7 @@ def evaluate_policy(
 
     output.check()
     host.prepare(robot.link)
+    ROS_ARGUMENTS.set(robot.ros_args)
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
     done = runs.evaluate_policy(
@@ -164,6 +169,7 @@ def run_policy(
 
     output.check()
     host.prepare(robot.link)
+    ROS_ARGUMENTS.set(robot.ros_args)
     loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
 
     def ready() -> None:

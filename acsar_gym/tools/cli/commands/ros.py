@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,23 +19,12 @@ from acsar_gym.tools.cli.options import (
     RecordOptions,
     ResultOptions,
     RobotArg,
+    RosArgs,
     countdown,
 )
 
 if TYPE_CHECKING:
     from acsar_gym.tools.policies import FilePolicy
-
-RosArgs = Annotated[
-    tuple[str, ...],
-    tyro.constructors.PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="ARGUMENT [ARGUMENT ...]",
-        instance_from_str=lambda words: tuple(shlex.split(words[0])),
-        is_instance=lambda value: isinstance(value, tuple),
-        str_from_instance=lambda value: [shlex.join(value)],
-    ),
-]
-"""ROS's own arguments, which `app.join_ros_arguments` has made one word."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +72,14 @@ def drive_ros_robot(
         link: serial device, planar, bullet or mujoco; default: the robot's serial_port.
         robot: preset or config file.
         lidar: such as rplidar:///dev/ttyUSB1; simulated, where the link is.
-        scene: of a simulated robot, such as clutter:7-7, a world's file, or JSON.
+        scene: of a simulated robot, such as clutter:7, or a world's file.
     """
     from acsar_gym.tools.ros import driver  # noqa: PLC0415
 
     if not loop.realtime > 0.0:
         raise ConfigError(f"--realtime {loop.realtime:g}: must be positive")
-    given = {"robot": robot, "link": link, "lidar": lidar, "scene": scene}
-    with contextlib.closing(driver.RobotNode(given, node.namespace, node.ros_args)) as driven:
+    options = {"robot": robot, "link": link, "lidar": lidar, "scene": scene}
+    with contextlib.closing(driver.RobotNode(options, node.namespace, node.ros_args)) as driven:
         HostOptions(loop.priority, without_estop=loop.without_estop).prepare(
             driven.link or "serial"
         )
@@ -163,8 +151,8 @@ def drive_ros_policy(
 ) -> int:
     """Drive a robot of ROS 2 with a policy to the goals of goal_pose, one after the other.
 
-    A new goal takes the place of the one before; the service ~/cancel ends it. It publishes plan
-    and ~/markers.
+    A new goal replaces the previous one, and the service ~/cancel ends it. The yaw of a goal isn't
+    used. It publishes plan.
 
     Args:
         policy: the policy.
@@ -196,9 +184,15 @@ def drive_ros_policy(
         "robot": robot.robot or "",
         "lidar": robot.lidar or "",
     }
-    how = {"late_share": robot.late_share}
     name, link, done = ros_policy.drive_policy(
-        options, ready, node.namespace, node.ros_args, goals.goal, count, how, trust=policy.trust
+        options,
+        ready,
+        namespace=node.namespace,
+        arguments=node.ros_args,
+        goal=goals.goal,
+        count=count,
+        how={"late_share": robot.late_share},
+        trust=policy.trust,
     )
     title = f"{name} to goals, worlds: {done.worlds}"
     return report_run(title, link, done, output.json, to_goal=True)
