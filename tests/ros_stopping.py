@@ -132,15 +132,15 @@ config = RobotConfig.load(sys.argv[1])
 link = open_link("ros2", config)
 wire = Wire(link, config)
 link.open()
+link.reset(Scene())
 while True:
     try:
-        link.reset(Scene())
         wire.reset()
         print("drives", flush=True)
         while True:
             wire.exchange((4.0, 4.0, 4.0, 4.0))
     except KeyboardInterrupt:
-        link.stop()
+        link.reset(Scene())  # stops the robot, and allows driving again
         print("stopped", flush=True)
 """
 """Drives again after each Ctrl-C."""

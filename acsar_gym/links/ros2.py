@@ -190,8 +190,9 @@ class Ros2Link(GuardedLink):
             if self._intruded:  # a command may arrive before the name of its node
                 node.wait_until(lambda: self.commanders, NAME_TIMEOUT, WHILE_WAITING.get())
             self._refuse_commanders()
+            self._make_publisher(node)
         except BaseException:
-            self._disconnect(lost=False)  # without a zero, as another node may drive
+            self._disconnect(lost=False)
             raise
 
     def _find_controller(self, node: RosNode) -> None:
@@ -216,9 +217,6 @@ class Ros2Link(GuardedLink):
         self._command = make_command(node.ros, self._kind, self._config.base_frame)
         kind = type(self._command)
         node.subscribe(topic, kind, self._take_command, KEPT_COMMANDS, best_effort=True)
-        self._publisher = node.publish(topic, kind)
-        node.wait_until(lambda: node.problem or self._publisher.get_subscription_count() > 1, 1.0)
-        self._check_qos(node)
 
     def _find_feedback(self, node: RosNode) -> None:
         """Find the topic with the wheels' speeds, and wait for its first message."""
@@ -290,6 +288,13 @@ class Ros2Link(GuardedLink):
                 f"({', '.join(commanders) or 'a node without a name'})",
                 "end it, or let a twist_mux choose (a node that was killed is listed for 20 s)",
             )
+
+    def _make_publisher(self, node: RosNode) -> None:
+        """Make the publisher of commands, and wait until the robot knows it."""
+        topic = self._config.ros2.command_topic
+        publisher = self._publisher = node.publish(topic, type(self._command))
+        node.wait_until(lambda: node.problem or publisher.get_subscription_count() > 1, 1.0)
+        self._check_qos(node)
 
     def _wait_for_feedback(self) -> None:
         """Wait for the first speeds of all wheels, which only one node may publish."""

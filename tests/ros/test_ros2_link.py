@@ -16,7 +16,8 @@ from ros_tools import Client, ForeignRobot, StartProgram, StartRobot
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, LinkError
 
-JOINTS: dict[str, object] = {"joints": ["right_front", "left_front", "left_rear", "right_rear"]}
+WHEELS = ("right_front", "left_front", "left_rear", "right_rear")
+JOINTS: dict[str, object] = {"joints": list(WHEELS)}
 TWO: dict[str, object] = {"joints": {"left": "l", "right": "r"}}
 TWO_WHEELS = ("--joints", "l=left", "r=right")
 SHUFFLED = ("--joints", "arm", "rl=c", "fr=a", "rr=d", "gripper", "fl=b")
@@ -221,7 +222,7 @@ def test_a_second_publisher_of_the_wheels_is_an_error_that_names_both(
     foreign = start_robot()
     robot = open_robot(namespace)
     with robot:
-        start_program("-c", JOINT_STATE_PUBLISHER, namespace, *JOINTS["joints"])
+        start_program("-c", JOINT_STATE_PUBLISHER, namespace, *WHEELS)
         with pytest.raises(LinkError, match="two nodes publish the wheels") as raised:
             drive(robot, 0.1, 0.0, 30.0)
     for name in ("foreign_robot", "joint_state_publisher"):
@@ -252,7 +253,7 @@ def test_a_robot_that_another_node_commands_is_refused_before_anything_is_publis
             "import sys; from acsar_gym import open_link, RobotConfig\n"
             "open_link(sys.argv[1], RobotConfig(ros2={'joints': sys.argv[2:]})).open()"
         )
-        second = start_program("-c", code, f"ros2:{namespace}", *JOINTS["joints"])
+        second = start_program("-c", code, f"ros2:{namespace}", *WHEELS)
         second.signalled = True
         while second.process.poll() is None:
             drive(first, 0.1, 0.0, 0.1)
