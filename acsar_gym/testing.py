@@ -1,7 +1,7 @@
-"""Boards for tests of your own code: one that a script answers for, and an emulated one.
+"""Boards for tests of your own code: a scripted board and an emulated board.
 
-Neither needs hardware. A `ScriptedLink` is for what a robot's driver, sensor or task does with the
-bytes of a board, in simulated time; `emulated_board` is for what opens a serial device, in real
+Neither needs hardware. A `ScriptedLink` tests what a robot's driver, sensor or task does with the
+bytes of a board, in simulated time. `emulated_board` tests code that opens a serial device, in real
 time.
 """
 
@@ -35,15 +35,15 @@ class ScriptedLink(Link):
     """A link in simulated time whose feedback is written beforehand.
 
     Args:
-        *answers: bytes that arrive in the first period, the second, and so on.
-        then: what arrives in each later period: bytes, or a function of the newest command's wheel
+        *answers: Bytes that arrive in the first period, the second, and so on.
+        then: Bytes that arrive in each later period, or a function of the newest command's wheel
             speeds that returns them.
 
     Attributes:
-        written: what was written, one entry for each call.
-        opened: how often the link was opened.
-        closed: how often it was closed.
-        pause: what the next period takes longer than it should [s].
+        written: Bytes that were written, one entry for each call.
+        opened: Number of calls of `open`.
+        closed: Number of calls of `close`.
+        pause: Time by which the next period is longer than it should be [s].
 
     Example:
         A board whose wheels follow every command at once:
@@ -63,14 +63,15 @@ class ScriptedLink(Link):
         self.answers = list(answers)
         self.then = then
         self.written: list[bytes] = []
-        self.opened = self.closed = 0
+        self.opened = 0
+        self.closed = 0
         self.pause = 0.0
         self._now = 0.0
 
     @property
     def commands(self) -> list[Command]:
         """The wheel speeds of each command line that was written [rad/s]."""
-        return [reading.speeds for reading in Decoder().feed(b"".join(self.written))]
+        return _decode_speeds(b"".join(self.written))
 
     def open(self) -> None:
         """Count the call."""
@@ -80,7 +81,7 @@ class ScriptedLink(Link):
         """Do nothing: a board doesn't know of scenes."""
 
     def write(self, data: bytes) -> None:
-        """Keep what is written."""
+        """Keep the bytes."""
         self.written.append(data)
 
     def advance(self, period: float) -> bytes:
@@ -91,8 +92,9 @@ class ScriptedLink(Link):
             return self.answers.pop(0)
         if isinstance(self.then, bytes):
             return self.then
-        newest = Decoder().feed(self.written[-1])[-1:] if self.written else []
-        return self.then([speed or 0.0 for speed in (newest[0].speeds if newest else ZERO)])
+        commands = _decode_speeds(self.written[-1]) if self.written else []
+        newest = commands[-1] if commands else ZERO
+        return self.then([speed or 0.0 for speed in newest])
 
     def now(self) -> float:
         """Return the simulated time since the link was made [s]."""
@@ -103,18 +105,23 @@ class ScriptedLink(Link):
         self.closed += 1
 
 
+def _decode_speeds(data: bytes) -> list[Command]:
+    """Return the wheel speeds of each line [rad/s]."""
+    return [reading.speeds for reading in Decoder().feed(data)]
+
+
 class EmulatedBoard:
     """A board that another process emulates on a pseudo-terminal; see `emulated_board`.
 
-    Attributes:
-        device: path that links open; empty while the cable is pulled.
-        lidar_device: path of the emulated LiDAR; None without one.
-
     Args:
-        send_signal: sends a signal to that process.
-        device: path of the board.
-        log: file of what happens at the board, one JSON line an event.
-        lidar_device: path of the emulated LiDAR.
+        send_signal: Sends a signal to that process.
+        device: Path of the board.
+        log: File of the events at the board, one JSON line for each.
+        lidar_device: Path of the emulated LiDAR.
+
+    Attributes:
+        device: Path that links open; empty while the cable is pulled.
+        lidar_device: Path of the emulated LiDAR; None without a LiDAR.
     """
 
     def __init__(
@@ -134,17 +141,19 @@ class EmulatedBoard:
     def events(self) -> list[dict[str, Any]]:
         """Return the log until now; "t" is the machine's monotonic clock [s].
 
-        An event has "rx", what clients have written; "pose", where the robot really is, once a loop
-        of the firmware, with "hit" where it touches somebody, see `worlds.crowd`; "lost", time that
-        wasn't simulated, as the computer was too busy [s]; or "device", the path after the cable
-        was pulled or plugged.
+        An event has one of these keys:
+
+        - "rx": bytes that clients have written
+        - "pose": where the robot really is, once a loop of the firmware, with "hit" if it touches
+          a mover, see `worlds.crowd`
+        - "lost": time that wasn't simulated, because the computer was too busy [s]
+        - "device": the path after the cable was pulled or plugged in
         """
         with self._log.open("rb") as log:
             log.seek(self._read_bytes)
-            lines = log.read().splitlines(keepends=True)
-        complete = [line for line in lines if line.endswith(b"\n")]
-        self._events += map(json.loads, complete)
-        self._read_bytes += sum(map(len, complete))
+            complete, end, _ = log.read().rpartition(b"\n")
+        self._events += map(json.loads, complete.splitlines())
+        self._read_bytes += len(complete + end)
         return list(self._events)
 
     def received(self) -> bytes:
@@ -153,7 +162,7 @@ class EmulatedBoard:
 
     def commands(self) -> list[Command]:
         """Return the wheel speeds of each command line until now [rad/s]."""
-        return [reading.speeds for reading in Decoder().feed(self.received())]
+        return _decode_speeds(self.received())
 
     def poses(self) -> list[tuple[float, float, float]]:
         """Return where the robot really was, once a loop of the firmware [m, m, rad]."""
@@ -173,7 +182,7 @@ class EmulatedBoard:
         """Whether the robot hasn't moved for a number of loops of the firmware.
 
         Args:
-            loops: of 5 ms by default.
+            loops: Number of loops, of 5 ms by default.
         """
         poses = self.poses()
         spread = [max(values) - min(values) for values in zip(*poses[-loops:], strict=True)]
@@ -201,9 +210,9 @@ class EmulatedBoard:
         def list_devices() -> list[str]:
             return [event["device"] for event in self.events() if "device" in event]
 
-        before = len(list_devices())
+        moves = len(list_devices())
         self._send_signal(number)
-        wait_until(lambda: len(list_devices()) > before, "a cable that moves")
+        wait_until(lambda: len(list_devices()) > moves, "a cable that moves")
         self.device = list_devices()[-1]
 
 
@@ -215,20 +224,20 @@ def emulated_board(
     world: str | Path | None = None,
     lidar: bool = False,
 ) -> Iterator[EmulatedBoard]:
-    """Emulate a board in another process, as a context manager; what `acsar-gym emulate` does.
+    """Emulate a board in another process, as a context manager, as `acsar-gym emulate` does.
 
     Args:
-        robot: the emulated robot, as `RobotConfig.of` takes it.
-        body: its physics: "planar", "bullet" or "mujoco".
-        world: at whose start the robot stands: a file, or a generated world like "clutter:7-7".
-        lidar: also emulate an RPLIDAR, at `lidar_device`.
+        robot: The emulated robot, as `RobotConfig.of` takes it.
+        body: Its physics: "planar", "bullet" or "mujoco".
+        world: World with the robot at its start: a file, or a generated world like "clutter:7-7".
+        lidar: Also emulate an RPLIDAR, at `lidar_device`.
 
     Yields:
         The board, which serves until the end of the block.
 
     Raises:
-        ConfigError: the robot can't be read.
-        LinkError: the emulator didn't start.
+        ConfigError: The robot can't be read.
+        LinkError: The emulator didn't start.
 
     Example:
         from acsar_gym import Robot, open_link
@@ -241,27 +250,33 @@ def emulated_board(
     from acsar_gym.tools.emulation.board import run_emulator  # noqa: PLC0415 - NumPy and numba
 
     with tempfile.TemporaryDirectory() as folder:
-        file, log = Path(folder, "robot.yaml"), Path(folder, "log.jsonl")
+        file = Path(folder, "robot.yaml")
+        log = Path(folder, "log.jsonl")
         RobotConfig.of(robot).save(file)
         options = ["--robot", str(file), "--body", body, "--log", str(log)]
-        options += ["--world", str(world)] if world is not None else []
-        options += ["--lidar"] if lidar else []
+        if world is not None:
+            options += ["--world", str(world)]
+        if lidar:
+            options.append("--lidar")
+
         with run_emulator(*options) as devices:
-            yield EmulatedBoard(
-                lambda number: os.kill(devices.process, number), devices.robot, log, devices.lidar
-            )
+
+            def send_signal(number: signal.Signals) -> None:
+                os.kill(devices.process, number)
+
+            yield EmulatedBoard(send_signal, devices.robot, log, devices.lidar)
 
 
 def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
     """Return when a condition holds.
 
     Args:
-        condition: asked again and again.
-        what: is waited for, in the error's words.
-        timeout: longest wait [s].
+        condition: Called again and again.
+        what: What is waited for, for the error.
+        timeout: Longest wait [s].
 
     Raises:
-        LinkError: it doesn't hold within this time.
+        LinkError: The condition doesn't hold within this time.
     """
     deadline = time.monotonic() + timeout
     while not condition():

@@ -317,11 +317,12 @@ def emulate() -> None:
 
     class QuirkyEmulator(board.Emulator):
         def __init__(self, config: RobotConfig, **options: Any) -> None:
-            def make(body: str, config: RobotConfig) -> Link:
-                return make_link(body, config, quirks)
+            super().__init__(apply_to_config(quirks, config), **options)
 
-            super().__init__(apply_to_config(quirks, config), make_link=make, **options)
+    def make(body: str, config: RobotConfig) -> Link:
+        return make_link(body, config, quirks)
 
+    board.open_link = make  # type: ignore[assignment, attr-defined]
     board.Emulator = QuirkyEmulator  # type: ignore[misc]
     main()
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import convex_pieces
+from acsar_gym.config.physics import Physics
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
@@ -35,7 +36,6 @@ from acsar_gym.physics.body import (
     prepare_opengl,
     wrap_angle,
 )
-from acsar_gym.physics.model import Physics
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
 from acsar_gym.truth import GroundTruth

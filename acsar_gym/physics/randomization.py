@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from acsar_gym.config import Measured, RobotConfig
+from acsar_gym.config.physics import Physics
 from acsar_gym.config.section import Delay, Section, value_of_wheel
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.jit import jit, loop, record_of
-from acsar_gym.physics.model import Physics, compute_physics, loop_period, turn_factor, wire_loops
+from acsar_gym.physics.model import compute_physics, loop_period, turn_factor, wire_loops
 
 Range = tuple[float, float]
 Floats = NDArray[np.float64]

@@ -6,16 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, SupportsFloat
+from typing import Any, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config.physics import Physics
 from acsar_gym.errors import WorldError, show_value
 from acsar_gym.worlds.movers import Mover, check_movers
-
-if TYPE_CHECKING:
-    from acsar_gym.physics import Physics
 
 Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
@@ -178,7 +176,7 @@ class Scene:
     start: Pose = (0.0, 0.0, 0.0)
     """x [m], y [m], theta [rad]."""
     goal: tuple[float, float] | None = None
-    """x, y [m]; None: not show_value."""
+    """x, y [m]; None: no goal."""
     world: World | None = None
     """Obstacles; None on an open floor."""
     physics: Physics | None = None

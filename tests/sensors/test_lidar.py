@@ -15,7 +15,7 @@ from acsar_gym.errors import LidarError
 from acsar_gym.lidar.scan import Revolution, Scan, make_rays
 from acsar_gym.lidar.simulated import LidarTraits, SimulatedLidar, add_errors
 from acsar_gym.links import open_link
-from acsar_gym.physics.model import Physics, compute_physics
+from acsar_gym.physics import Physics, compute_physics
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.sensors.lidar import LidarSensor

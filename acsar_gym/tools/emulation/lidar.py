@@ -1,6 +1,6 @@
 """Emulates LiDARs on serial devices: a turning head without any I/O, and a pseudo-terminal.
 
-The RPLIDAR is after SLAMTEC's "Interface Protocol and Application Notes" for the A series.
+The RPLIDAR follows SLAMTEC's "Interface Protocol and Application Notes" for the A series.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
 from acsar_gym.tools.emulation.cable import EmulatedCable
 
 Floats = NDArray[np.float64]
 Look = Callable[[Floats, Floats], Floats]
-"""Ranges [m] at bearings (N,) [rad] in the sensor's frame, counter-clockwise, each measured so long
-(N,) before the end of the period [s]."""
+"""Ranges [m] at bearings (N,) [rad] in the sensor's frame, counter-clockwise. The second argument
+is the time (N,) from each measurement to the end of the period [s]."""
 WOBBLE_TURNS = 10.0
 """Turns in which a wobbling head gets faster and slower once."""
 SYNC = 0xA5
 HAS_PAYLOAD = 0x80
-SCAN, FORCE_SCAN = 0x20, 0x21
-GET_INFO, GET_HEALTH, GET_SAMPLERATE = 0x50, 0x52, 0x59
+SCAN = 0x20
+GET_INFO = 0x50
+GET_HEALTH = 0x52
 MOTOR_PWM = 0xF0
-DEFAULT_PWM = 660
-SINGLE, MULTIPLE = 0, 1
+SINGLE = 0
+MULTIPLE = 1
 """Send modes: a single answer, or answers until the next request."""
 DEVICE_INFO = bytes((0x18, 16, 1, 7)) + bytes(range(16))
 """Model, minor and major version of the firmware, version of the hardware, serial number."""
@@ -41,29 +41,26 @@ NODE_TYPE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
 
 
 class LidarTwin:
-    """The head of an emulated LiDAR; subclasses speak a maker's language.
+    """The head of an emulated LiDAR. Subclasses speak a maker's language.
 
     Time passes only in `advance`. Devices measure at a constant rate, whatever the speed of their
-    head, which turns clockwise; those with `even_angles` at constant angles.
-
-    Attributes: `running`, whether its motor runs; `scanning`, whether it sends measurements;
-    `turns`, how many turns it has begun while it did.
+    head, which turns clockwise. Devices with `even_angles` measure at constant angles.
 
     Args:
-        look: returns the ranges.
-        rate: turns per second [Hz].
-        samples: measurements per turn.
-        max_range: ranges beyond it [m], inf and NaN count as failed measurements.
-        spin_up: time from the start of the motor to full speed [s].
-        wobble: share by which its speed rises and falls.
+        look: Returns the ranges.
+        rate: Turns per second [Hz].
+        samples: Measurements per turn.
+        max_range: Ranges beyond it [m], inf and NaN count as failed measurements.
+        spin_up: Time from the start of the motor to full speed [s].
+        wobble: Share by which its speed rises and falls.
 
-    Raises:
-        ConfigError: rate, samples, max_range or wobble is out of range.
+    Attributes:
+        running: Whether its motor runs.
+        scanning: Whether it sends measurements.
+        turns: Number of turns that it has started while it sent measurements.
     """
 
     even_angles = False
-    farthest_range = math.inf
-    """Largest distance that a measurement can encode [m]."""
 
     def __init__(
         self,
@@ -75,29 +72,23 @@ class LidarTwin:
         spin_up: float = 0.0,
         wobble: float = 0.0,
     ) -> None:
-        if not (
-            0.0 < rate < math.inf
-            and 0.0 < max_range <= self.farthest_range
-            and samples > 0
-            and 0.0 <= wobble < 1.0
-        ):
-            raise ConfigError(
-                f"rate = {rate} Hz, samples = {samples}, max_range = {max_range} m: must be "
-                f"positive, max_range at most {self.farthest_range:g} m, and wobble = {wobble} "
-                "from 0 to below 1"
-            )
         self._look = look
         self._rate = rate
         self._samples = samples
         self._max_range = max_range
         self._spin_up = spin_up
         self._wobble = wobble
-        self.running = self.scanning = True
-        self._forced = False
-        """Whether it measures at rest as well."""
-        self._now = self._spun = self._due = 0.0
-        self._count = self.turns = 0
-        """Measurements since it began to turn."""
+        self.running = True
+        self.scanning = True
+        self.turns = 0
+
+        self._now = 0.0
+        self._spun = 0.0
+        """Time since the start of the motor [s]."""
+        self._due = 0.0
+        """Measurements that are due, as a fraction of the next one."""
+        self._count = 0
+        """Measurements since it started to turn."""
 
     def receive(self, data: bytes) -> bytes:
         """Process bytes from the host."""
@@ -107,9 +98,9 @@ class LidarTwin:
         """Encode measurements.
 
         Args:
-            degrees: of the head, (N,), from its zero, as it turns.
-            ranges: (N,) [m]; 0 where nothing was measured.
-            starts: (N,), whether each is the first one of a turn.
+            degrees: Angles of the head, (N,), from its zero, in the direction in which it turns.
+            ranges: Distances (N,) [m]; 0 for a failed measurement.
+            starts: Whether each measurement is the first of a turn, (N,).
         """
         raise NotImplementedError
 
@@ -126,26 +117,30 @@ class LidarTwin:
         self._due += dt * pace
         count = int(self._due + 1e-9)
         self._due -= count
+
         turning = self.running and self._spun >= self._spin_up
         if self.running:
             self._spun += dt
-        numbers = self._count + np.arange(count + 1) * turning
-        self._count = int(numbers[-1])
-        if not (self.scanning and (turning or self._forced) and count):
+        if not turning:
             return b""
+        numbers = self._count + np.arange(count + 1)
+        self._count += count
+        if not (self.scanning and count):
+            return b""
+
         turns = numbers / self._samples
         if self._wobble and not self.even_angles:
             share = 2.0 * np.pi / WOBBLE_TURNS
             turns = turns + self._wobble / share * np.sin(turns * share)
         whole = np.floor(turns)
-        degrees = (turns - whole)[1:] * 360.0
-        ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / pace
         starts = np.diff(whole) > 0.0
         self.turns += int(starts.sum())
+        degrees = (turns - whole)[1:] * 360.0
+        ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / pace
         return self.encode(degrees, self.measure(degrees, ages), starts)
 
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
-        """Measure ranges (N,) [m] with the head at these angles; 0 where nothing is measured."""
+        """Measure ranges (N,) [m] with the head at these angles; 0 if a measurement fails."""
         ranges = self._look(-np.radians(degrees), ages)
         return np.where((ranges > 0.0) & (ranges <= self._max_range), ranges, 0.0)
 
@@ -159,28 +154,23 @@ class LidarTwin:
 class RplidarTwin(LidarTwin):
     """An emulated RPLIDAR without I/O: requests in, answers out.
 
-    The motor runs until it is set to a PWM of 0. A head at rest measures only after FORCE_SCAN.
-    EXPRESS_SCAN isn't answered, as by firmware before 1.17.
-
-    Attributes: `pwm`, of the motor, 0 to 1023.
+    The motor runs until it is set to a PWM of 0. EXPRESS_SCAN isn't answered, as by firmware
+    before 1.17.
 
     Args:
-        look: returns the ranges.
-        broken: report an error and refuse to scan ("protection stop").
-        **options: of the head, see `LidarTwin`.
+        look: Returns the ranges.
+        broken: Report an error and refuse to scan ("protection stop").
+        **options: Options of the head, see `LidarTwin`.
     """
-
-    farthest_range = 0xFFFF / 4000.0
 
     def __init__(self, look: Look, *, broken: bool = False, **options: Any) -> None:
         super().__init__(look, **options)
         self._broken = broken
-        self.pwm = DEFAULT_PWM
         self.scanning = False
         self._request = bytearray()
 
     def receive(self, data: bytes) -> bytes:
-        """Process bytes from the host; an incomplete request waits for the rest of it.
+        """Process bytes from the host. An incomplete request waits for its other bytes.
 
         Returns:
             The answers to the requests that are now complete.
@@ -190,8 +180,9 @@ class RplidarTwin(LidarTwin):
         for byte in data:
             if request or byte == SYNC:
                 request.append(byte)
-            has_payload = len(request) > 1 and request[1] & HAS_PAYLOAD
-            length = (request[2] + 4 if len(request) > 2 else 4) if has_payload else 2
+            length = 2
+            if len(request) > 1 and request[1] & HAS_PAYLOAD:
+                length = request[2] + 4 if len(request) > 2 else 4
             if len(request) == length:
                 answers += self._answer(bytes(request))
                 request.clear()
@@ -199,26 +190,24 @@ class RplidarTwin(LidarTwin):
 
     def _answer(self, request: bytes) -> bytes:
         """Execute a request and return the answer."""
-        command, payload = request[1], request[3:-1]
+        command = request[1]
         if command & HAS_PAYLOAD:
-            if functools.reduce(operator.xor, request) == 0 and command == MOTOR_PWM:
-                if self.pwm == 0:  # it spins up anew
+            is_valid = functools.reduce(operator.xor, request) == 0
+            if is_valid and command == MOTOR_PWM:
+                runs = any(request[3:5])
+                if runs and not self.running:
                     self._spun = 0.0
-                (self.pwm,) = struct.unpack("<H", payload[:2].ljust(2, b"\0"))
-                self.running = self.pwm > 0
+                self.running = runs
             return b""
-        self.scanning = self._forced = False  # any request ends a scan
-        if command in (SCAN, FORCE_SCAN) and not self._broken:
-            self.scanning, self._forced = True, command == FORCE_SCAN
+
+        self.scanning = command == SCAN and not self._broken  # any other request ends a scan
+        if self.scanning:
             return encode_descriptor(NODE_TYPE.itemsize, MULTIPLE, 0x81)
         if command == GET_INFO:
             return encode_descriptor(20, SINGLE, 0x04) + DEVICE_INFO
         if command == GET_HEALTH:
-            status = (2, 0x8001) if self._broken else (0, 0)
-            return encode_descriptor(3, SINGLE, 0x06) + struct.pack("<BH", *status)
-        if command == GET_SAMPLERATE:
-            each = min(round(1e6 / (self._rate * self._samples)), 0xFFFF)
-            return encode_descriptor(4, SINGLE, 0x15) + struct.pack("<HH", each, each)
+            health = b"\x02\x01\x80" if self._broken else bytes(3)
+            return encode_descriptor(3, SINGLE, 0x06) + health
         return b""  # STOP, RESET and unknown requests
 
     def encode(self, degrees: Floats, ranges: Floats, starts: NDArray[np.bool_]) -> bytes:
@@ -236,11 +225,7 @@ def encode_descriptor(length: int, mode: int, kind: int) -> bytes:
 
 
 class LidarEmulator:
-    """An emulated LiDAR on a pseudo-terminal; call `serve_once` periodically.
-
-    Raises:
-        ConfigError: for unknown baud rates.
-    """
+    """An emulated LiDAR on a pseudo-terminal. Call `serve_once` periodically."""
 
     def __init__(self, twin: LidarTwin, *, baud: int = 115200) -> None:
         self.twin = twin
@@ -250,7 +235,7 @@ class LidarEmulator:
     def serve_once(self, period: float) -> None:
         """Process requests, let `period` [s] pass, and send answers and measurements.
 
-        It doesn't block; data that nobody reads is dropped, as on a UART.
+        It doesn't block. Data that nobody reads is dropped, as on a UART.
         """
         request = self._cable.over_uart(self._cable.read())
         answer = self.twin.receive(request) + self.twin.advance(period)

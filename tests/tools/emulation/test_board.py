@@ -1,4 +1,4 @@
-"""The emulator as a process: its device, its log, its ends, and what its robot does."""
+"""The emulator as a process: its device, its log, its ends, and how its robot moves."""
 
 from __future__ import annotations
 
@@ -10,22 +10,14 @@ import termios
 import time
 import tty
 from pathlib import Path
-from typing import Any
 
 import pytest
-from serial_tools import (
-    TIMEOUT,
-    Emulated,
-    StartEmulator,
-    cli,
-    no_leak,
-    wait_until,
-)
+from serial_tools import TIMEOUT, Emulated, StartEmulator, cli, no_leak, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.serial import SerialLink
-from acsar_gym.protocol import Decoder, encode
+from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.tools.emulation.board import LONGEST_CATCH_UP, Emulator
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.crowd import PERSON_HIT
@@ -34,7 +26,7 @@ from acsar_gym.worlds.movers import walk
 pytestmark = pytest.mark.usefixtures("deadline")
 
 LOOP = 0.005
-"""Of the firmware [s]."""
+"""Period of the firmware's loop [s]."""
 FORWARD = encode((4.0, 4.0, 4.0, 4.0))
 
 
@@ -47,22 +39,6 @@ def wait_for_log(emulator: Emulated, until: float) -> None:
     wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
 
 
-def wait_unheard(emulator: Emulated, seconds: float) -> None:
-    """So long after the board was last told something."""
-    told = max(float(event["t"]) for event in emulator.events() if "rx" in event)
-    wait_for_log(emulator, told + seconds)
-
-
-def drive_and_fall_silent(device: str, config: RobotConfig) -> SerialLink:
-    """A client without a watchdog that sent a command and then nothing more, its port open."""
-    link = SerialLink(device, config.with_(watchdog_timeout=None))
-    link.open()
-    for _ in range(30):
-        link.write(FORWARD)
-        link.advance(config.period)
-    return link
-
-
 def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
     assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
     wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
@@ -71,7 +47,6 @@ def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -
     assert stamps == sorted(stamps)
     assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
     assert own_emulator.end() == 0
-    assert own_emulator.log.read_text(encoding="ascii").endswith("\n")
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])
@@ -79,7 +54,11 @@ def test_the_robot_stops_when_commands_stop(
     body: str, config: RobotConfig, start_emulator: StartEmulator
 ) -> None:
     emulator = start_emulator("--body", body)
-    link = drive_and_fall_silent(emulator.device, config)
+    link = SerialLink(emulator.device, config.with_(watchdog_timeout=None))
+    link.open()
+    for _ in range(30):
+        link.write(FORWARD)
+        link.advance(config.period)
     wait_until(lambda: emulator.poses()[-1][0] > 0.05, "a robot that drives")
     wait_until(emulator.stands, "a robot that stands")
     assert emulator.is_driven()
@@ -93,16 +72,17 @@ def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated) -> No
     attributes = termios.tcgetattr(port)
     attributes[4] = attributes[5] = termios.B57600
     termios.tcsetattr(port, termios.TCSAFLUSH, attributes)
-    data = b""
+
     for _ in range(10):
         os.write(port, FORWARD)
+        data = b""
         while len(data) < 200 and select.select([port], [], [], TIMEOUT)[0]:
             data += os.read(port, 4096)
         assert len(data) >= 200
         assert Decoder().feed(data) == []
-        data = b""
     wait_until(lambda: own_emulator.received() == FORWARD * 10, "all that was sent")
-    wait_unheard(own_emulator, 0.2)
+    sent = max(event["t"] for event in own_emulator.events() if "rx" in event)
+    wait_for_log(own_emulator, sent + 0.2)
     assert set(own_emulator.poses()) == {(0.0, 0.0, 0.0)}
     os.close(port)
 
@@ -126,52 +106,51 @@ def test_a_duration_ends_it(tmp_path: Path) -> None:
     assert 1 <= log.read_text(encoding="ascii").count('"pose"') <= 41
 
 
-def test_closing_it_twice_is_once_and_what_it_refuses_leaves_nothing_open(
+def test_a_log_that_cannot_be_written_is_one_line() -> None:
+    done = cli("emulate", "--duration", "0.2", "--log", "/dev/full")
+    assert done.returncode == 2
+    assert done.stderr == "acsar-gym: /dev/full: can't be written: No space left on device\n"
+
+
+def test_an_emulator_that_cannot_start_leaves_nothing_open(
     config: RobotConfig, tmp_path: Path
 ) -> None:
     (tmp_path / "kept").touch()
+    log = tmp_path / "log.jsonl"
     with no_leak():
-        with Emulator(config, log=tmp_path / "log.jsonl") as emulator:
+        with Emulator(config, log=log) as emulator:
             emulator.run(duration=0.05)
             emulator.close()
         with pytest.raises(ConfigError, match="balloon"):
             Emulator(config, body="balloon")
-        with pytest.raises(ConfigError, match="can't be written"):
-            Emulator(config, log=tmp_path / "missing" / "log.jsonl", sees=True)
         with pytest.raises(ConfigError, match="symbolic link"):
-            Emulator(config, log=tmp_path / "log.jsonl", sees=True, name=tmp_path / "kept")
-
-
-def run_loops(emulator: Emulator, count: int) -> None:
-    for _ in range(count):
-        emulator._run_loop()
-
-
-def read_log(log: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
+            Emulator(config, log=log, sees=True, name=tmp_path / "kept")
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])
-def test_the_episode_of_movers_begins_with_the_first_bytes(
+def test_the_episode_of_movers_starts_with_the_first_bytes(
     body: str, config: RobotConfig, tmp_path: Path
 ) -> None:
-    """Somebody touches the robot 0.2 s after them, and its log says who ran into whom."""
+    """A person touches the robot 0.2 s after them, and the log contains who ran into whom."""
     walker = walk([[-0.25 - config.body.length / 2.0 - 0.2, 0.0], [9.0, 0.0]], 1.0)
     scene = Scene((0.0, 0.0, 0.0), world=World(movers=(walker,)))
     log = tmp_path / "log.jsonl"
     with Emulator(config, body=body, scene=scene, log=log) as emulator:
         port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(port)
-        run_loops(emulator, 60)  # which nobody has asked for
-        os.write(port, encode((0.0, 0.0, 0.0, 0.0)))
-        run_loops(emulator, 60)
+        for _ in range(60):
+            emulator.run_loop()
+        os.write(port, encode(ZERO))
+        for _ in range(60):
+            emulator.run_loop()
         os.close(port)
-    events = read_log(log)
-    first = next(k for k, event in enumerate(events) if "rx" in event)
+
+    events = [json.loads(line) for line in log.read_text(encoding="ascii").splitlines()]
+    first = next(number for number, event in enumerate(events) if "rx" in event)
     episode = [event for event in events[first:] if "pose" in event]
-    hits = [k for k, event in enumerate(episode) if "hit" in event]
+    hits = [number for number, event in enumerate(episode) if "hit" in event]
     assert hits[0] in range(39, 43)
-    assert {episode[k]["hit"] for k in hits} == {PERSON_HIT}
-    pushed = episode[-1]["pose"][0]
-    assert pushed == pytest.approx(0.1, abs=0.02) if body == "bullet" else pushed == 0.0
+    assert {episode[number]["hit"] for number in hits} == {PERSON_HIT}
     assert max(event["pose"][0] for event in episode[:39]) < 1e-3
+    pushed = 0.1 if body == "bullet" else 0.0
+    assert episode[-1]["pose"][0] == pytest.approx(pushed, abs=0.02)

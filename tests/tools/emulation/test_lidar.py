@@ -21,61 +21,69 @@ ROOM = World(
     np.array([[-2, -1, 3, -1], [3, -1, 3, 2], [3, 2, -2, 2], [-2, 2, -2, -1]], float),
 )
 LOOPS = 200
+LOOP = 0.005
+"""Period of the firmware's loop [s]."""
 
 
-def test_each_measurement_is_from_where_the_robot_was_then() -> None:
-    """Its pose is between those of the loops, which are centimetres off."""
+def open_raw(device: str | None) -> int:
+    assert device is not None
+    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(port)
+    return port
+
+
+def test_each_measurement_is_from_where_the_robot_was_at_its_time() -> None:
+    """Its pose is between the poses of the loops, which are centimetres off."""
     config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05)
     with Emulator(config, scene=Scene(world=ROOM), sees=True) as emulator:
-        assert emulator.lidar_device is not None
-        ports = [
-            os.open(name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            for name in (emulator.device, emulator.lidar_device)
-        ]
-        for port in ports:
-            tty.setraw(port)
-        os.write(ports[1], b"\xa5\x20")
-        poses, heard = [emulator._poses[1]], b""
+        board = open_raw(emulator.device)
+        lidar = open_raw(emulator.lidar_device)
+        os.write(lidar, b"\xa5\x20")
+        poses = [emulator._pose]
+        received = b""
         for _ in range(LOOPS):
-            os.write(ports[0], encode((15.0, -15.0, -15.0, 15.0)))
-            emulator._run_loop()
-            poses.append(emulator._poses[1])
-            heard += os.read(ports[1], 4096)
-        for port in ports:
-            os.close(port)
-    data = heard[7:]  # what answers the request
-    points = [library.parse_node(data[at : at + 5])[0] for at in range(0, len(data) - 4, 5)]
+            os.write(board, encode((15.0, -15.0, -15.0, 15.0)))
+            emulator.run_loop()
+            poses.append(emulator._pose)
+            received += os.read(lidar, 4096)
+        os.close(board)
+        os.close(lidar)
+
+    data = received[7:]  # without the answer to the request
+    points = [library.parse_node(data[i : i + 5])[0] for i in range(0, len(data) - 4, 5)]
     bearings = -np.radians([point.angle_deg for point in points])
     measured = np.array([point.dist_mm for point in points]) / 1000.0
     times = np.arange(1, len(points) + 1) / (LIDAR_SAMPLES * config.lidar.rate)
-    ends = np.arange(LOOPS + 1) / config.firmware.loop_rate
+    ends = np.arange(LOOPS + 1) * LOOP
     x, y, theta = np.array(poses).T
     theta = np.unwrap(theta)
     assert abs(theta[-1]) > 1.0
 
     def errors(when: np.ndarray) -> np.ndarray:
-        at_x, at_y, heading = (np.interp(when, ends, values) for values in (x, y, theta))
-        cos, sin = np.cos(heading), np.sin(heading)
-        place = at_x + cos * 0.1 + sin * 0.05, at_y + sin * 0.1 - cos * 0.05
-        return np.abs(measured - measure_ranges(place, bearings + heading, ROOM))
+        heading = np.interp(when, ends, theta)
+        cos = np.cos(heading)
+        sin = np.sin(heading)
+        place_x = np.interp(when, ends, x) + cos * 0.1 + sin * 0.05
+        place_y = np.interp(when, ends, y) + sin * 0.1 - cos * 0.05
+        return np.abs(measured - measure_ranges((place_x, place_y), bearings + heading, ROOM))
 
     assert errors(times).max() < 0.003
-    assert errors(np.ceil(times / 0.005 - 1e-9) * 0.005).max() > 0.01
+    assert errors(np.ceil(times / LOOP - 1e-9) * LOOP).max() > 0.01
 
 
-def test_measurements_meet_movers_where_they_were_then() -> None:
+def test_measurements_meet_movers_where_they_were_at_their_time() -> None:
     """The walker goes 15 cm in a control period, of 20 loops."""
     config = RobotConfig(lidar_x_offset=0.0, lidar_y_offset=0.0, control_rate=10.0)
     walker = walk([[1.0, -2.0], [1.0, 2.0]], 1.5, pauses=[0.1, 0.0])
     world = World(movers=(walker,))
-    bearings, ages, met = np.linspace(-1.2, 1.2, 49), np.linspace(0.005, 0.0, 49), 0
+    bearings = np.linspace(-1.2, 1.2, 49)
+    ages = np.linspace(LOOP, 0.0, 49)
+    met = 0
     with Emulator(config, scene=Scene(world=world), sees=True) as emulator:
-        assert emulator._lidar is not None
         for loop in range(1, 400):
-            emulator._run_loop()
-            ranges = emulator._lidar.twin._look(bearings, ages)
-            times = (loop * 0.005 - ages).tolist()
-            places = np.array([[walker.position(time)] for time in times])
+            emulator.run_loop()
+            ranges = emulator._look(bearings, ages)
+            places = np.array([[walker.position(loop * LOOP - age)] for age in ages.tolist()])
             expected = measure_ranges((0.0, 0.0), bearings, world, places)
             met += np.isfinite(expected).sum()
             if loop > 20:  # until then it stands

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, explain_error
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
@@ -37,6 +41,15 @@ class EmulatorFiles:
     name: File = None
     """Symbolic link that always points to the current device."""
     force: Force = False
+
+
+@contextlib.contextmanager
+def _name_write_errors(log: Path | None) -> Iterator[None]:
+    """Turn an OSError inside the block, for example of a full disk, into a ConfigError."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{log}: can't be written: {explain_error(error)}") from error
 
 
 @command("emulate", "robots")
@@ -75,15 +88,18 @@ def emulate_board(
         world = next(iter(Pool.of(source, None, radius, 1, height) or ()), World())
         start = world.start.x, world.start.y, world.start.theta or 0.0
         scene = Scene(start, world=world, key=place.key)
-    with Emulator(
-        config,
-        body=body,
-        log=files.log,
-        silent=silent,
-        scene=scene,
-        sees=lidar,
-        name=files.name,
-    ) as emulator:
+    with (
+        _name_write_errors(files.log),
+        Emulator(
+            config,
+            body=body,
+            log=files.log,
+            silent=silent,
+            scene=scene,
+            sees=lidar,
+            name=files.name,
+        ) as emulator,
+    ):
         # A list, because an exception that is raised in a signal handler can be lost.
         ended: list[int] = []
         signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
