@@ -69,9 +69,9 @@ def __getattr__(name: str) -> Any:
         if error.name != home:
             raise
         raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}") from error
-    found = getattr(module, name) if name in _HOMES else module
-    globals()[name] = found
-    return found
+    value = getattr(module, name) if name in _HOMES else module
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -226,9 +226,9 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
         # Name the last line in the user's own file, and not a line in a library that it calls.
         frames = traceback.extract_tb(error.__traceback__)
         users = [frame for frame in frames if not frame.filename.startswith(_PACKAGE)] or frames
-        method, file = users[0].name, users[0].filename
+        file = users[0].filename
         line = [frame.lineno for frame in users if frame.filename == file][-1]
-        message = f"{method}() raised {format_error(error)} ({file}:{line})"
+        message = f"{users[0].name}() raised {format_error(error)} ({file}:{line})"
         raise kind(f"{source()}: {message}") from error
 
 

@@ -9,15 +9,19 @@ from acsar_gym.jit import loop
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
-_BITS = 9007199254740992.0  # 2^53, which scales doubles in [0, 1) to integers
+_S11 = np.uint64(11)
+_S27 = np.uint64(27)
+_S30 = np.uint64(30)
+_S31 = np.uint64(31)
+_BITS = 2.0**53
+"""Scales doubles in [0, 1) to integers."""
 
 
 @loop
 def hash_sample(key: float, number: int) -> float:
     """Uniform random number in [0, 1) of these inputs only: SplitMix64 (Steele, Lea, Flood, 2014).
 
-    So a single robot and the robots of a batch draw the same one, in any order.
+    So a single robot and the robots of a batch draw the same number, in any order.
     """
     word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST

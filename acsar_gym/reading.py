@@ -293,13 +293,13 @@ def import_object(what: str, name: str) -> Any:
     field = f"{what} = {show_value(name)}"
     must = "must be like 'module:Class'"
     module, _, attribute = name.partition(":")
-    if not all(part.isidentifier() for part in f"{module}.{attribute}".split(".")):
+    if not all(word.isidentifier() for word in f"{module}.{attribute}".split(".")):
         raise ConfigError(f"{field}: {must}")
 
     try:
         value: Any = importlib.import_module(module)
-        for part in attribute.split("."):
-            value = getattr(value, part)
+        for word in attribute.split("."):
+            value = getattr(value, word)
     except AcsarError:
         raise
     except (ImportError, AttributeError) as error:
@@ -313,7 +313,7 @@ def import_object(what: str, name: str) -> Any:
 def object_name(kind: type | FunctionType) -> str | None:
     """Return the "module:name" that imports a class or function; None for a local one."""
     value: Any = sys.modules.get(kind.__module__)
-    for part in kind.__qualname__.split("."):
-        value = getattr(value, part, None)
+    for word in kind.__qualname__.split("."):
+        value = getattr(value, word, None)
     is_importable = value is kind and kind.__module__ != "__main__"
     return f"{kind.__module__}:{kind.__qualname__}" if is_importable else None

@@ -29,42 +29,18 @@ class SceneChoice:
     """Worlds, robots and score of one set of an id's scenes, for `acsar-gym benchmark`."""
 
     worlds: str | None = None
-    """Generator of the worlds, such as "clutter" or "mine.module:corridors", or their folder; ""
-    is an open floor, None the task's own default."""
+    """Generator of the worlds, such as "clutter" or "mine.module:corridors", or their folder. An
+    empty name is an open floor, None the default of the task."""
     robots: tuple[str, ...] = ("acsar",)
     """Presets, files, or robots drawn by number, each of which drives the scenes."""
     score: str = ""
-    """What scores an episode that succeeds: "completion_time", "cross_track", "success", or one of
-    the numbers that the task tells; see `tools.benchmark.figures.score_episode`. "" is
-    "completion_time" where the task says its shortest path, otherwise "success"."""
+    """Score of an episode that succeeds: "completion_time", "cross_track", "success", or a number
+    that the task reports; see `tools.benchmark.figures.score_episode`. An empty name is
+    "completion_time" if the task has a shortest path, otherwise "success"."""
 
 
-TWO_ROBOTS = ("acsar", "jackal")
-THREE_ROBOTS = (*TWO_ROBOTS, "husky")
-UNSEEN_ROBOTS = tuple(f"drawn:{number}" for number in range(2000, 2005))
-"""Robots drawn at random that no policy was trained on."""
-SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {
-    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS, "completion_time")},
-    "acsar_gym/ObstacleGoal-v1": {
-        "clutter": SceneChoice("clutter", THREE_ROBOTS, "completion_time"),
-        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS, "completion_time"),
-    },
-    "acsar_gym/Barn-v1": {
-        "barn": SceneChoice("barn", score="barn_score_own"),
-        "barn-fast": SceneChoice("barn", ("jackal",), "barn_score"),
-        "barn-husky": SceneChoice("barn", ("husky",), "barn_score_own"),
-        "barn-unseen": SceneChoice("barn", UNSEEN_ROBOTS, "barn_score_own"),
-    },
-    "acsar_gym/Crowd-v0": {
-        "crowd": SceneChoice("crowd", TWO_ROBOTS, "completion_time"),
-        "crowd-reacting": SceneChoice("crowd_reacting", TWO_ROBOTS, "completion_time"),
-    },
-    "acsar_gym/DynaBarn-v0": {"dynabarn": SceneChoice("dynabarn", TWO_ROBOTS, "completion_time")},
-    "acsar_gym/PathFollow-v0": {"path": SceneChoice("smooth_path", THREE_ROBOTS, "cross_track")},
-}
-"""The benchmark's sets of scenes by id and name."""
-
-
+SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {}
+"""Sets of scenes of users' own tasks by id and name, for `acsar-gym benchmark`."""
 REGISTER_OPTIONS = ("task", "max_episode_steps", "reward_threshold", "scenes")
 """What `register` itself takes, for messages."""
 
@@ -81,38 +57,37 @@ def register(
     """Register a user's own task with Gymnasium: one id for a single env and for batches.
 
     Args:
-        id: such as "mine/Clearance-v0".
-        task: the class of the task, a subclass of `acsar_gym.Task`, or "module:Class".
-        max_episode_steps: time limit of an episode [steps]; None is none.
-        reward_threshold: mean return from which the task counts as solved.
-        scenes: the sets of scenes that `acsar-gym benchmark` drives, by name, as the fields of a
-            `SceneChoice`, such as {"fast": {"robots": ["jackal"], "score": "laps"}}; by default
-            one, "test", in the task's own worlds.
-        **options: defaults of the env's and the task's options, such as worlds="clutter:train".
-            Those that only a single env has (lidar, on_fault, view) don't count in a batch, and
-            those that only a batch has (autoreset_mode, threads) not in a single env.
+        id: Name with a namespace, such as "mine/Clearance-v0".
+        task: Class of the task, a subclass of `acsar_gym.Task`, or "module:Class".
+        max_episode_steps: Time limit of an episode [steps]; None for no limit.
+        reward_threshold: Mean return from which the task counts as solved.
+        scenes: Sets of scenes that `acsar-gym benchmark` drives, by name, as the fields of a
+            `SceneChoice`, such as {"fast": {"robots": ["jackal"], "score": "laps"}}. By default
+            one set, "test", in the worlds of the task.
+        **options: Defaults of the env's and the task's options, such as worlds="clutter:train".
+            Options that only a single env has (lidar, on_fault, view) don't count in a batch, and
+            options that only a batch has (autoreset_mode, threads) don't count in a single env.
 
     Raises:
-        ConfigError: where `task` isn't a class of tasks, `scenes` has other fields, or nothing has
-            such an option.
+        ConfigError: `task` isn't a class of tasks, `scenes` has other fields, or neither env nor
+            task has such an option.
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
     from acsar_gym.reading import import_object  # noqa: PLC0415
     from acsar_gym.tasks.factory import importable_task  # noqa: PLC0415
     from acsar_gym.tasks.options import check_register_options, split_by_mode  # noqa: PLC0415
 
-    chosen = {}
-    for name, given in (scenes or {}).items():
+    choices = {}
+    for name, fields in (scenes or {}).items():
         try:
-            chosen[name] = SceneChoice(
-                **{**given, "robots": tuple(given.get("robots", ("acsar",)))}
-            )
+            robots = tuple(fields.get("robots", ("acsar",)))
+            choices[name] = SceneChoice(**{**fields, "robots": robots})
         except (TypeError, AttributeError) as error:
             raise ConfigError(f"{id}: scenes {name!r}: {error}") from error
     kind = import_object("task", task) if isinstance(task, str) else task
     named = importable_task(kind)
     check_register_options(id, kind, options, REGISTER_OPTIONS)
-    SCENE_CHOICES[id] = chosen or {"test": SceneChoice()}
+    SCENE_CHOICES[id] = choices or {"test": SceneChoice()}
     gymnasium.register(
         id=id,
         entry_point="acsar_gym.envs.robot_env:RobotEnv",

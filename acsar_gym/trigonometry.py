@@ -1,4 +1,4 @@
-"""Sine and cosine for compiled loops, several times as fast as the C library's."""
+"""Sine, cosine and angle for compiled loops, several times as fast as the C library's."""
 
 from __future__ import annotations
 
@@ -31,13 +31,15 @@ def sincos(theta: float) -> tuple[float, float]:
     c = z * c + 2.48015872894767294178e-05
     c = z * c - 1.38888888888741095749e-03
     c = 1.0 - 0.5 * z + z * z * (z * c + 4.16666666666666019037e-02)
+
     quarter = turns - 4.0 * np.floor(turns * 0.25)
     swap = quarter in (1.0, 3.0)
-    sine, cosine = (c if swap else s), (s if swap else c)
-    return (
-        -sine if quarter >= 2.0 else sine,
-        -cosine if quarter in (1.0, 2.0) else cosine,
-    )
+
+    sine = c if swap else s
+    cosine = s if swap else c
+    sine = -sine if quarter >= 2.0 else sine
+    cosine = -cosine if quarter in (1.0, 2.0) else cosine
+    return sine, cosine
 
 
 def cos_sin(theta: float) -> tuple[float, float]:
@@ -63,7 +65,8 @@ def angle_of(x: float, y: float) -> float:
     Branchless so that loops vectorize: the polynomial of Hastings (Approximations for Digital
     Computers, 1955; Abramowitz and Stegun 4.4.49) for the ratio of the lesser to the greater side.
     """
-    ahead, across = abs(x), abs(y)
+    ahead = abs(x)
+    across = abs(y)
     ratio = min(ahead, across) / (max(ahead, across) + 1e-300)
     z = ratio * ratio
     angle = z * 0.0028662257 - 0.0161657367
@@ -74,6 +77,7 @@ def angle_of(x: float, y: float) -> float:
     angle = z * angle + 0.1999355085
     angle = z * angle - 0.3333314528
     angle = ratio + ratio * z * angle
+
     angle = 0.5 * math.pi - angle if across > ahead else angle
     angle = math.pi - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle

@@ -1,4 +1,4 @@
-"""What only a simulator knows."""
+"""Ground truth of a simulation."""
 
 from __future__ import annotations
 
@@ -23,4 +23,4 @@ class GroundTruth:
     """Whether the robot has touched an obstacle since the reset; checked at the end of every
     tick."""
     crowd: Crowd | None = None
-    """What moves around the robot; None where nothing does."""
+    """The movers around the robot; None without movers."""

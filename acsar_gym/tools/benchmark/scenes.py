@@ -66,6 +66,31 @@ OPEN_FLOOR_SEEDS = {
 WORLD_SPLITS = {TRAIN: registry.TRAIN, VALIDATION: registry.VALIDATION, TEST: registry.BENCHMARK}
 _FILE = Path(__file__).with_name("scenes.json")
 
+TWO_ROBOTS = ("acsar", "jackal")
+THREE_ROBOTS = (*TWO_ROBOTS, "husky")
+UNSEEN_ROBOTS = tuple(f"drawn:{number}" for number in range(2000, 2005))
+"""Robots drawn at random that no policy was trained on."""
+PACKAGED_CHOICES: dict[str, dict[str, SceneChoice]] = {
+    "acsar_gym/PointGoal-v0": {"open": SceneChoice("", THREE_ROBOTS, "completion_time")},
+    "acsar_gym/ObstacleGoal-v1": {
+        "clutter": SceneChoice("clutter", THREE_ROBOTS, "completion_time"),
+        "clutter-unseen": SceneChoice("clutter", UNSEEN_ROBOTS, "completion_time"),
+    },
+    "acsar_gym/Barn-v1": {
+        "barn": SceneChoice("barn", score="barn_score_own"),
+        "barn-fast": SceneChoice("barn", ("jackal",), "barn_score"),
+        "barn-husky": SceneChoice("barn", ("husky",), "barn_score_own"),
+        "barn-unseen": SceneChoice("barn", UNSEEN_ROBOTS, "barn_score_own"),
+    },
+    "acsar_gym/Crowd-v0": {
+        "crowd": SceneChoice("crowd", TWO_ROBOTS, "completion_time"),
+        "crowd-reacting": SceneChoice("crowd_reacting", TWO_ROBOTS, "completion_time"),
+    },
+    "acsar_gym/DynaBarn-v0": {"dynabarn": SceneChoice("dynabarn", TWO_ROBOTS, "completion_time")},
+    "acsar_gym/PathFollow-v0": {"path": SceneChoice("smooth_path", THREE_ROBOTS, "cross_track")},
+}
+"""The benchmark's sets of scenes by id and name."""
+
 
 @dataclass(frozen=True)
 class SceneSet:
@@ -213,7 +238,9 @@ def split_numbers(source: str, split: str) -> range:
 
 
 SCENES: Mapping[str, Scenes] = {
-    name: Scenes.of(name, next(iter(SCENE_CHOICES[f"{OWN_NAMESPACE}{name}"].values())).worlds or "")
+    name: Scenes.of(
+        name, next(iter(PACKAGED_CHOICES[f"{OWN_NAMESPACE}{name}"].values())).worlds or ""
+    )
     for name in IDS
 }
 """The scenes by id, without its namespace."""
@@ -234,7 +261,8 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
     Raises:
         ConfigError: it isn't an environment of acsar_gym, or its worlds can't be found.
     """
-    choices = SCENE_CHOICES.get(strip_module(find_id(env_id)), {"test": SceneChoice()})
+    name = strip_module(find_id(env_id))
+    choices = PACKAGED_CHOICES.get(name) or SCENE_CHOICES.get(name) or {"test": SceneChoice()}
     found = []
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds

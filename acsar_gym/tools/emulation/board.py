@@ -263,6 +263,7 @@ def run_emulator(*arguments: str) -> Iterator[EmulatedDevices]:
     """
     command = [sys.executable, "-c", EMULATOR_PROGRAM, "emulate", *arguments]
     pipe = subprocess.PIPE
+
     with subprocess.Popen(
         command, stdin=pipe, stdout=pipe, text=True, start_new_session=True
     ) as process:

@@ -132,10 +132,10 @@ class LidarTwin:
         if self._wobble and not self.even_angles:
             share = 2.0 * np.pi / WOBBLE_TURNS
             turns = turns + self._wobble / share * np.sin(turns * share)
-        whole = np.floor(turns)
-        starts = np.diff(whole) > 0.0
+        complete = np.floor(turns)
+        starts = np.diff(complete) > 0.0
         self.turns += int(starts.sum())
-        degrees = (turns - whole)[1:] * 360.0
+        degrees = (turns - complete)[1:] * 360.0
         ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / pace
         return self.encode(degrees, self.measure(degrees, ages), starts)
 
