@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import errno
 import os
 import re
 import socket
@@ -24,27 +23,18 @@ import weakref
 from pathlib import Path
 from typing import NamedTuple
 
-from acsar_gym.errors import (
-    MORE_FILES_ADVICE,
-    EmergencyStopError,
-    LinkError,
-    SafetyWarning,
-    escape_unprintable,
-)
+from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.streams import print_error
 
-SHARED_FOLDER = Path("/tmp")  # noqa: S108 - only a folder in it that belongs to the user is used
-"""Parent of the folder with the sockets. Unlike XDG_RUNTIME_DIR it is the same in services and in
-terminals, and remains when the user logs out."""
-FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"  # environment variable: another parent
-MAX_FOLDER_PATH = 80  # bytes, as the address of a socket has at most 103 on every system
+FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
+"""Environment variable: parent of the folder with the sockets. It is /tmp by default, which, unlike
+XDG_RUNTIME_DIR, is the same in services and terminals, and remains when the user logs out."""
 OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, the same in every terminal"
 """What to do if the folder can't be used."""
 
 STOP = b"stop"
 RELEASE = b"release"
 MAX_REQUEST_BYTES = 64
-MAX_REQUESTS = 8  # requests that are read in one tick
 
 STOPPED = b"stopped"  # answer to a stop: all connected robots have been commanded to stop
 HELD = b"held"  # answer to a stop: no robot is connected, and none will be driven
@@ -67,35 +57,29 @@ NO_DRIVERS = (
     "the robots of another user"
 )
 
-ANSWER_TIMEOUT = 2.0  # longest wait for answers [s]; a control loop answers within a tick
-RESEND_PERIOD = 0.01  # a request is sent again this long after it met a full queue [s]
-STARTING_TIME = 1.0  # a socket refuses requests just before it listens; if it is older, forever [s]
+ANSWER_TIMEOUT = 2.0  # longest wait for answers [s]. A control loop answers within a tick
+STARTING_TIME = 1.0  # a younger socket that refuses requests may be about to listen [s]
 
 
 def make_folder() -> Path:
-    """Return the folder of this user's sockets; it is created if it doesn't exist.
+    """Return the folder of this user's sockets, and create it if it doesn't exist.
 
     Raises:
         LinkError: It can't be created, or other users have access to it.
     """
-    if not hasattr(socket, "AF_UNIX") or not hasattr(os, "getuid"):
+    if os.name != "posix":
         raise LinkError("this operating system has no local sockets", "stop with Ctrl-C")
-    parent = Path(os.environ.get(FOLDER_VARIABLE) or SHARED_FOLDER)
-    folder = parent / f"acsar_gym-{os.getuid()}"
+    name = f"acsar_gym-{os.getuid()}"
+    folder = Path(os.environ.get(FOLDER_VARIABLE) or "/tmp", name)  # noqa: S108 - it is checked
     if not folder.is_absolute():
         raise LinkError(f"{folder}: isn't an absolute path", OTHER_FOLDER)
-    if len(os.fsencode(folder)) > MAX_FOLDER_PATH:
-        raise LinkError(
-            f"{folder}: too long for the address of a socket",
-            f"set {FOLDER_VARIABLE} to a folder with a shorter path",
-        )
 
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = folder.lstat()
     except OSError as error:
-        why = f"{folder}: can't be created: {error.strerror}"
-        raise LinkError(why, OTHER_FOLDER) from error
+        raise LinkError(f"{folder}: can't be created: {error.strerror}", OTHER_FOLDER) from error
+
     is_private = stat.S_ISDIR(status.st_mode) and not status.st_mode & 0o077
     if not is_private or status.st_uid != os.getuid():
         raise LinkError(
@@ -105,31 +89,30 @@ def make_folder() -> Path:
 
 
 def _bind_socket(name: str) -> socket.socket:
-    """Return a socket in the folder; LinkError if there can't be one.
+    """Return a socket in the folder, whose name has a random number at its end.
 
-    A random number follows its name, as processes in containers can have the same ID.
+    Processes in containers can have the same ID.
+
+    Raises:
+        LinkError: There can't be a socket.
     """
     path = make_folder() / f"{name}-{os.urandom(5).hex()}"
+    bound = None
     try:
         bound = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        try:
-            bound.setblocking(False)
-            bound.bind(str(path))
-        except OSError:
-            bound.close()
-            raise
+        bound.setblocking(False)
+        bound.bind(str(path))
     except OSError as error:
-        has_no_files = error.errno in (errno.EMFILE, errno.ENFILE)
-        fix = MORE_FILES_ADVICE if has_no_files else OTHER_FOLDER
-        raise LinkError(f"{path}: no socket: {error.strerror}", fix) from error
+        if bound is not None:
+            bound.close()
+        raise LinkError(f"{path}: no socket: {error.strerror or error}", OTHER_FOLDER) from error
     return bound
 
 
 def _close_socket(bound: socket.socket) -> None:
-    path = bound.getsockname()
-    bound.close()
     with contextlib.suppress(OSError):
-        os.unlink(path)  # noqa: PTH108 - it is a string
+        os.unlink(bound.getsockname())  # noqa: PTH108 - it is a string
+    bound.close()
 
 
 class _Process:
@@ -141,13 +124,11 @@ class _Process:
         self.socket: socket.socket | None = None
         self._lock = threading.RLock()
         self._listeners: weakref.WeakSet[StopListener] = weakref.WeakSet()
-        self._stopping: list[str] = []
+        self._waiting: list[str] = []
         """Addresses that wait for the answer to a stop."""
-        self._answers: list[tuple[bytes, str]] = []
-        """Answers that haven't been sent, and their addresses."""
 
     def listen(self) -> None:
-        """Open the socket if it isn't open; `fault` is the reason if that fails."""
+        """Open the socket, unless it is open. If that fails, `fault` is the reason."""
         with self._lock:
             if self.socket is not None:
                 return
@@ -158,7 +139,7 @@ class _Process:
                 self.fault = error
 
     def add(self, listener: StopListener) -> None:
-        """Listen for one robot more."""
+        """Listen for a robot."""
         with self._lock:
             self._listeners.add(listener)
             self.listen()
@@ -181,49 +162,42 @@ class _Process:
                 self.socket = None
 
     def read_requests(self) -> None:
-        """Take the requests that have arrived, and answer what has been done; doesn't block."""
+        """Read the requests that have arrived, and answer if that is due, without blocking."""
         with self._lock:
-            if self.socket is None:
-                return
-            with contextlib.suppress(OSError):  # there is no request
-                for _ in range(MAX_REQUESTS):
+            while self.socket is not None:
+                try:
                     request, address = self.socket.recvfrom(MAX_REQUEST_BYTES)
-                    if request == STOP:
-                        self.hold()
-                        self._stopping.append(address)
-                    elif request == RELEASE:
-                        self._answers.append((RELEASED if self.is_held else FREE, address))
-                        self.is_held = False
-            if self._stopping or self._answers:
-                self._answer(self.socket)
-                self._close_if_unused()
+                except OSError:  # there is none
+                    break
+                if request == STOP:
+                    self.hold()
+                    self._waiting.append(address)
+                elif request == RELEASE:
+                    answer = RELEASED if self.is_held else FREE
+                    self.is_held = False
+                    self._answer(answer, address)
+                    self._close_if_unused()
 
-    def _answer(self, bound: socket.socket) -> None:
-        """Send answers; if a receiver's queue is full, the next call tries again."""
-        if not any(listener.is_pending for listener in self._listeners):
-            is_connected = any(listener.is_connected for listener in self._listeners)
-            answer = STOPPED if is_connected else HELD
-            self._answers += [(answer, address) for address in self._stopping]
-            self._stopping.clear()
+            if self._waiting and not any(listener.is_pending for listener in self._listeners):
+                is_connected = any(listener.is_connected for listener in self._listeners)
+                for address in self._waiting:
+                    self._answer(STOPPED if is_connected else HELD, address)
+                self._waiting.clear()
 
-        for answer, address in self._answers.copy():
-            try:
-                bound.sendto(answer, address)
-            except BlockingIOError:
-                continue
-            except (OSError, TypeError):  # the asking process has ended, or has no address
-                pass
-            self._answers.remove((answer, address))
+    def _answer(self, answer: bytes, address: str) -> None:
+        with contextlib.suppress(OSError, TypeError):  # the sender has ended, or has no address
+            if self.socket is not None:
+                self.socket.sendto(answer, address)
 
     def hold(self) -> None:
-        """Stop all connected robots at their next tick, and let nothing drive until a release."""
+        """Stop all robots of this process. Nothing drives until a person releases the stop."""
         with self._lock:
             self.is_held = True
             for listener in self._listeners:
                 listener.is_pending = listener.is_connected
 
     def release(self) -> None:
-        """Let robots drive after their next reset."""
+        """Release the stop of this process: its robots drive after their next reset."""
         with self._lock:
             self.is_held = False
             self._close_if_unused()
@@ -241,13 +215,14 @@ _process = _Process()
 atexit.register(_process.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_process.leave_parent)
+hold_process = _process.hold
+release_process = _process.release
 
 
 class StopListener:
     """Receives emergency stops for a robot.
 
-    If no socket can be opened, it receives nothing, and `unavailable` is the reason: a robot must
-    be drivable on such a computer.
+    If no socket can be opened, it receives nothing: a robot must be drivable on such a computer.
 
     Attributes:
         is_connected: Whether the robot is connected, so that an answer waits for its stop.
@@ -259,16 +234,11 @@ class StopListener:
         self.is_pending = False
         _process.add(self)
 
-    @property
-    def unavailable(self) -> str:
-        """Why no stop can be received; empty if it can."""
-        return str(_process.fault or "")
-
     def warn(self) -> None:
         """Warn (SafetyWarning) if no stop can be received."""
-        if self.unavailable:
-            message = f"'acsar-gym estop' can't stop this robot: {self.unavailable}"
-            warnings.warn(message, SafetyWarning, 5)
+        if _process.fault is not None:
+            message = f"'acsar-gym estop' can't stop this robot: {_process.fault}"
+            warnings.warn(message, SafetyWarning, stacklevel=5)
 
     def connect(self) -> None:
         """Call when the robot is connected. A stop that holds the process stops it as well."""
@@ -276,7 +246,7 @@ class StopListener:
         self.is_pending = _process.is_held
 
     def is_requested(self) -> bool:
-        """Return whether the robot must be stopped; doesn't block."""
+        """Return whether the robot must be stopped, without blocking."""
         _process.read_requests()
         return self.is_pending
 
@@ -296,27 +266,17 @@ class StopListener:
         _process.remove(self)
 
 
-def hold_process() -> None:
-    """Stop all connected robots of this process; none drives until a person releases the stop."""
-    _process.hold()
-
-
 def is_held() -> bool:
     """Return whether an emergency stop holds this process."""
     return _process.is_held
 
 
 def check_released() -> None:
-    """Raise EmergencyStopError if a stop holds this process; a person has to release it."""
+    """Raise EmergencyStopError if a stop that no person has released holds this process."""
     _process.read_requests()
     if _process.is_held:
         _process.listen()  # for the release, as a held process may have no robot yet
         raise EmergencyStopError
-
-
-def release_process() -> None:
-    """Release the stop of this process: its robots drive after their next reset."""
-    _process.release()
 
 
 def try_listening() -> Path:
@@ -326,9 +286,9 @@ def try_listening() -> Path:
         LinkError: It can't receive any.
     """
     with contextlib.closing(StopListener()):
-        if _process.socket is None:
-            raise _process.fault or LinkError("no socket")
-        return Path(_process.socket.getsockname()).parent
+        if _process.fault is not None:
+            raise _process.fault
+        return make_folder()
 
 
 def check_available(device: str) -> None:
@@ -336,12 +296,12 @@ def check_available(device: str) -> None:
     try:
         try_listening()
     except LinkError as error:
-        why = f"{device}: 'acsar-gym estop' couldn't stop this robot: {error.found}"
-        raise LinkError(why, error.fix) from error
+        message = f"{device}: 'acsar-gym estop' couldn't stop this robot: {error.found}"
+        raise LinkError(message, error.fix) from error
 
 
 class Answer(NamedTuple):
-    """The answer of a process that drives real robots; empty if there was none in time."""
+    """The answer of a process that drives real robots, which is empty if none came in time."""
 
     process: int
     text: bytes
@@ -364,53 +324,46 @@ def release_all() -> list[Answer]:
 def _ask_processes(request: bytes) -> list[Answer]:
     folder = make_folder()
     names = [path.name for path in folder.iterdir() if re.fullmatch("[0-9]+-[0-9a-f]+", path.name)]
-    answers = dict.fromkeys(names, b"")
-    unsent = names
     try:
         asker = _bind_socket("estop")
     except LinkError:  # as on a full disk: requests are sent, but no answers come
         asker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    asker.settimeout(RESEND_PERIOD)
+        asker.setblocking(False)
+    answers = {name: b"" for name in names if _send_request(asker, folder / name, request)}
 
     deadline = time.monotonic() + ANSWER_TIMEOUT
     while not all(answers.values()) and time.monotonic() < deadline:
-        unsent = [
-            name for name in unsent if not _send_request(asker, folder / name, request, answers)
-        ]
-        with contextlib.suppress(OSError, TypeError):  # no answer, or of a process without address
+        asker.settimeout(max(deadline - time.monotonic(), 0.0))
+        with contextlib.suppress(OSError, TypeError):  # none came, or without an address
             text, address = asker.recvfrom(MAX_REQUEST_BYTES)
             answers[Path(address).name] = text
     _close_socket(asker)
     return sorted(Answer(int(name.partition("-")[0]), text) for name, text in answers.items())
 
 
-def _send_request(
-    asker: socket.socket, path: Path, request: bytes, answers: dict[str, bytes]
-) -> bool:
-    """Send a request, and return whether that is finished: it isn't if the queue is full.
-
-    A process that doesn't listen is removed from the answers; if it is dead, its socket as well.
-    """
+def _send_request(asker: socket.socket, path: Path, request: bytes) -> bool:
+    """Send a request, and return whether a process listens. Sockets of the dead are removed."""
     try:
         asker.sendto(request, str(path))
-    except TimeoutError:
-        return False
+    except BlockingIOError:  # it hasn't read earlier requests
+        pass
     except OSError:
-        del answers[path.name]
         with contextlib.suppress(OSError):
             if time.time() - path.stat().st_mtime > STARTING_TIME:
                 path.unlink()
+        return False
     return True
 
 
 def run_command(*, release: bool = False) -> int:
-    """Run `acsar-gym estop`: stop robots, or release them; returns the exit code."""
+    """Run `acsar-gym estop`: stop robots, or release them. Returns the exit code."""
     request = RELEASE if release else STOP
     try:
         answers = _ask_processes(request)
     except LinkError as error:
-        print_error(f"acsar-gym: {escape_unprintable(str(error))}")
+        print_error(f"acsar-gym: {error}")
         return error.exit_code
+
     for answer in answers:
         print(f"process {answer.process}: {REPORTS.get(answer.text, SILENCE_REPORTS[request])}")
     if not answers:

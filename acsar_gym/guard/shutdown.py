@@ -18,6 +18,7 @@ command on. A forked child closes its copies of the ports without sending anythi
 from __future__ import annotations
 
 import atexit
+import concurrent.futures.thread  # noqa: F401 - adds its hook before ours, see below
 import contextlib
 import os
 import signal
@@ -45,18 +46,16 @@ class Closable(Protocol):
         """Close without sending anything."""
 
 
-@dataclass(slots=True)
+@dataclass
 class _State:
     """What forbids driving. Plain values, as a signal handler that takes a lock can deadlock.
 
     Attributes:
-        is_hooked: Whether the end of the main thread closes the links.
         is_ending: Whether the program ends: nothing drives any more.
         is_interrupted: Whether Ctrl-C was pressed, and the main thread hasn't started again.
         is_delivered: Whether code that ends the drive has seen the KeyboardInterrupt of it.
     """
 
-    is_hooked: bool = False
     is_ending: bool = False
     is_interrupted: bool = False
     is_delivered: bool = False
@@ -77,7 +76,7 @@ def check_may_start() -> None:
         LinkError: As for `check_may_drive`.
     """
     install_handlers()
-    if _state.is_interrupted and threading.current_thread() is threading.main_thread():
+    if _state.is_interrupted and _is_main_thread():
         _note_delivery()
         if not _state.is_delivered:
             _state.is_delivered = True
@@ -97,12 +96,16 @@ def check_may_drive() -> None:
         raise LinkError("the program is about to end", "nothing drives any more: start it again")
     if not _state.is_interrupted:
         return
-    if threading.current_thread() is threading.main_thread():
+    if _is_main_thread():
         raise KeyboardInterrupt
     raise LinkError(
         "SIGINT asked the program to end, and a thread drove on",
         "to go on, call activate() or env.reset() in the main thread",
     )
+
+
+def _is_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def _note_delivery() -> None:
@@ -111,21 +114,8 @@ def _note_delivery() -> None:
 
 
 def install_handlers() -> None:
-    """Watch for the end of the program.
-
-    Signals are handled if this is the main thread, and the program has no handler for them.
-
-    `atexit` is too late for the end of the main thread: threads that drive are joined before it,
-    and other handlers may run first. There is no public hook. This is the one with which
-    `concurrent.futures` joins its threads; the hook that was added last is called first.
-    """
-    if not _state.is_hooked:
-        _state.is_hooked = True
-        try:
-            threading._register_atexit(_close_links)  # type: ignore[attr-defined]  # noqa: SLF001
-        except RuntimeError:  # the main thread has ended
-            _state.is_ending = True
-    if threading.current_thread() is not threading.main_thread():
+    """Handle signals for which the program has no handler, if this is the main thread."""
+    if not _is_main_thread():
         return
     for name, handler in _HANDLERS.items():
         number = getattr(signal, name, None)
@@ -144,7 +134,7 @@ def close_at_exit(link: Closable) -> None:
 
 
 def call_at_end(work: Callable[[], None]) -> None:
-    """Call `work` when the process ends, after the links were closed; once for each function."""
+    """Call `work` when the process ends, after the links were closed. Once for each function."""
     _last.add(work)
 
 
@@ -155,8 +145,7 @@ def forget_link(link: Closable) -> None:
 
 
 def _open_links() -> list[Closable]:
-    links = [reference() for reference in list(_open.values())]
-    return [link for link in links if link is not None]
+    return [link for reference in list(_open.values()) if (link := reference()) is not None]
 
 
 def close_all() -> None:
@@ -171,7 +160,7 @@ def close_all() -> None:
 
 
 def _close_links() -> None:
-    """Stop all open links, then close them, even if some of that fails; nothing drives any more."""
+    """Stop all open links, then close them, even if some of that fails. Nothing drives any more."""
     _state.is_ending = True
     with contextlib.ExitStack() as stack:
         for link in _open_links():
@@ -240,5 +229,9 @@ def _in_child() -> None:
 
 
 atexit.register(close_all)
+# `atexit` is too late for the end of the main thread: threads that drive are joined before it.
+# There is no public hook. This is the hook with which `concurrent.futures` joins its threads. It is
+# imported first, as the function that was added last is called first.
+threading._register_atexit(_close_links)  # type: ignore[attr-defined]  # noqa: SLF001
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_child)

@@ -3,7 +3,7 @@
 Code inside a process can't stop a robot while the process doesn't run. So a link starts
 `watchdog_child.py`, which shares the open port, ignores the terminal's signals, and
 
-- commands zero as soon as the program is dead, seven times, and then releases the port;
+- commands zero as soon as the program is dead, seven times, and then releases the port,
 - commands zero if the newest command turns wheels and the program gave no sign of life for the
   time-out, and again every 50 ms for a second. The link then refuses to drive until it is reset.
 
@@ -22,27 +22,26 @@ POSIX only: Windows processes can't share an open port in this way (see `WATCHDO
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import mmap
 import os
-import select
+import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import IO
 
-from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
+from acsar_gym.errors import BUSY_HINT, LinkError
 
 WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
-CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s]; usually 20 ms and 1 ms
+CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s], usually 20 ms and 1 ms
 ASLEEP_TIME = 0.2  # it is suspended if it ran in none of this driving time, or its time-out [s]
 LONGEST_TICK = 0.05
-"""Most driving time counted between two commands [s]; a stalled machine delays both processes."""
+"""Most driving time counted between two commands [s], as a stall delays both processes."""
 BEATS_PER_TIMEOUT = 3  # signs of life that a link gives in each time-out while it waits
 CHILD_PROGRAM = Path(__file__).resolve().with_name("watchdog_child.py")
-STANDING_BEAT = 0.0
 
 if WATCHDOG_AVAILABLE:
     from acsar_gym.guard.watchdog_child import (
@@ -64,17 +63,17 @@ class Watchdog:
 
     Args:
         zeros: Zero command.
-        timeout: Longest time between two signs of life while wheels turn [s]; None if there is to
-            be no watchdog.
+        timeout: Longest time between two signs of life while wheels turn [s]. None: there is
+            no watchdog.
 
     Attributes:
         page: Memory that both processes share, see `watchdog_child`.
-        is_started: Whether it was started and not closed since; it may have died.
+        is_started: Whether it was started and not closed since. It may have died.
     """
 
     page: memoryview[float]
     _process: subprocess.Popen[bytes]
-    _ready: int
+    _channel: socket.socket
 
     def __init__(self, zeros: bytes, timeout: float | None) -> None:
         self._zeros = zeros
@@ -83,17 +82,13 @@ class Watchdog:
         self._can_start = timeout is not None and WATCHDOG_AVAILABLE
         self._resources = contextlib.ExitStack()
         self.is_started = False
-        self._forget_drive()
-
-    def _forget_drive(self) -> None:
         self._is_driving = False
-        self._is_reset = False
         self._last_awake = 0.0
         self._last_drive = 0.0
         self._unseen_time = 0.0
 
     def start(self, port: int | None) -> None:
-        """Start the process, unless time-out or port are missing; LinkError if that fails."""
+        """Start the process, unless time-out or port are missing. LinkError if that fails."""
         if port is not None:
             command = (sys.executable, "-I", "-S", str(CHILD_PROGRAM))
             self.launch(command, (str(port), self._zeros.hex()), inherited=(port,))
@@ -105,70 +100,62 @@ class Watchdog:
         inherited: Sequence[int] = (),
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        """Start a process that watches; see `watchdog_child.join_program`.
+        """Start a process that watches (see `watchdog_child.join_program`).
 
         Args:
             command: Program.
             arguments: Arguments that it gets after those of every watchdog.
             inherited: Descriptors that it shares.
-            environment: Environment of the process; None for that of this process.
+            environment: Environment of the process, by default that of this process.
 
         Raises:
             LinkError: It can't be started.
         """
         if not self._can_start:
             return
-        self._forget_drive()
+        self._unseen_time = 0.0
         try:
-            with contextlib.ExitStack() as shared, contextlib.ExitStack() as kept:
-                page = _create_shared_page()
-                shared.callback(os.close, page)
-                watched, lifeline = os.pipe()
-                shared.callback(os.close, watched)
-                kept.callback(os.close, lifeline)
-                self._ready, ready = os.pipe()
-                shared.callback(os.close, ready)
-                kept.callback(os.close, self._ready)
-                memory = mmap.mmap(page, PAGE_SIZE)
-                kept.callback(memory.close)
-                self.page = memoryview(memory).cast("d")
-                kept.callback(self.page.release)
+            with contextlib.ExitStack() as kept:
+                self._channel, shared_end = socket.socketpair()
+                kept.enter_context(self._channel)
+                with shared_end, _open_shared_page() as page:
+                    page.truncate(PAGE_SIZE)
+                    memory = kept.enter_context(mmap.mmap(page.fileno(), PAGE_SIZE))
+                    self.page = kept.enter_context(memoryview(memory).cast("d"))
+                    shared = (page.fileno(), shared_end.fileno())
+                    common = map(str, (*shared, os.getpid(), self._timeout))
 
-                # In a new session, and without TTYs and pipes of this program: it would hold them.
-                common = map(str, (page, watched, ready, os.getpid(), self._timeout))
-                self._process = subprocess.Popen(
-                    [*command, *common, *arguments],
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    cwd="/",
-                    pass_fds=(page, watched, ready, *inherited),
-                    start_new_session=True,
-                    env=environment,
-                )
+                    # A new session, and none of this program's TTYs and pipes: it would hold them.
+                    self._process = subprocess.Popen(
+                        [*command, *common, *arguments],
+                        stdin=subprocess.DEVNULL,
+                        stdout=subprocess.DEVNULL,
+                        stderr=subprocess.DEVNULL,
+                        cwd="/",
+                        pass_fds=(*shared, *inherited),
+                        start_new_session=True,
+                        env=environment,
+                    )
                 self._resources = kept.pop_all()
                 self.is_started = True
         except (OSError, subprocess.SubprocessError) as error:
             raise _start_error(str(error)) from error
 
     def wait_ready(self, timeout: float = CHILD_TIMEOUT) -> None:
-        """Wait until it watches, at most for the time-out [s]; LinkError if that fails."""
+        """Wait until it watches, at most for the time-out [s]. LinkError if that fails."""
         if not self.is_started:
             return
-        pipe = select.poll()
-        pipe.register(self._ready, select.POLLIN)
-        if not pipe.poll(1000.0 * timeout):
-            raise _start_error("it doesn't answer")
+        self._channel.settimeout(timeout)
         try:
-            answer = os.read(self._ready, 1)
+            answer = self._channel.recv(1)
         except OSError as error:
-            raise _start_error("another thread closed it") from error
+            raise _start_error(f"no answer: {error}") from error
         if not answer:
             raise _start_error("it ended at once")
 
     @property
     def pid(self) -> int | None:
-        """Its PID; None if there is none."""
+        """Its PID, or None if it isn't started."""
         return self._process.pid if self.is_started else None
 
     @property
@@ -189,7 +176,7 @@ class Watchdog:
         return self.is_started and self.page[TRIPPED] != 0.0
 
     def beat(self) -> None:
-        """Give a sign of life while wheels turn; trips if the last sign is too old."""
+        """Give a sign of life while wheels turn. Trips if the last sign is too old."""
         if not self.is_started or not self._is_driving or self.page[TRIPPED]:
             return
         now = boot_clock()
@@ -200,7 +187,7 @@ class Watchdog:
             self.page[BEAT] = now
 
     def allow_drive(self) -> None:
-        """Call before a command that turns wheels; LinkError if it tripped, or doesn't run."""
+        """Call before a command that turns wheels. LinkError if it tripped, or doesn't run."""
         if not self.is_started:
             return
         self.note_drive()
@@ -223,7 +210,7 @@ class Watchdog:
             )
 
     def note_drive(self) -> None:
-        """Call after a command that turns wheels; LinkError if the robot was stopped meanwhile."""
+        """Call after a command that turns wheels. LinkError if the robot was stopped meanwhile."""
         if not self.is_started:
             return
         if not self._is_driving and not self.page[TRIPPED]:
@@ -244,26 +231,25 @@ class Watchdog:
         self._is_driving = False
         if not self.is_started:
             return
-        if self._is_reset:
+        if self.page[STOOD]:
             self.page[STOOD] = boot_clock()
         if not self.page[TRIPPED]:
-            self.page[BEAT] = STANDING_BEAT
+            self.page[BEAT] = 0.0
 
     def rearm(self) -> None:
-        """Allow driving again; from now on the last zero command is repeated.
+        """Allow driving again. From now on the last zero command is repeated.
 
         Not earlier, as the bootloader of a starting board may interpret any byte.
         """
         if not self.is_started:
             return
         self._is_driving = False
-        self._is_reset = True
         self.page[STOOD] = boot_clock()
-        self.page[BEAT] = STANDING_BEAT  # before TRIPPED, or it would trip on the old value
+        self.page[BEAT] = 0.0  # before TRIPPED, or it would trip on the old value
         self.page[TRIPPED] = 0.0
 
     def close(self) -> None:
-        """End the process, and wait for that; it sends nothing. Idempotent."""
+        """End the process, which sends nothing, and wait for that. Idempotent."""
         if not self.is_started:
             return
         self.page[LEAVE] = 1.0
@@ -288,21 +274,15 @@ class Watchdog:
         self._resources.close()
 
 
-def _create_shared_page() -> int:
+def _open_shared_page() -> IO[bytes]:
     if sys.platform == "linux":
-        page = os.memfd_create("acsar-watchdog")
-    else:
-        with tempfile.TemporaryFile() as file:
-            page = os.dup(file.fileno())
-    os.ftruncate(page, PAGE_SIZE)
-    return page
+        return open(os.memfd_create("acsar-watchdog"), "r+b")
+    return tempfile.TemporaryFile()
 
 
 def _start_error(reason: str) -> LinkError:
-    if any(os.strerror(code) in reason for code in (errno.EMFILE, errno.ENFILE)):
-        return LinkError(f"the watchdog can't be started ({reason})", MORE_FILES_ADVICE)
     return LinkError(
         f"the watchdog can't be started ({reason})",
-        f"check that {sys.executable or 'a Python'} can run {CHILD_PROGRAM}; "
-        "watchdog_timeout=None drives without one",
+        f"check that {sys.executable} can run {CHILD_PROGRAM}; watchdog_timeout=None drives "
+        "without one",
     )

@@ -3,7 +3,7 @@
 `watchdog.Watchdog` runs this file as a script. It imports nothing of this package, to start in 20
 ms. It shares the open port with the program, and a page of memory in which the program stores the
 time of its last sign of life. The watchdog checks that four times per time-out, and stores a sign
-of life as well. A pipe whose other end is held by the program only reports its death at once.
+of life as well. A lifeline, whose other end only the program holds, reports its death at once.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from functools import partial
 
 SLOTS = 5
 BEAT, TRIPPED, LEAVE, STOOD, AWAKE = range(SLOTS)
-"""Slots of the page; 8-byte doubles, which are stored atomically. Times: `boot_clock` [s].
+"""Slots of the page: 8-byte doubles, which are stored atomically. Times: `boot_clock` [s].
 
-BEAT: time of the program's last sign of life; 0 while the newest command is zero.
-TRIPPED: age of that when the robot was stopped [s]; 0 if it wasn't.
+BEAT: Time of the program's last sign of life, or 0 while the newest command is zero.
+TRIPPED: Age of that sign when the robot was stopped [s], or 0 if it wasn't stopped.
 LEAVE: 1 if the watchdog must end, as the program closes the port.
-STOOD: time of the program's last zero command; 0 before its first reset.
-AWAKE: time at which the watchdog last ran.
+STOOD: Time of the program's last zero command, or 0 before its first reset.
+AWAKE: Time at which the watchdog last ran.
 """
 PAGE_SIZE = 8 * SLOTS
 
 CHECKS_PER_TIMEOUT = 4
-LONGEST_SLEEP = 0.05  # between two checks [s]; the program takes it for suspended after a few
+LONGEST_SLEEP = 0.05  # between two checks [s]. After a few the program takes it for suspended
 ZERO_INTERVAL = 0.1  # interval of repeating the zero command of a program that sends nothing [s]
 
 WRITE_ATTEMPTS = 4  # while the program writes to the port
 WRITE_PAUSE = 0.0005  # between them [s]
 REPEAT_INTERVAL = 0.05  # interval of repeated zero commands [s], as some may be lost
 HANG_ZEROS = 21  # number of zero commands while the program hangs
-DEATH_ZEROS = 7  # number of zero commands after the program died; then the port is released
+DEATH_ZEROS = 7  # number of zero commands after the program died, before the port is released
 IGNORED_SIGNALS = ("SIGHUP", "SIGINT", "SIGQUIT", "SIGTERM", "SIGTSTP", "SIGTTIN", "SIGTTOU")
 
 
 def boot_clock() -> float:
-    """Return the time [s]; unlike `time.monotonic`, it goes on while the computer is suspended."""
+    """Return the time [s]. Unlike `time.monotonic`, it goes on while the computer is suspended."""
     return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
 
 
 def stop_robot(descriptor: int, zeros: bytes) -> None:
-    """Send the zero command to a port; if the port is stuck, unsent bytes are discarded."""
+    """Send the zero command to a port. If the port is stuck, unsent bytes are discarded."""
     with contextlib.suppress(OSError, termios.error):
         for _ in range(WRITE_ATTEMPTS):
             with contextlib.suppress(BlockingIOError):
@@ -85,16 +85,16 @@ class ProgramWatch:
         """Watch until the program closes the port, or is dead and zeros have been sent.
 
         Args:
-            lifeline: Descriptor of a pipe that the program's death closes.
-            parent: PID of the program, whose children may hold the pipe as well.
+            lifeline: Descriptor of a socket that the program's death closes.
+            parent: PID of the program, whose children may hold its other end as well.
         """
-        pipe = select.poll()
-        pipe.register(lifeline, select.POLLIN)
+        death = select.poll()
+        death.register(lifeline, select.POLLIN)
         pace = min(self._timeout / CHECKS_PER_TIMEOUT, LONGEST_SLEEP)
         due = boot_clock() + pace
         while not self._page[LEAVE]:
             wait = math.ceil(1000.0 * max(0.0, due - boot_clock()))
-            if pipe.poll(wait) or os.getppid() != parent:
+            if death.poll(wait) or os.getppid() != parent:
                 self._stop_for_good()
                 return
             now = boot_clock()
@@ -109,7 +109,7 @@ class ProgramWatch:
             time.sleep(REPEAT_INTERVAL)
 
     def check(self, now: float) -> float:
-        """Command zero if that is due; returns the time of the next check."""
+        """Command zero if that is due, and return the time of the next check."""
         tripped = self._page[TRIPPED]
         if not tripped:
             beat = self._page[BEAT]
@@ -141,33 +141,26 @@ class ProgramWatch:
 
 
 def join_program(make_stop: Callable[[list[str]], Callable[[], None]]) -> None:
-    """Run a watchdog; it writes a byte to `ready` when it watches.
+    """Run a watchdog, which writes a byte to the lifeline when it watches.
 
-    The first arguments: page, lifeline, ready (descriptors), parent (PID), time-out [s]. The others
-    are for `make_stop`, which returns what commands zero.
+    The first arguments: page, lifeline (descriptors), parent (PID), time-out [s]. The others are
+    for `make_stop`, which returns what commands zero.
     """
     for name in IGNORED_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
-    page, lifeline, ready, parent = map(int, sys.argv[1:5])
-    timeout = float(sys.argv[5])
+    page, lifeline, parent = map(int, sys.argv[1:4])
+    timeout = float(sys.argv[4])
     with contextlib.suppress(OSError, AttributeError):  # ahead of the program, if that is allowed
         priority = os.sched_getparam(0).sched_priority + 1
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
     memory = memoryview(mmap.mmap(page, PAGE_SIZE)).cast("d")
-    watch = ProgramWatch(memory, timeout, make_stop(sys.argv[6:]))
+    watch = ProgramWatch(memory, timeout, make_stop(sys.argv[5:]))
     with contextlib.suppress(OSError):
-        os.write(ready, b".")
-    os.close(ready)
+        os.write(lifeline, b".")
     watch.run(lifeline, parent)
     os._exit(0)
 
 
-def share_port(arguments: list[str]) -> Callable[[], None]:
-    """Return what stops a robot, given the descriptor of its port and its zero command."""
-    descriptor, zeros = arguments
-    return partial(stop_robot, int(descriptor), bytes.fromhex(zeros))
-
-
 if __name__ == "__main__":
-    join_program(share_port)
+    join_program(lambda port: partial(stop_robot, int(port[0]), bytes.fromhex(port[1])))

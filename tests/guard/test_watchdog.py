@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import time
 import tty
 from collections.abc import Callable, Iterator
 
@@ -72,17 +71,14 @@ def test_zeros_are_repeated_only_while_the_program_sends_nothing(
     check: Check, zeros: list[float], page: memoryview[float]
 ) -> None:
     check(100.0)
-    assert not zeros
-    for milliseconds in range(0, 1000, 10):
-        now = 100.0 + 0.001 * milliseconds
-        if milliseconds < 500:  # the program commands zero
-            page[STOOD] = now
-        check(now)
-        assert milliseconds > 500 or not zeros
-    assert len(zeros) == 5
-    page[BEAT] = 101.0
-    check(101.05)
-    assert len(zeros) == 5
+    assert not zeros, "before the first reset"
+    page[STOOD] = 100.0
+    for step in range(50):
+        check(100.0 + 0.01 * step)
+    assert len(zeros) == 4
+    page[BEAT] = 100.5
+    check(100.55)
+    assert len(zeros) == 4
 
 
 @pytest.fixture
@@ -96,38 +92,23 @@ def wire() -> Iterator[tuple[int, int]]:
     os.close(slave)
 
 
-def start_watchdog(port: int, timeout: float = HASTY) -> Watchdog:
-    dog = Watchdog(ZEROS, timeout)
-    dog.start(port)
-    dog.wait_ready()
-    return dog
-
-
 @pytest.fixture
 def dog(wire: tuple[int, int]) -> Iterator[Watchdog]:
     """A watchdog that watches this process."""
     with no_leak():
-        dog = start_watchdog(wire[1])
-        pid = dog.pid
+        dog = Watchdog(ZEROS, HASTY)
+        dog.start(wire[1])
+        dog.wait_ready()
+        pid = dog.pid or 0
         yield dog
         dog.close()
         dog.close()
-    assert pid is not None
     assert not psutil.pid_exists(pid)
 
 
-def read_until_quiet(descriptor: int, wait: float) -> bytes:
-    """Return what arrives until nothing has come for a time [s]."""
+def read_until_quiet(descriptor: int) -> bytes:
     data = b""
-    while select.select([descriptor], [], [], wait)[0]:
-        data += os.read(descriptor, 4096)
-    return data
-
-
-def read_zeros(descriptor: int, count: int) -> bytes:
-    """Return what arrives until it contains a number of zero commands."""
-    data = b""
-    while data.count(ZEROS) < count:
+    while select.select([descriptor], [], [], 2.0 * HASTY)[0]:
         data += os.read(descriptor, 4096)
     return data
 
@@ -135,35 +116,24 @@ def read_zeros(descriptor: int, count: int) -> bytes:
 def test_it_trips_commands_zero_for_a_second_and_can_be_armed_again(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
-    start = time.monotonic()
-    dog.allow_drive()
-    commands = read_zeros(wire[0], 1)
-    assert time.monotonic() - start >= HASTY
-    assert dog.has_tripped
-    dog.beat()
-    with pytest.raises(LinkError):
+    for _ in range(2):
         dog.allow_drive()
-    commands += read_zeros(wire[0], HANG_ZEROS - 1)
-    assert commands + read_until_quiet(wire[0], 0.2) == ZEROS * HANG_ZEROS
-    dog.rearm()
-    assert not dog.has_tripped
-    dog.allow_drive()
-    assert read_zeros(wire[0], 1)
+        assert read_until_quiet(wire[0]) == ZEROS * HANG_ZEROS
+        assert dog.has_tripped
+        dog.beat()
+        with pytest.raises(LinkError):
+            dog.allow_drive()
+        dog.rearm()
+        assert not dog.has_tripped
 
 
-@pytest.mark.parametrize(("timeout", "stall", "longest"), [(0.15, 0.14, 0.2), (HASTY, 0.3, HASTY)])
 def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
-    timeout: float,
-    stall: float,
-    longest: float,
-    wire: tuple[int, int],
-    page: memoryview[float],
-    monkeypatch: pytest.MonkeyPatch,
+    dog: Watchdog, page: memoryview[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that stalled has held up the program as well, and doesn't count."""
-    dog = start_watchdog(wire[1], timeout)
     monkeypatch.setattr(dog, "page", page)  # which no process updates
     now = 100.0
+    monkeypatch.setattr(watchdog, "boot_clock", lambda: now)
 
     def drive_until(end: float, step: float) -> None:
         nonlocal now
@@ -171,15 +141,12 @@ def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
             now += step
             dog.allow_drive()
 
-    monkeypatch.setattr(watchdog, "boot_clock", lambda: now)
-    drive_until(100.0 + 2.9 * stall, step=stall)
-    stood = now
-    with pytest.raises(LinkError, match=rf"hasn't run for {longest}[0-9] s"):
+    drive_until(100.5, step=0.4 * HASTY)
+    assert dog.is_alive
+    with pytest.raises(LinkError, match=r"hasn't run for 0\.5[0-9] s"):
         drive_until(200.0, step=0.01)
-    assert now < stood + longest + 0.1
+    assert now < 101.1
     assert not dog.is_alive, "it is replaced at the reset"
-    monkeypatch.undo()
-    dog.close()
 
 
 def test_a_gap_that_the_program_finds_first_trips(
@@ -194,7 +161,7 @@ def test_a_gap_that_the_program_finds_first_trips(
     with pytest.raises(LinkError, match=r"30[0-9]{2} ms"):
         dog.allow_drive()
     monkeypatch.undo()
-    assert read_zeros(wire[0], HANG_ZEROS)
+    assert read_until_quiet(wire[0]) == ZEROS * HANG_ZEROS
 
 
 def test_it_makes_way_if_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
@@ -204,17 +171,7 @@ def test_it_makes_way_if_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog)
             os.write(wire[1], b"x" * 4096)
     dog.allow_drive()
     wait_until(lambda: dog.has_tripped, "a trip")
-    assert read_zeros(wire[0], 1)
-
-
-def test_a_lost_port_does_not_end_it() -> None:
-    unwritable = os.open(os.devnull, os.O_RDONLY)
-    dog = start_watchdog(unwritable, 0.05)
-    dog.allow_drive()
-    wait_until(lambda: dog.has_tripped, "a trip")
-    assert dog.is_alive
-    dog.close()
-    os.close(unwritable)
+    assert ZEROS in read_until_quiet(wire[0])
 
 
 STARTING = """
@@ -236,6 +193,5 @@ def test_after_the_program_s_death_it_commands_zero_and_releases_the_port(
     with program(STARTING, os.ttyname(wire[1]), ZEROS.hex()) as process:
         pid = int(first_line(process))
         process.kill()
-        assert read_zeros(wire[0], DEATH_ZEROS) == ZEROS * DEATH_ZEROS
+        assert read_until_quiet(wire[0]) == ZEROS * DEATH_ZEROS
         wait_until(lambda: not psutil.pid_exists(pid), "its end")
-    assert read_until_quiet(wire[0], 0.1) == b""
