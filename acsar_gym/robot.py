@@ -33,7 +33,7 @@ from acsar_gym.links.lateness import EpisodeStopwatch, EpisodeTiming
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.safety.layer import Safety
-from acsar_gym.safety.wheel_watch import WheelWatch
+from acsar_gym.safety.wheel_check import WheelCheck
 from acsar_gym.sensors import Factory, Sensor, Sensors
 from acsar_gym.sensors.suite import sensor_factories
 from acsar_gym.wire import Wire
@@ -152,7 +152,7 @@ class Robot:
         self._polls_sensors = self.sensors.clocked
         self._stops: StopListener | None = None
         self._stopwatch: EpisodeStopwatch | None = None
-        self._wheel_check: WheelWatch | None = None
+        self._wheel_check: WheelCheck | None = None
         self._is_held = False
         self._has_warned = False
 
@@ -241,7 +241,7 @@ class Robot:
             gc.collect()  # it takes 60 ms, so do it before the wheels turn
             self._stopwatch = EpisodeStopwatch(self.config)
         if self.link.is_real and self.config.wheel_check:
-            self._wheel_check = WheelWatch(self.config, self.link.device or "DEVICE")
+            self._wheel_check = WheelCheck(self.config, self.link.device or "DEVICE")
 
         self.sensors.reset(scene, rng)
         self._observer.after_reset(self)
@@ -333,7 +333,7 @@ class Robot:
             stopwatch.heard(self.link.arrivals, self.wire.stamp)
 
     def _check_wheels(
-        self, check: WheelWatch, speeds: Speeds | None, duration: float, *, fresh: bool
+        self, check: WheelCheck, speeds: Speeds | None, duration: float, *, fresh: bool
     ) -> None:
         """Compare measured with commanded speeds; WheelError quotes what the board reports."""
         if speeds is None:

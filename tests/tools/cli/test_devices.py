@@ -124,7 +124,7 @@ def lame(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
     ("quirk", "twist", "said"),
     [
         ("runaway=a", ("--linear", "0.05"), "front_right turns too fast"),
-        # By test_wheel_watch it "answers front_left's command"; by late lines it may be too slow.
+        # By test_wheel_check it "answers front_left's command"; by late lines it may be too slow.
         ("swapped-encoders", ("--linear", "0.4", "--angular", "1.2"), "rad/s commanded"),
         ("feedback-factor=9.55", ("--linear", "0.05"), "turns too fast"),
     ],
