@@ -259,13 +259,13 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str]]:
     speeds: list[float | None] = [None, None, None, None]
     refusals = []
     # An unpadded number next to numbers that are padded with zeros has lost a digit.
-    is_padded = any(len(part) == 7 and part[2:3] == b"0" for part in parts)
+    is_padded = any(len(text) == 7 and text[2:3] == b"0" for text in parts)
 
-    for part in parts:
-        padded = _PADDED.fullmatch(part)
-        match = padded or _UNPADDED.fullmatch(part)
+    for text in parts:
+        padded = _PADDED.fullmatch(text)
+        match = padded or _UNPADDED.fullmatch(text)
         if match is None or (is_padded and not padded and match[3][:1].isdigit()):
-            refusals.append(_explain_refusal(part))
+            refusals.append(_explain_refusal(text))
             continue
 
         letter, direction, digits = match.groups()
@@ -273,7 +273,7 @@ def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str]]:
         value = float(digits)
         speed = 0.0 + value if direction == b"p" else 0.0 - value  # no negative zero
         if padded and len(_CACHED_PARTS[motor]) < _MAX_CACHED:
-            _CACHED_PARTS[motor][part] = speed
+            _CACHED_PARTS[motor][text] = speed
         if speeds[motor] is not None:
             refusals.append("duplicate motor")
         speeds[motor] = speed

@@ -146,6 +146,7 @@ class Robot:
         )
         self.wire = Wire(self.link, self.config)
         self.safety = Safety(self.config)
+
         self.shares: list[tuple[Speeds, float]] = []
         self.lateness: float | None = None
         self.active = False

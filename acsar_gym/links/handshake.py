@@ -15,7 +15,8 @@ LINE_CHARACTERS = frozenset(b"abcdpn0123456789.,+- ")  # bytes of a line
 MAX_SHOWN_BYTES = 40  # most received bytes that a message shows
 BOARD_POLL = 0.01  # interval of polling for lines [s]
 ECHO_INTERVAL = 0.03  # interval of the probes whose echo is looked for [s]
-ECHO_WAIT, ECHO_TIMEOUT = 0.1, 0.5  # shortest and longest wait for an echo [s]
+ECHO_WAIT = 0.1  # shortest wait for an echo [s]
+ECHO_TIMEOUT = 0.5  # longest wait for one [s]
 ECHO_LINES = 3  # lines of feedback after which a board without an echo is believed
 MIN_VALID_LINES = 3  # so many valid lines prove that the baud rate is right
 MAX_RESET_DAMAGE = 10  # a reset board leaves fewer damaged parts, a bad cable more
@@ -101,14 +102,15 @@ def echo_error(device: str) -> LinkError:
 
 def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board in use that has sent no valid feedback for `age` [s]."""
-    newest = shown_bytes(decoder.partial or decoder.sample)
     is_interrupted = bool(decoder.partial or decoder.damaged)
     if is_interrupted and decoder.lines >= MIN_VALID_LINES and decoder.damaged < MAX_RESET_DAMAGE:
         return BoardSilentError(
             f"no feedback for {age:.2f} s, the board stopped in the middle of a line after "
-            f"{newest}: it was reset, hangs, or has lost its power",
+            f"{shown_bytes(decoder.partial or decoder.sample)}: it was reset, hangs, or has lost "
+            "its power",
             "check its power supply, which motors may draw down, and its program's watchdog",
         )
+
     if _is_garbled(decoder):
         return BoardGarbledError(
             f"no valid feedback line for {age:.2f} s, but "

@@ -37,7 +37,8 @@ WRITE_TIMEOUT = 0.2  # a socket that accepts no bytes for this time is lost [s]
 WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
 """Pauses between attempts to write while another process, such as the watchdog, writes [s]."""
 BUSY_TIMEOUT = 0.7  # the watchdog of a killed program keeps its port for less than this [s]
-OPEN_PAUSE, MAX_OPEN_PAUSE = 0.02, 0.1  # pause between attempts to open a port, which doubles [s]
+OPEN_PAUSE = 0.02  # first pause between attempts to open a port [s]
+MAX_OPEN_PAUSE = 0.1  # longest pause; each is twice the one before [s]
 READ_CHUNK = 4096  # bytes read from the port by one call
 MAX_READ_CHUNKS = 256  # chunks per read: enough for a driver's buffer, but no endless stream
 DRAIN_TIMEOUT = 0.05  # longest wait for sent bytes to leave the port when it is closed [s]
@@ -206,10 +207,12 @@ def _opening_error(device: str, error: Exception) -> LinkError:
     """Translate an exception of opening a port."""
     code = getattr(error, "errno", None)
     ports = ", ".join(port.device for port in find_ports()) or "none"
+
     if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or isinstance(error, FileNotFoundError):
         return LinkError(f"{device}: no such device", f"serial ports here: {ports}")
     if errno.ENOTTY in getattr(error.__context__, "args", ()):  # of termios
         return LinkError(f"{device}: isn't a serial port", f"serial ports here: {ports}")
+
     if code in (errno.EACCES, errno.EPERM):
         return LinkError(
             f"{device}: permission denied",
