@@ -22,116 +22,69 @@ ERRORS = [
     ("run 1 0 --link bulet", 2, "did you mean 'bullet'?"),
     ("run 1 0 --link serial --yes", 2, "serial_port"),
     ("run 1 0 --link socket://127.0.0.1:1 --yes", 3, "socket://127.0.0.1:1"),
-    ("run 1 0 --link socket://127.0.0.1:1", 2, "add --yes"),
-    ("run 1 0 --link replay:missing.mcap", 2, "missing.mcap"),
     ("run 1 0 --link replay:notes.txt", 2, "notes.txt: "),
     ("run 50 0 --link planar", 2, "goal = (50, 0)"),
     ("run 1 0 --link planar --robot acsr", 2, "did you mean 'acsar'?"),
-    ("run 1 0 --link planar --policy missing.onnx", 2, "missing.onnx: "),
     ("run 1 0 --link planar --policy odd.onnx", 2, "odd.onnx: "),
-    ("run 1 0 --link planar --record no/tape.mcap", 2, "no/tape.mcap: "),
     ("run 1 0 --link planar --record /dev/full", 2, "/dev/full: "),
     ("run 1 0 --link planar --env maze", 2, "`Maze` doesn't exist"),
     ("run 1 0 --realtime 99", 2, "real-time priority = 99"),
-    ("run 1 0 --late-share 2 --link planar", 2, "late_share = 2.0"),
     ("evaluate --link planar --episodes 0", 2, "--episodes"),
     (f"evaluate --link planar --episodes {HUGE}", 2, "--episodes 1000"),
     (f"evaluate --link planar --seed {HUGE}", 2, "--seed 1000"),
     (f"evaluate --link {MISSING} --episodes 1", 3, f"{MISSING}: "),
-    ("evaluate --cores 4095", 2, "cores = 4095"),
     ("evaluate --workers 0 --link planar", 2, "--workers 0"),
-    ("evaluate --workers 2 --link /dev/ttyUSB7", 2, "--workers"),
-    ("evaluate --address auto --link replay:old.mcap", 2, "--address"),
     *(
         (f"evaluate --address {place} --link planar", 2, f"--address '{place}'")
-        for place in ("nowhere", "host:", ":6379", "host:port", "ray://host")
+        for place in ("nowhere", "host:port")
     ),
     ("evaluate --address 127.0.0.1:1 --link planar", 3, "'127.0.0.1:1': "),
     ("train --env maze", 2, "`Maze` doesn't exist"),
     ("train --gamma 1.5", 2, "train.gamma = 1.5"),
-    ("train --net 64 0", 2, "train.net.1 = 0"),
-    ("train --robots 2000000", 2, "train.robots = 2000000"),
-    (f"train --steps {10**18}", 2, "train.steps = "),
-    ("train --algo dqn", 2, "--algo dqn"),
-    ("train --device tpu", 2, "--device tpu"),
     ("train --conf-file no.yml --threads 1", 2, "no.yml: "),
-    ("train --threads 0", 2, "--threads 0"),
     ("train --worlds clutter", 2, "--worlds: "),
-    ("train --env barn --worlds brn --threads 1", 2, "brn"),
     ("train --out /dev/null/here --threads 1", 2, "--out /dev/null/here"),
-    ("train --workers 2", 2, "--workers"),
     ("train --seeds 0-1 --resume runs/x", 2, "--resume: "),
-    *(
-        (f"train --seeds={seeds}", 2, f"--seeds {seeds!r}")
-        for seeds in ("", "a", "1-", "-1", "4-0", "0-1000", "1,,2", "4294967296")
-    ),
+    *((f"train --seeds={seeds}", 2, f"--seeds {seeds!r}") for seeds in ("", "4-0", "0-1000")),
     ("demo --steps 0", 2, "demo.steps = 0"),
     ("worlds check no/such.world", 2, "no/such.world"),
-    ("worlds check clutter:1 --difficulty 3", 2, "difficulty"),
     ("worlds convert clutter:2 two.json", 2, "clutter:2 "),
-    ("worlds convert open:1 world.txt", 2, "world.txt"),
     ("worlds show open:500", 2, "500 worlds"),
-    ("worlds show open:1 --out picture.gif", 2, "picture.gif"),
-    ("worlds show open:1 --columns 0", 2, "columns = 0"),
     ("export model.zip policy.onnx --trust --env maze", 2, "Maze"),
-    ("export model.zip policy.onnx --trust --env path_follow", 2, "acsar_gym/PathFollow-v0"),
-    ("export model.zip policy.onnx --trust --robot acsr", 2, "did you mean 'acsar'?"),
     (f"doctor {MISSING} --spin", 2, "add --yes"),
     ("doctor ros2 --spin --baud-rate 9600", 2, "--spin, --baud-rate: not of a robot in ROS"),
     ("drive --link planar --linear nan", 2, "--linear"),
     (f"drive --link {MISSING} --linear 0.1", 3, f"{MISSING}: "),
     ("view nothing.mcap", 2, "nothing.mcap: "),
-    ("view /dev/ttyNONE", 3, "/dev/ttyNONE: "),
-    ("view bullet", 2, "bullet: names no robot"),
+    ("view bullet", 2, "bullet: isn't a recording"),
     ("record info notes.txt", 2, "notes.txt: "),
     ("record export --to csv", 2, "needs a recording"),
-    ("record export tape.mcap notes.txt --to lerobot", 2, "notes.txt: "),
     ("record export tape.mcap tape.mcap --to csv", 2, "several recordings: "),
-    ("record export tape.mcap --to lerobot --env path_follow", 2, "has no goal"),
     ("record export tape.mcap --to lerobot --out notes.txt", 2, "notes.txt: can't be written"),
     ("benchmark --env bran", 2, "--env 'bran'; did you mean"),
     ("benchmark --agents dwaa", 2, "did you mean 'dwa'?"),
-    ("benchmark --conditions drop-5", 2, "did you mean 'dropped-5'?"),
     ("benchmark --scenes 1001", 2, "1,001"),
-    ("benchmark --trained nowhere", 2, "NAME/SEED/policy.onnx"),
-    ("benchmark --html nowhere/page.html", 2, "nowhere/page.html: "),
     ("benchmark --out /proc/nowhere", 2, "/proc/nowhere: "),
     ("identify", 2, "identify needs"),
     (f"identify {MISSING}", 2, "add --yes"),
     (f"identify {MISSING} --yes", 3, f"{MISSING}: "),
-    (f"identify {MISSING} --yes --duration 1", 2, "duration = 1.0"),
-    (f"identify {MISSING} --yes --twin acsar", 2, "--twin "),
     ("identify planar --out list.yaml", 2, "list.yaml: is there, and isn't a robot's file"),
-    ("calibrate planar straight --out list.yaml", 2, "or replace it with --force"),
     (f"doctor {MISSING} --spin --yes --out list.yaml", 2, "list.yaml: is there, and isn't"),
     ("run 1 0 --link planar --robot ekf.yaml", 2, "ekf.yaml: is a ROS parameter file (ekf)"),
     ("run 1 0 --link planar --robot two.urdf", 2, "two.urdf: is a robot with two driven wheels"),
-    ("run 1 0 --link planar --robot acsar,gone.yaml", 2, "gone.yaml: there is no such file"),
     ("run 1 0 --link planar --robot acsar,jackal", 2, "give one robot here"),
     (f"identify {MISSING} --yes --out x.txt", 2, "path = 'x.txt'"),
     (f"identify one.mcap {MISSING}", 2, f"{MISSING}: "),
     ("identify planer", 2, "did you mean 'planar'"),
-    ("identify rob --yes", 2, "'rob': "),
     ("calibrate planar straight --space 1 1", 2, "--space 1 1"),
     ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings"),
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
-    ("calibrate planar turn --radii 2 --speeds 1", 2, "--speeds times --radii"),
-    ("calibrate planar turn --speeds 0", 2, "--speeds 0"),
-    ("calibrate planar straight --aside 0.1", 2, "--aside "),
-    ("calibrate /dev/ttyUSB9 straight --twin acsar", 2, "--twin "),
-    ("calibrate /dev/ttyUSB9 straight --measured 2", 2, "--space "),
     ("calibrate /dev/ttyUSB9 straight --space 9 9", 2, "--measured-deg"),
     (f"calibrate {MISSING} straight --space 9 9 --measured 2", 2, "add --yes"),
-    ("calibrate planar turn --measured-deg nan", 2, "--measured-deg nan"),
-    ("calibrate planar straight --repeats 0", 2, "--repeats 0"),
     ("gap --robot acsar", 2, "--record"),
     ("gap notes.txt --robot acsar", 2, "notes.txt:"),
-    ("gap cut.mcap --robot acsar", 2, "cut.mcap:"),
-    ("gap tape.mcap tape.mcap --robot acsar", 2, "tape.mcap: "),
-    ("gap tape.mcap part.mcap --robot acsar", 2, "part.mcap: "),
     ("gap tape.mcap --robot acsar --body balloon", 2, "'balloon'"),
     ("gap tape.mcap --robot acsar --fail-over end=1", 2, "'end'"),
-    ("gap tape.mcap --robot acsar --html no/x.html", 2, "no/x.html: "),
 ]
 
 
@@ -141,30 +94,25 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     data = drive(folder / "tape.mcap", RobotConfig.of(None), 300).read_bytes()
     (folder / "part.mcap").write_bytes(data[: len(data) * 2 // 3])
-    (folder / "cut.mcap").write_bytes(data[:100])
     (folder / "notes.txt").write_text("not ONNX, nor a recording")
-    (folder / "old.json").write_text('{"reset": 0}\n{"t": 1}')
-    (folder / "empty.onnx").write_bytes(b"")
     (folder / "odd.onnx").write_bytes(bytes(range(256)) * 8)
-    (folder / "rob").symlink_to(MISSING)
     (folder / "list.yaml").write_text("buy: milk\n")
     (folder / "ekf.yaml").write_text("ekf: {ros__parameters: {frequency: 30.0}}\n")
     left, right = (wheel(f"w{y}", "base_link", f"0 {y} 0", tyre(0.03)) for y in (-0.1, 0.1))
     (folder / "two.urdf").write_text(robot(link("base_link"), left, right))
-    (folder / "empty").mkdir()
     save(folder / "model.zip")
     return folder
 
 
-@pytest.mark.parametrize(("line", "status", "said"), ERRORS, ids=lambda value: str(value)[:60])
+@pytest.mark.parametrize(("line", "status", "message"), ERRORS, ids=lambda value: str(value)[:60])
 def test_a_bad_value_is_one_line_and_an_exit_code(
-    line: str, status: int, said: str, folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+    line: str, status: int, message: str, folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.1)
     code, _, error = call(*line.split())
     assert code == status, error
-    assert_one_line(error, said)
+    assert_one_line(error, message)
 
 
 @pytest.mark.parametrize("line", ["", "dance", "run 1", "emulate --body", "worlds", "record infos"])
@@ -175,10 +123,9 @@ def test_a_command_line_that_cannot_be_read(line: str, call: Call) -> None:
     assert "Traceback" not in error
 
 
-def test_a_warning_of_this_package_is_one_line_too(
+def test_a_cut_recording_is_described_as_far_as_it_goes(
     folder: Path, call: Call, tmp_path: Path
 ) -> None:
-    """A cut recording is exported as far as it goes."""
     code, out, _ = call("record", "info", folder / "part.mcap", "--json", tmp_path / "info.json")
     assert code == 0
     assert "cut: what followed is missing" in out

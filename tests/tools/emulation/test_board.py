@@ -43,9 +43,6 @@ def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -
     assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
     wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
     assert own_emulator.poses()[0] == (0.0, 0.0, 0.0)
-    stamps = [event["t"] for event in own_emulator.events()]
-    assert stamps == sorted(stamps)
-    assert abs(stamps[-1] - time.monotonic()) < TIMEOUT
     assert own_emulator.end() == 0
 
 
