@@ -129,7 +129,7 @@ def test_a_launch_file_starts_programs_with_options_that_they_have(path: Path) -
 
 @pytest.mark.parametrize("file", ["driver.yaml", "simulation.yaml"])
 def test_parameters_are_those_of_the_driver(file: str) -> None:
-    known = {*driver.DRIVER_PARAMETERS, *driver.NODE_PARAMETERS}
+    known = {*driver.DRIVER_PARAMETERS, *driver.NODE_PARAMETERS, "cmd_vel_timeout"}
     given = parameters(file)
     assert given.keys() <= known
     assert given["robot"] == "acsar"

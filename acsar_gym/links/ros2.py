@@ -13,6 +13,7 @@ import os
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from acsar_gym import kinematics
@@ -45,6 +46,8 @@ START_PARAMETER = "start"
 """Its parameter for the robot's place in that world: x [m], y [m], theta [rad]."""
 DISCOVERY_TIME = 0.5
 """How long other nodes are looked for before the first command [s]."""
+MATCH_TIMEOUT = 1.0
+"""Longest wait until the robot knows the publisher of commands [s]."""
 NAME_TIMEOUT = 5.0
 """Longest wait for the name of a node that commands the robot [s]."""
 PUBLISHERS_TIME = 1.0
@@ -89,6 +92,10 @@ class Ros2Link(GuardedLink):
 
     Attributes:
         node: Node of the open link. None while it is closed.
+        command_topic: Full name of the topic of commands.
+        command_kind: Kind of the commands, see `COMMAND_KINDS`.
+        feedback_topic: Full name of the topic of the wheels' speeds.
+        uses_sim_time: Whether time is that of /clock.
         epoch: Time of ROS at which the link's clock is 0 [ns].
         places_robot: Whether a reset puts a simulated robot into the scene.
         is_simulated: Whether the last reset did so. The robot is one of `acsar-gym ros driver`.
@@ -111,23 +118,25 @@ class Ros2Link(GuardedLink):
     def _forget(self) -> None:
         """Set everything to its state before the first message."""
         self._publisher: Any = None
-        self._kind = ""
-        self._feedback = ""
-        self._sim_time = False
+        self.command_topic = ""
+        self.command_kind = ""
+        self.feedback_topic = ""
+        self.uses_sim_time = False
+        self.epoch = 0
+        self._previous_now = 0.0
         self._clock_moved = time.monotonic()
         self._commands = Decoder()
         self._speeds: Speeds = ZERO
         self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
         self._driving_since: float | None = None
-        self._intruded = False
+        self._is_intruded = False
         self._messages = 0
-        self._reader = JointReader(self._config.ros_joints)
         self._sources: set[Any] = set()
+        self._reader = JointReader(self._config.ros_joints)
         self._arrivals: Arrivals = []
         self._pending: list[tuple[float, bytes]] = []
         self._newest = 0.0
         self._heard = 0.0
-        self._quiet = 0.0
         self._problem = ""
         self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
 
@@ -142,53 +151,38 @@ class Ros2Link(GuardedLink):
         return self.node is not None
 
     @property
-    def topics(self) -> dict[str, str]:
-        """Full names of the topics "commands" and "feedback", "type" of commands, and "clock"."""
-        node = self._require_node()
-        settings = self._config.ros2
-        is_odom = self._feedback == "odom"
-        feedback = settings.odom_topic if is_odom else settings.joint_states_topic
-        return {
-            "commands": node.resolve(settings.command_topic),
-            "type": COMMAND_KINDS[self._kind],
-            "clock": "/clock" if self._sim_time else "the computer's",
-            "feedback": node.resolve(feedback),
-        }
-
-    @property
-    def feedback_publishers(self) -> list[str]:
-        """Nodes that publish the feedback's topic."""
-        peers = self._require_node().list_peers(self.topics["feedback"], publishers=True)
-        return [name for name, _ in peers]
+    def commands_sides(self) -> bool:
+        """Whether the robot takes twists, or has two wheels. Known while the link is open."""
+        return self.command_kind != "wheel_speeds" or self._config.has_two_wheels
 
     @property
     def commanders(self) -> list[str]:
         """Other nodes that publish commands."""
-        return self._require_node().list_commanders(self._config.ros2.command_topic)
+        return self._require_node().list_commanders(self.command_topic)
+
+    @property
+    def feedback_publishers(self) -> list[str]:
+        """Nodes that publish the feedback's topic."""
+        return self._require_node().list_publishers(self.feedback_topic)
 
     @property
     def refused(self) -> str:
         """Why messages of the wheels were refused, and how many. Empty if none was."""
         return ", ".join(f"{count} {kind}" for kind, count in self._reader.refused.items())
 
-    @property
-    def commands_sides(self) -> bool:
-        """Whether the robot takes twists, or has two wheels. Known while the link is open."""
-        return self._kind != "wheel_speeds" or self._config.has_two_wheels
-
     # Opening
 
     def _connect(self) -> None:
-        """Find the robot, and publish nothing."""
+        """Find the robot, and publish nothing if another node commands it."""
         self._forget()
         self.node = node = RosNode(f"acsar_gym_{os.getpid()}_{next(_numbers)}", self._namespace)
         try:
             self._find_controller(node)
             self._find_feedback(node)
             self._start_clock(node)
-            node.wait_until(lambda: self.commanders, DISCOVERY_TIME, WHILE_WAITING.get())
-            if self._intruded:  # a command may arrive before the name of its node
-                node.wait_until(lambda: self.commanders, NAME_TIMEOUT, WHILE_WAITING.get())
+            self._wait(lambda: self.commanders, DISCOVERY_TIME)
+            if self._is_intruded:  # a command may arrive before the name of its node
+                self._wait(lambda: self.commanders, NAME_TIMEOUT)
             self._refuse_commanders()
             self._make_publisher(node)
         except BaseException:
@@ -198,63 +192,64 @@ class Ros2Link(GuardedLink):
     def _find_controller(self, node: RosNode) -> None:
         """Find the subscription of commands and its type."""
         settings = self._config.ros2
-        topic = node.resolve(settings.command_topic)
+        self.command_topic = node.resolve(settings.command_topic)
         wanted = [settings.command] if settings.command else [*COMMAND_KINDS]
 
         def find_kind() -> str:
-            types = {kind for _, kind in node.list_peers(topic, publishers=False)}
+            types = node.list_subscribed_types(self.command_topic)
             return next((kind for kind in wanted if COMMAND_KINDS[kind] in types), "")
 
-        timeout = self._config.connect_timeout
-        node.wait_until(find_kind, timeout, WHILE_WAITING.get())
-        self._kind = find_kind()
-        if not self._kind:
-            command = f"{COMMAND_KINDS[wanted[0]]} on {topic}" if settings.command else topic
+        self._wait(find_kind)
+        self.command_kind = find_kind()
+        if not self.command_kind:
+            kinds = f"{COMMAND_KINDS[wanted[0]]} on " if settings.command else ""
             raise LinkError(
-                f"{self.device}: no node subscribes {command} ({timeout:g} s)",
-                self._suggest_topic(node, tuple(COMMAND_KINDS.values()), "command_topic"),
+                f"{self.device}: no node subscribes {kinds}{self.command_topic} "
+                f"({self._config.connect_timeout:g} s)",
+                self._suggest_topic(node, "command_topic", *COMMAND_KINDS.values()),
             )
-        self._command = make_command(node.ros, self._kind, self._config.base_frame)
+        self._command = make_command(node.ros, self.command_kind, self._config.base_frame)
         kind = type(self._command)
-        node.subscribe(topic, kind, self._take_command, KEPT_COMMANDS, best_effort=True)
+        node.subscribe(
+            self.command_topic, kind, self._take_command, KEPT_COMMANDS, best_effort=True
+        )
 
     def _find_feedback(self, node: RosNode) -> None:
         """Find the topic with the wheels' speeds, and wait for its first message."""
         settings = self._config.ros2
-        topics: dict[str, tuple[str, Any, Any]] = {
-            "joint_states": (settings.joint_states_topic, node.ros.JointState, self._take_joints),
-            "odom": (settings.odom_topic, node.ros.Odometry, self._take_odometry),
-        }
-        kinds = [settings.feedback] if settings.feedback else [*topics]
-
-        def find_kind() -> str:
-            found_kinds = (k for k in kinds if node.list_peers(topics[k][0], publishers=True))
-            return next(found_kinds, "")
-
         timeout = self._config.connect_timeout
-        node.wait_until(lambda: find_kind() == kinds[0], timeout, WHILE_WAITING.get())
-        self._feedback = find_kind()
-        if not self._feedback:
-            name = node.resolve(topics[kinds[0]][0])
-            suggestion = self._suggest_topic(
-                node, ("sensor_msgs/msg/JointState",), f"{kinds[0]}_topic"
+        joints = node.resolve(settings.joint_states_topic)
+        odom = node.resolve(settings.odom_topic)
+        topics = {"joint_states": [joints], "odom": [odom], None: [joints, odom]}
+        choices = topics[settings.feedback]
+        self._wait(lambda: node.list_publishers(choices[0]))
+        published = [topic for topic in choices if node.list_publishers(topic)]
+        if not published:
+            raise LinkError(
+                f"{self.device}: no node publishes {choices[0]} ({timeout:g} s)",
+                self._suggest_topic(node, "joint_states_topic", "sensor_msgs/msg/JointState"),
             )
-            raise LinkError(f"{self.device}: no node publishes {name} ({timeout:g} s)", suggestion)
-        topic, kind, callback = topics[self._feedback]
-        node.subscribe(topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
+
+        self.feedback_topic = published[0]
+        kind = node.ros.JointState
+        callback: Callable[..., None] = self._take_joints
+        if self.feedback_topic == odom:
+            kind = node.ros.Odometry
+            callback = self._take_odometry
+        node.subscribe(self.feedback_topic, kind, callback, FEEDBACK_DEPTH, best_effort=True)
         # With the first message, the robot's other topics are known as well, such as /clock.
-        node.wait_until(lambda: self._messages or node.problem, timeout, WHILE_WAITING.get())
+        has_messages = self._wait(lambda: self._messages or node.problem)
         self._check_qos(node)
-        if not self._messages:
+        if not has_messages:
             raise self._silence_error(timeout)
 
-    def _suggest_topic(self, node: RosNode, types: tuple[str, ...], field: str) -> str:
+    def _suggest_topic(self, node: RosNode, field: str, *types: str) -> str:
         """Suggest topics of these types for a field of the robot's file."""
         topics = [
             f"{name} ({kind})"
             for name, kinds in node.node.get_topic_names_and_types()
             for kind in kinds
-            if kind in types and name != node.resolve(getattr(self._config.ros2, field))
+            if kind in types and name not in (self.command_topic, self.feedback_topic)
         ]
         if topics:
             return f"set ros2.{field} in the robot's file; there is {', '.join(sorted(topics)[:4])}"
@@ -263,59 +258,64 @@ class Ros2Link(GuardedLink):
     def _start_clock(self, node: RosNode) -> None:
         use_sim_time = self._config.ros2.use_sim_time
         if use_sim_time is None:
-            use_sim_time = bool(node.list_peers("/clock", publishers=True))
-        self._sim_time = use_sim_time
+            use_sim_time = bool(node.list_publishers("/clock"))
+        self.uses_sim_time = use_sim_time
         if use_sim_time:
             node.use_sim_time()
-            if not node.wait_until(node.now, CLOCK_TIMEOUT, WHILE_WAITING.get()):
+            if not self._wait(node.now, CLOCK_TIMEOUT):
                 raise LinkError(
                     f"{self.device}: nothing on /clock for {CLOCK_TIMEOUT:g} s",
                     "start the simulation, or set use_sim_time: false in ros2 of the robot's file",
                 )
         self.epoch = node.now()
-        self._previous_now = 0.0
-        self._newest = 0.0
-        self._pending = []
-        self._problem = ""
-        self._reader = JointReader(self._config.ros_joints)
-
-    def _refuse_commanders(self) -> None:
-        """Raise LinkError if another node publishes commands."""
-        commanders = self.commanders
-        if commanders or self._intruded:
-            raise LinkError(
-                f"{self.topics['commands']}: another node commands the robot "
-                f"({', '.join(commanders) or 'a node without a name'})",
-                "end it, or let a twist_mux choose (a node that was killed is listed for 20 s)",
-            )
 
     def _make_publisher(self, node: RosNode) -> None:
-        """Make the publisher of commands, and wait until the robot knows it."""
-        topic = self._config.ros2.command_topic
-        publisher = self._publisher = node.publish(topic, type(self._command))
-        node.wait_until(lambda: node.problem or publisher.get_subscription_count() > 1, 1.0)
+        publisher = self._publisher = node.publish(self.command_topic, type(self._command))
+        self._wait(lambda: node.problem or publisher.get_subscription_count() > 1, MATCH_TIMEOUT)
         self._check_qos(node)
 
     def _wait_for_feedback(self) -> None:
         """Wait for the first speeds of all wheels, which only one node may publish."""
-        node = self._require_node()
-        timeout = self._config.connect_timeout
-        node.wait_until(lambda: self._pending or node.problem, timeout, WHILE_WAITING.get())
-        self._check_qos(node)
-        if not self._pending:
-            raise self._silence_error(timeout)
+        if not self._wait(lambda: self._pending):
+            raise self._silence_error(self._config.connect_timeout)
         if len(self.feedback_publishers) > 1:
-            node.wait_until(lambda: len(self._sources) > 1, PUBLISHERS_TIME)
-        self._check_publishers()
+            self._wait(lambda: len(self._sources) > 1, PUBLISHERS_TIME)
+        self._refuse_publishers()
 
-    def _check_publishers(self) -> None:
+    def _wait(self, condition: Callable[[], Any], timeout: float | None = None) -> bool:
+        """Spin until a condition holds. Return whether it does, by default in `connect_timeout`."""
+        timeout = self._config.connect_timeout if timeout is None else timeout
+        return self._require_node().wait_until(condition, timeout, self._poll)
+
+    def _check_qos(self, node: RosNode) -> None:
+        if node.problem:
+            raise LinkError(
+                f"{self.device}: {node.problem}",
+                "the robot's node must offer and request no more than reliable, volatile topics",
+            )
+
+    def _poll(self) -> None:
+        WHILE_WAITING.get()()
+        self._beat()
+
+    def _refuse_commanders(self) -> None:
+        """Raise LinkError if another node publishes commands."""
+        commanders = self.commanders
+        if commanders or self._is_intruded:
+            raise LinkError(
+                f"{self.command_topic}: another node commands the robot "
+                f"({', '.join(commanders) or 'a node without a name'})",
+                "end it, or let a twist_mux choose (a node that was killed is listed for 20 s)",
+            )
+
+    def _refuse_publishers(self) -> None:
         """Raise LinkError if two nodes publish joint states of the wheels."""
         if len(self._sources) < 2:
             return
         names = self.feedback_publishers
         if len(names) > 1:
             raise LinkError(
-                f"{self.topics['feedback']}: two nodes publish the wheels' joint states "
+                f"{self.feedback_topic}: two nodes publish the wheels' joint states "
                 f"({', '.join(names)})",
                 "end one of them, such as a joint_state_publisher, or let it publish other joints",
             )
@@ -325,26 +325,19 @@ class Ros2Link(GuardedLink):
         node = self._require_node()
         settings = {
             "name": f"{node.name}{WATCHDOG_SUFFIX}",
-            "topic": node.resolve(self._config.ros2.command_topic),
-            "kind": self._kind,
+            "topic": self.command_topic,
+            "kind": self.command_kind,
             "joints": len({*self._config.ros_joints}),
             "subscriptions": max(self._publisher.get_subscription_count(), 2),
-            "sim_time": self._sim_time,
+            "sim_time": self.uses_sim_time,
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
         environment = WATCHDOG_TRANSPORT | child_environment()
         self.watchdog.launch(command, (json.dumps(settings),), environment=environment)
 
-    def _check_qos(self, node: RosNode) -> None:
-        if node.problem:
-            raise LinkError(
-                f"{self.device}: {node.problem}",
-                "the robot's node must offer and request no more than reliable, volatile topics",
-            )
-
     def _silence_error(self, age: float) -> LinkError:
         """Return the error for a robot whose wheels' speeds don't arrive."""
-        topic = self.topics["feedback"]
+        topic = self.feedback_topic
         if self._problem:
             return BoardSilentError(
                 f"{topic}: no message that can be used for {age:.2f} s: {self._problem}",
@@ -362,16 +355,15 @@ class Ros2Link(GuardedLink):
         return (nanoseconds - self.epoch) / NANOSECONDS
 
     def _take_joints(self, message: Any, info: Any) -> None:
-        self._messages += 1
         if not self._reader.names_wheels(message.name):
             joints = ", ".join(dict.fromkeys(self._config.ros_joints))
             self._problem = f"joint_states has none of {joints} (it has {', '.join(message.name)})"
-            return
         # Before Kilted, ROS doesn't identify publishers: they differ by what they fill.
-        gid = info.get("publisher_gid")
-        features = (*message.name, len(message.velocity), message.header.frame_id)
-        self._sources.add(gid["data"] if gid else features)
-        when = self._check_stamp(message)
+        elif gid := info.get("publisher_gid"):
+            self._sources.add(gid["data"])
+        else:
+            self._sources.add((*message.name, len(message.velocity), message.header.frame_id))
+        when = self._read_stamp(message)
         if when is None:
             return
         speeds = self._reader.read(message.name, message.position, message.velocity, when)
@@ -381,8 +373,7 @@ class Ros2Link(GuardedLink):
             self._problem = self._reader.reason
 
     def _take_odometry(self, message: Any) -> None:
-        self._messages += 1
-        when = self._check_stamp(message)
+        when = self._read_stamp(message)
         if when is None or when <= self._newest:
             return
         frame = message.child_frame_id
@@ -397,8 +388,11 @@ class Ros2Link(GuardedLink):
         else:
             self._problem = f"its twist is {twist}"
 
-    def _check_stamp(self, message: Any) -> float | None:
+    def _read_stamp(self, message: Any) -> float | None:
         """Return a message's time on the link's clock [s]. None if that can't be right."""
+        self._messages += 1
+        if not self.epoch:
+            return None
         stamp = read_stamp(message.header.stamp)
         if not stamp:
             self._problem = "its header has no stamp"
@@ -406,7 +400,7 @@ class Ros2Link(GuardedLink):
         when = self.to_link_time(stamp)
         age = self.now() - when
         if abs(age) > self._config.feedback_timeout:
-            self._problem = f"its stamp {explain_age(age, simulated=self._sim_time)}"
+            self._problem = f"its stamp {explain_age(age, simulated=self.uses_sim_time)}"
             return None
         return when
 
@@ -432,7 +426,7 @@ class Ros2Link(GuardedLink):
         since = self._driving_since
         late = since is not None and time.monotonic() - since > ZEROS_GRACE
         if any(content[-1]) or (late and not self.watchdog.has_tripped):
-            self._intruded = True
+            self._is_intruded = True
 
     # Commands
 
@@ -469,14 +463,14 @@ class Ros2Link(GuardedLink):
 
         command = self._command
         a, b, c, d = speeds
-        if self._kind == "wheel_speeds":
+        if self.command_kind == "wheel_speeds":
             joints = self._config.ros_joints
             if self._config.has_two_wheels:
                 speeds = ((a + d) / 2.0, (b + c) / 2.0, (b + c) / 2.0, (a + d) / 2.0)
             wheels = dict(zip(joints, speeds, strict=True))
             command.data = [wheels[name] for name in self._config.ros2.command_joints or joints]
         else:
-            is_stamped = self._kind == "twist_stamped"
+            is_stamped = self.command_kind == "twist_stamped"
             twist = command.twist if is_stamped else command
             twist.linear.x, twist.angular.z = kinematics.compute_twist(a, b, c, d, *self._geometry)
             if is_stamped:
@@ -491,7 +485,7 @@ class Ros2Link(GuardedLink):
         A controller refuses old commands, and /clock is as old as the newest spin.
         """
         is_stale = time.monotonic() - self._clock_moved > CLOCK_PAUSE
-        return 0 if self._sim_time and (is_stale or not any(speeds)) else node.now()
+        return 0 if self.uses_sim_time and (is_stale or not any(speeds)) else node.now()
 
     # Driving
 
@@ -500,9 +494,8 @@ class Ros2Link(GuardedLink):
             self._place_robot(self._require_node(), scene)
 
     def _forget_feedback(self) -> None:
-        # Messages wait that arrived while nothing spun.
-        self._require_node().wait_until(lambda: False, DRAIN_TIMEOUT, self._poll)
-        self._intruded = False
+        self._wait(lambda: False, DRAIN_TIMEOUT)  # for messages that arrived while nothing spun
+        self._is_intruded = False
         self._pending = []
         self._heard = self.now()
 
@@ -533,15 +526,11 @@ class Ros2Link(GuardedLink):
         client = node.node.create_client(kind, name)
         future = client.call_async(request)
         try:
-            if not node.wait_until(future.done, RESET_TIMEOUT, self._poll):
+            if not self._wait(future.done, RESET_TIMEOUT):
                 raise LinkError(f"{name}: no answer in {RESET_TIMEOUT:g} s", "is its node alive?")
             return future.result()
         finally:
             node.node.destroy_client(client)
-
-    def _poll(self) -> None:
-        WHILE_WAITING.get()()
-        self._beat()
 
     def advance(self, period: float) -> bytes:
         """Spin until the absolute deadline of the period [s]. Return the lines that have arrived.
@@ -553,7 +542,7 @@ class Ros2Link(GuardedLink):
             LinkError: The robot is silent, another node commands it, or the clock jumped back.
         """
         node = self._require_node()
-        self._catch_up(node)
+        self._catch_up()
         self._deadline += period
         while True:
             earlier = self._check_clock()
@@ -561,7 +550,7 @@ class Ros2Link(GuardedLink):
             node.spin(min(self._deadline - earlier, self.watchdog.beat_interval, period))
             self._beat()
             now = self.now()
-            has_jumped = self._sim_time and now != earlier
+            has_jumped = self.uses_sim_time and now != earlier
             is_idle = messages == self._messages and not has_jumped
             if is_idle and self._deadline - now <= CLOCK_STEP:
                 break
@@ -571,50 +560,28 @@ class Ros2Link(GuardedLink):
             self._deadline = now
         self._arrivals = self._pending
         self._pending = []
-        if self._arrivals and not self._sim_time:
+        if self._arrivals and not self.uses_sim_time:
             self._follow_phase(self._heard - self._deadline, period)
-        if self._intruded:
+        if self._is_intruded and self._driving_since is not None:
             self._refuse_commanders()
-        self._check_publishers()
+        self._is_intruded = False
+        self._refuse_publishers()
         if now - self._heard > self._config.feedback_timeout:
             raise self._silence_error(now - self._heard)
         return b"".join([line for _, line in self._arrivals])
 
-    def _catch_up(self, node: RosNode) -> None:
+    def _catch_up(self) -> None:
         """Receive the simulated time again after a pause in which nothing spun.
 
         For the node it stood still meanwhile, so that waiting messages seem to be of the future.
         """
-        if not self._sim_time or time.monotonic() - self._clock_moved < CLOCK_PAUSE:
+        if not self.uses_sim_time or time.monotonic() - self._clock_moved < CLOCK_PAUSE:
             return
         earlier = self.now()
-        node.wait_until(lambda: self.now() != earlier, CLOCK_TIMEOUT, self._poll)
+        self._wait(lambda: self.now() != earlier, CLOCK_TIMEOUT)
         self._clock_moved = time.monotonic()
         self._heard = self.now()
-        node.wait_until(lambda: self._pending, self._config.feedback_timeout, self._poll)
-
-    def idle(self, duration: float) -> None:
-        """Let time pass without commands [s], as between two goals. Other nodes may drive.
-
-        Feedback that arrives is forgotten.
-
-        Raises:
-            LinkError: The robot is silent, or the clock jumped back.
-        """
-        node = self._require_node()
-        self._catch_up(node)
-        newest = self._heard
-        end = self.now() + duration
-        while (remaining := end - self._check_clock()) > CLOCK_STEP:
-            node.spin(min(remaining, self.watchdog.beat_interval))
-            self._beat()
-        self._arrivals = []
-        self._pending = []
-        self._intruded = False
-        # Messages that waited while nothing spun are old, and don't mean silence.
-        self._quiet = 0.0 if self._heard > newest else self._quiet + duration
-        if self._quiet > self._config.feedback_timeout:
-            raise self._silence_error(self._quiet)
+        self._wait(lambda: self._pending, self._config.feedback_timeout)
 
     def _follow_phase(self, arrived: float, period: float) -> None:
         """Move the deadlines towards `SLACK` after the arrivals, which is before the deadline."""
@@ -630,7 +597,7 @@ class Ros2Link(GuardedLink):
         self._previous_now = now
         if step:
             self._clock_moved = real
-        source = "/clock" if self._sim_time else "the clock of this computer"
+        source = "/clock" if self.uses_sim_time else "the clock of this computer"
         if step < 0.0:
             raise LinkError(f"{self.device}: {source} jumped back by {-step:.3f} s", "reset")
         if real - self._clock_moved > CLOCK_TIMEOUT:

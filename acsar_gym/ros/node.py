@@ -184,12 +184,13 @@ class RosNode:
         """Namespace of the node."""
         return str(self.node.get_namespace())
 
-    def declare(self, parameters: dict[str, Any], *, fixed: bool = True) -> None:
-        """Declare parameters with their defaults. Fixed ones can't be set later."""
-        descriptor = self.ros.ParameterDescriptor(dynamic_typing=True, read_only=fixed)
+    def declare(self, parameters: dict[str, Any], changeable: Sequence[str] = ()) -> None:
+        """Declare parameters with their defaults. Only changeable ones can be set later."""
         for name, value in parameters.items():
             if not self.node.has_parameter(name):  # the arguments don't contain it
                 self.node.declare_parameter(name, value)
+            is_fixed = name not in changeable
+            descriptor = self.ros.ParameterDescriptor(dynamic_typing=True, read_only=is_fixed)
             self.node.set_descriptor(name, descriptor)
 
     def list_parameters(self) -> list[str]:
@@ -213,11 +214,8 @@ class RosNode:
         return self.node.create_publisher(
             kind,
             topic,
-            self.make_qos(depth, latched=latched),
-            event_callbacks=self.ros.PublisherEventCallbacks(
-                incompatible_qos=lambda event: self._note_problem(topic, event),
-                use_default_callbacks=False,
-            ),
+            self._make_qos(depth, latched=latched),
+            event_callbacks=self._watch_qos(topic, self.ros.PublisherEventCallbacks),
         )
 
     def subscribe(
@@ -235,37 +233,11 @@ class RosNode:
             kind,
             topic,
             callback,
-            self.make_qos(depth, best_effort=best_effort, latched=latched),
-            event_callbacks=self.ros.SubscriptionEventCallbacks(
-                incompatible_qos=lambda event: self._note_problem(topic, event),
-                use_default_callbacks=False,
-            ),
+            self._make_qos(depth, best_effort=best_effort, latched=latched),
+            event_callbacks=self._watch_qos(topic, self.ros.SubscriptionEventCallbacks),
         )
 
-    def subscribe_transforms(
-        self, callback: Callable[[Any], None], *, moving: bool = True, namespace: str = ""
-    ) -> bool:
-        """Subscribe /tf_static and, if `moving`, /tf, and the topics of a namespace likewise.
-
-        Args:
-            callback: Takes a tf2_msgs/TFMessage.
-            moving: Whether /tf is needed.
-            namespace: Namespace whose transforms count as well. Empty for that of the node.
-
-        Returns:
-            Whether tf2_msgs is installed. If not, nothing is subscribed.
-        """
-        kind = self.ros.TFMessage
-        if kind is None:
-            return False
-        prefix = (namespace or self.namespace).rstrip("/")
-        for start in dict.fromkeys(("", prefix)):
-            self.subscribe(f"{start}/tf_static", kind, callback, depth=100, latched=True)
-            if moving:
-                self.subscribe(f"{start}/tf", kind, callback, depth=100)
-        return True
-
-    def make_qos(self, depth: int, *, best_effort: bool = False, latched: bool = False) -> Any:
+    def _make_qos(self, depth: int, *, best_effort: bool = False, latched: bool = False) -> Any:
         """Return a QoS profile that keeps the last `depth` messages."""
         reliability = self.ros.qos.ReliabilityPolicy
         durability = self.ros.qos.DurabilityPolicy
@@ -275,31 +247,34 @@ class RosNode:
             durability=durability.TRANSIENT_LOCAL if latched else durability.VOLATILE,
         )
 
-    def _note_problem(self, topic: str, event: Any) -> None:
-        policy = self.ros.qos.QoSPolicyKind(event.last_policy_kind).name.lower()
-        self.problem = f"{self.resolve(topic)}: incompatible QoS ({policy})"
+    def _watch_qos(self, topic: str, kind: Any) -> Any:
+        """Return callbacks that store an incompatibility in `problem`."""
+
+        def note_problem(event: Any) -> None:
+            policy = self.ros.qos.QoSPolicyKind(event.last_policy_kind).name.lower()
+            self.problem = f"{self.resolve(topic)}: incompatible QoS ({policy})"
+
+        return kind(incompatible_qos=note_problem, use_default_callbacks=False)
 
     def resolve(self, topic: str) -> str:
         """Return the full name of a topic."""
         return str(self.node.resolve_topic_name(topic))
 
-    def list_peers(self, topic: str, *, publishers: bool) -> list[tuple[str, str]]:
-        """List publishers or subscriptions of a topic: full name of the node, and type."""
-        name = self.resolve(topic)
-        if publishers:
-            peers = self.node.get_publishers_info_by_topic(name)
-        else:
-            peers = self.node.get_subscriptions_info_by_topic(name)
-        return [
-            (f"{peer.node_namespace.rstrip('/')}/{peer.node_name}", peer.topic_type)
-            for peer in peers
-        ]
+    def list_subscribed_types(self, topic: str) -> set[str]:
+        """List the types with which a topic is subscribed."""
+        subscriptions = self.node.get_subscriptions_info_by_topic(self.resolve(topic))
+        return {subscription.topic_type for subscription in subscriptions}
+
+    def list_publishers(self, topic: str) -> list[str]:
+        """List the full names of the nodes that publish a topic, one for each publisher."""
+        publishers = self.node.get_publishers_info_by_topic(self.resolve(topic))
+        return [f"{peer.node_namespace.rstrip('/')}/{peer.node_name}" for peer in publishers]
 
     def list_commanders(self, topic: str) -> list[str]:
         """List the nodes that publish a topic, without this node and watchdogs."""
         ignored = (WATCHDOG_SUFFIX, UNKNOWN_NODE)
         own_name = f"{self.namespace.rstrip('/')}/{self.name}"
-        names = [name for name, _ in self.list_peers(topic, publishers=True)]
+        names = self.list_publishers(topic)
         return [name for name in names if name != own_name and not name.endswith(ignored)]
 
     def use_sim_time(self) -> None:

@@ -11,6 +11,7 @@ from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
+from acsar_gym.ros.node import COMMAND_KINDS
 from acsar_gym.safety.rules import Reason
 from acsar_gym.tools.commission.checks import Check, warn_if
 from acsar_gym.tools.sysid.board import measure_rate, round_rate
@@ -45,14 +46,14 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
     stamps: list[float] = []
     try:
         robot.activate()
-        topics = link.topics
         publishers = link.feedback_publishers
-        names = f"{topics['commands']} ({topics['type']}), {topics['feedback']}"
-        yield Check("topics", "ok", names)
+        command_type = COMMAND_KINDS[link.command_kind]
+        topics = f"{link.command_topic} ({command_type}), {link.feedback_topic}"
+        yield Check("topics", "ok", topics)
         yield warn_if(
             len(publishers) > 1,
             "publishers",
-            f"{len(publishers)} of {topics['feedback']}: {', '.join(publishers)}",
+            f"{len(publishers)} of {link.feedback_topic}: {', '.join(publishers)}",
             "only one of them may publish the wheels: end the others, or let them leave these out",
         )
         yield warn_if(
@@ -72,6 +73,7 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
         timing = robot.timing
         refused = link.refused
         commanders = link.commanders
+        is_simulated = link.uses_sim_time
     except EmergencyStopError:
         raise
     except (LinkError, ConfigError) as error:
@@ -96,7 +98,6 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
     )
     yield warn_if(bool(refused), "refused messages", refused or "none", "correct their publisher")
     usual = median(delays)
-    is_simulated = topics["clock"] == "/clock"
     yield warn_if(
         not (is_simulated or -AHEAD_FEEDBACK < usual < LATE_FEEDBACK),
         "feedback delay",

@@ -91,25 +91,19 @@ DRIVER_PARAMETERS = (
 )
 """Fields of a robot's file that are parameters of the node, by the same names."""
 COVARIANCES = ("pose_covariance_diagonal", "twist_covariance_diagonal")
-NODE_PARAMETERS = (
-    *("robot", "link", "lidar", "cmd_vel_timeout", "stamped", "publish_tf"),
-    *(*COVARIANCES, SCENE_PARAMETER, START_PARAMETER),
-)
-"""The node's other parameters."""
+NODE_PARAMETERS: dict[str, Any] = {
+    "robot": "",
+    "link": "",
+    "lidar": "",
+    "stamped": True,
+    "publish_tf": True,
+    **{name: [] for name in COVARIANCES},
+    SCENE_PARAMETER: "",
+    START_PARAMETER: [],
+}
+"""The node's other parameters, with their defaults. Only scene and start can be set later."""
 ROS_PARAMETERS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 """Prefixes of rclpy's own parameters."""
-
-
-class Command(NamedTuple):
-    """A twist for the control loop."""
-
-    linear: float
-    angular: float
-    arrived: float
-    """Time of arrival on the clock of `time.monotonic` [s]."""
-
-
-STANDING = Command(0.0, 0.0, -math.inf)
 
 
 class CommandInbox:
@@ -129,7 +123,8 @@ class CommandInbox:
         self._timeout = timeout
         self._frame = frame
         self._report = report
-        self._newest = STANDING
+        self._newest = (0.0, 0.0)
+        self._end = -math.inf
         self._reported: dict[str, float] = {}
         self._has_reported_frame = False
         self.problem = ""
@@ -159,12 +154,13 @@ class CommandInbox:
         elif not abs(age) < self._timeout:
             self._refuse("a twist by its stamp", f"it {explain_age(age, simulated=simulated)}")
         else:
-            self._newest = Command(velocities[0], velocities[5], time.monotonic())
+            self._newest = (velocities[0], velocities[5])
+            self._end = time.monotonic() + self._timeout
             self.problem = ""
 
     def _refuse(self, kind: str, reason: str) -> None:
         now = time.monotonic()
-        self._newest = STANDING
+        self._newest = (0.0, 0.0)
         self.problem = f"cmd_vel: refused {kind} ({reason})"
         if now - self._reported.get(kind, -math.inf) >= REPORT_PERIOD:
             self._reported[kind] = now
@@ -172,10 +168,7 @@ class CommandInbox:
 
     def current(self) -> tuple[float, float]:
         """Return the twist to drive now [m/s, rad/s]. Zero if the newest one is too old."""
-        newest = self._newest
-        if time.monotonic() - newest.arrived > self._timeout:
-            return 0.0, 0.0
-        return newest.linear, newest.angular
+        return self._newest if time.monotonic() < self._end else (0.0, 0.0)
 
 
 class Measured(NamedTuple):
@@ -189,7 +182,7 @@ class Measured(NamedTuple):
     """Stamp [ns], speeds and angles of the wheels: several if several lines came in a late tick."""
     scan: LaserScan | None
     """A new scan, whose stamp is relative to this tick's [s]."""
-    lateness: float | None
+    lateness: float
     age: float
     reason: Reason
 
@@ -252,9 +245,9 @@ class RobotNode:
         self._measured: SimpleQueue[Measured] = SimpleQueue()
         self._newest_stamp = SIMULATION_START
         self._due = 0.0
-        self._lateness = 0.0
         self._ticks = 0
         self._late_ticks = 0
+        self._reported_late_ticks = 0
         self._reported: set[str] = set()
         self._running = True
         self._failure: Exception | None = None
@@ -273,28 +266,25 @@ class RobotNode:
         """Declare the parameters, and read their values."""
         node = self._node
         given_names = node.list_parameters()
-        node.declare(dict.fromkeys(("robot", "link", "lidar"), ""))
+        node.declare(NODE_PARAMETERS, changeable=(SCENE_PARAMETER, START_PARAMETER))
         config = RobotConfig.of(self._read("robot", str) or None)
         fields = {name: getattr(config, name) for name in DRIVER_PARAMETERS}
         defaults = {name: "" if value is None else value for name, value in fields.items()}
-        timeout = config.firmware.command_timeout or 0.5
-        node.declare(defaults | {"cmd_vel_timeout": timeout, "stamped": True, "publish_tf": True})
-        node.declare({name: [] for name in COVARIANCES})
-        node.declare({SCENE_PARAMETER: "", START_PARAMETER: []}, fixed=False)
-        known = {*DRIVER_PARAMETERS, *NODE_PARAMETERS}
+        node.declare(defaults | {"cmd_vel_timeout": config.firmware.command_timeout or 0.5})
         for name in given_names:
+            known = {*defaults, *NODE_PARAMETERS, "cmd_vel_timeout"}
             if name not in known and not name.startswith(ROS_PARAMETERS):
                 node.warn(f"parameter {name}: doesn't exist{suggest_name(name, known)}")
 
         values = {name: node.read_parameter(name) for name in defaults}
         changes = {name: value for name, value in values.items() if value != defaults[name]}
-        self.config = config = config.with_(**changes)
+        self.config = config.with_(**changes)
         self.link = self._read("link", str)
         self.lidar = self._read("lidar", str)
-        timeout = float(self._read("cmd_vel_timeout", int, float))
+        timeout = self._read("cmd_vel_timeout", int, float)
         if not 0.0 < timeout < math.inf:
             raise ConfigError(f"cmd_vel_timeout = {timeout:g}: must be positive")
-        self.inbox = CommandInbox(timeout, config.base_frame, node.warn)
+        self.inbox = CommandInbox(timeout, self.config.base_frame, node.warn)
 
     def _read(self, name: str, *kinds: type) -> Any:
         """Return the value of a parameter. ConfigError if it has another type."""
@@ -304,13 +294,11 @@ class RobotNode:
         return value
 
     def _read_diagonal(self, name: str) -> list[float] | None:
-        """Return the six variances of a parameter. None if it isn't set."""
-        values = self._node.read_parameter(name)
-        if values is None or not len(values):
-            return None
-        if len(values) != 6 or not all(0.0 <= value < math.inf for value in values):
-            raise ConfigError(f"{name} = {show_value([*values])}: must be six variances")
-        return [float(value) for value in values]
+        """Return the six variances of a parameter. None if it is empty."""
+        values = [*self._node.read_parameter(name)]
+        if len(values) not in (0, 6) or not all(0.0 <= value < math.inf for value in values):
+            raise ConfigError(f"{name} = {show_value(values)}: must be six variances")
+        return values or None
 
     def _make_topics(self) -> None:
         """Make publishers and the subscription, and messages that are filled again and again."""
@@ -455,10 +443,8 @@ class RobotNode:
         if self._clock is not None:
             self._clock.publish(self._node.ros.Clock(clock=stamp))
 
-        lateness = measured.lateness or 0.0
-        self._lateness = max(self._lateness, lateness)
         self._ticks += 1
-        self._late_ticks += lateness > self.config.late_tick
+        self._late_ticks += measured.lateness > self.config.late_tick
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + DIAGNOSTICS_PERIOD
             self._publish_diagnostics(measured, stamp)
@@ -501,29 +487,24 @@ class RobotNode:
         ros = self._node.ros
         kinds = ros.DiagnosticStatus
         reason = measured.reason
-        is_stopped = reason is Reason.EMERGENCY_STOP
-        is_late = measured.lateness is not None and self._lateness > self.config.late_tick
-        publishers = self._check_publishers()
-        problem = self.inbox.problem or publishers
+        problem = self.inbox.problem or self._check_publishers()
         status = kinds(level=kinds.OK, message="drives", hardware_id=self.link)
         status.name = f"{DRIVER_NODE}: link"
-        if problem or is_late:
+        if problem or self._late_ticks > self._reported_late_ticks:
             status.level = kinds.WARN
             status.message = problem or "the control loop is late"
-        if is_stopped or reason in (Reason.GEOFENCE, Reason.STALE_FEEDBACK):
+        if reason in (Reason.EMERGENCY_STOP, Reason.GEOFENCE, Reason.STALE_FEEDBACK):
             status.level = kinds.ERROR
             status.message = reason.name.lower().replace("_", " ")
 
-        is_simulated = measured.lateness is None
         values = {
-            "emergency stop": str(is_stopped).lower(),
+            "emergency stop": str(reason is Reason.EMERGENCY_STOP).lower(),
             "why the sent twist isn't the commanded one": reason.name.lower(),
             "age of the feedback [s]": f"{measured.age:.4f}",
-            "latest tick [s]": "simulated" if is_simulated else f"{self._lateness:.6f}",
             "late ticks": f"{self._late_ticks} of {self._ticks}",
             "commands": problem or "taken",
         }
-        self._lateness = 0.0
+        self._reported_late_ticks = self._late_ticks
         status.values = [ros.KeyValue(key=key, value=value) for key, value in values.items()]
         array = ros.DiagnosticArray(status=[status])
         array.header.stamp = stamp
@@ -631,7 +612,7 @@ class DrivenRobot:
             twist=odometry.twist,
             states=list_states(robot.shares, stamp, speeds=robot.speeds, angles=angles),
             scan=self._take_scan(),
-            lateness=robot.link.lateness,
+            lateness=robot.link.lateness or 0.0,
             age=robot.feedback_age,
             reason=robot.safety.reason,
         )
