@@ -447,7 +447,7 @@ def count_interrupts(trials: int) -> int:
                 program.stdout.readline()
         finally:
             program.kill()
-            program.wait()
+            program.communicate()
             robot.close()
     return stops
 

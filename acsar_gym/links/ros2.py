@@ -44,8 +44,8 @@ SCENE_PARAMETER = "scene"
 """Its parameter for the name of a world."""
 START_PARAMETER = "start"
 """Its parameter for the robot's place in that world: x [m], y [m], theta [rad]."""
-DISCOVERY_TIME = 0.5
-"""How long other nodes are looked for before the first command [s]."""
+DISCOVERY_TIME = 1.0
+"""Shortest time for which other nodes are looked for before the first command [s]."""
 MATCH_TIMEOUT = 1.0
 """Longest wait until the robot knows the publisher of commands [s]."""
 NAME_TIMEOUT = 5.0
@@ -175,12 +175,15 @@ class Ros2Link(GuardedLink):
     def _connect(self) -> None:
         """Find the robot, and publish nothing if another node commands it."""
         self._forget()
+        start = time.monotonic()
         self.node = node = RosNode(f"acsar_gym_{os.getpid()}_{next(_numbers)}", self._namespace)
         try:
             self._find_controller(node)
             self._find_feedback(node)
             self._start_clock(node)
-            self._wait(lambda: self.commanders, DISCOVERY_TIME)
+            # A node that commands the robot is found as soon as the robot, or a bit later.
+            discovery_time = max(DISCOVERY_TIME, time.monotonic() - start)
+            self._wait(lambda: self.commanders, discovery_time)
             if self._is_intruded:  # a command may arrive before the name of its node
                 self._wait(lambda: self.commanders, NAME_TIMEOUT)
             self._refuse_commanders()

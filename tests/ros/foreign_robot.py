@@ -45,6 +45,7 @@ JOINTS = ["right_front=a", "left_front=b", "left_rear=c", "right_rear=d"]
 STEP = 0.002  # longest step of the integration [s]
 JUMP = 5.0  # how far the clock jumps back [s]
 SIM_EPOCH = 100  # what /clock begins with [s]
+ROOM = (-2.0, -1.5, 4.0, 2.5)  # least x and y, largest x and y of the walls [m]
 COMMANDS = {"twist": Twist, "twist_stamped": TwistStamped, "wheel_speeds": Float64MultiArray}
 
 
@@ -73,15 +74,12 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     add("--frame", default="base_link")
     add("--scan-rate", type=float, default=0.0, help="0: no LiDAR [Hz]")
     add("--scan-rays", type=int, default=360)
-    add("--scan-direction", choices=["cw", "ccw"], default="ccw")
     add("--scan-x", type=float, default=0.1, help="the LiDAR's place before the axle [m]")
     add("--scan-yaw", type=float, default=0.0, help="how the LiDAR is turned [rad]")
     add("--upside-down", action="store_true")
     add("--mast", action="store_true", help="a frame more between base and LiDAR, turned, too")
     add("--static", choices=["global", "namespaced", "none"], default="global", help="/tf_static")
     add("--scan-time-increment", type=float, default=0.0, help="between two rays [s]")
-    add("--scan-holes", action="store_true", help="some rays are NaN, some infinite")
-    add("--room", type=float, nargs=4, default=[-2.0, -1.5, 4.0, 2.5], help="x, y; x, y [m]")
     add("--sim-time", type=float, help="publish /clock, so many times as fast as real time")
     add("--clock-rate", type=float, default=200.0, help="of /clock, in its own seconds [Hz]")
     add("--clock-jump-after", type=float, metavar="S", help="the clock jumps back")
@@ -140,15 +138,15 @@ class World:
             self.time = end
             self.past.append((end, *self.pose))
 
-    def scan(self, times: Array, angles: Array, mount_x: float, room: list[float]) -> Array:
+    def scan(self, times: Array, angles: Array, mount_x: float) -> Array:
         """Distance of the walls [m]: each ray at its time, its angle against the body."""
         past_times, *past = np.array(self.past).T
         x, y, theta = (np.interp(times, past_times, values) for values in past)
         x, y = x + mount_x * np.cos(theta), y + mount_x * np.sin(theta)
         cosine, sine = np.cos(theta + angles), np.sin(theta + angles)
         with np.errstate(divide="ignore"):
-            to_x = np.where(cosine > 0.0, room[2] - x, room[0] - x) / cosine
-            to_y = np.where(sine > 0.0, room[3] - y, room[1] - y) / sine
+            to_x = np.where(cosine > 0.0, ROOM[2] - x, ROOM[0] - x) / cosine
+            to_y = np.where(sine > 0.0, ROOM[3] - y, ROOM[1] - y) / sine
         return np.asarray(np.minimum(np.abs(to_x), np.abs(to_y)))
 
 
@@ -296,16 +294,13 @@ class ForeignRobot:
         given, count = self.given, self.given.scan_rays
         if self.begun(given.drop_after, now):
             return
-        direction = -1.0 if given.scan_direction == "cw" else 1.0
-        increment = direction * 2.0 * math.pi / max(count, 1)
-        angles = -direction * math.pi + increment * np.arange(count)
+        increment = 2.0 * math.pi / max(count, 1)
+        angles = -math.pi + increment * np.arange(count)
         begin = now - given.scan_time_increment * max(count - 1, 0)
         times = begin + given.scan_time_increment * np.arange(count)
         towards = given.scan_yaw + (-angles if given.upside_down else angles)
-        ranges = self.world.scan(times, towards, given.scan_x, given.room)
-        if given.scan_holes:
-            ranges[3::20], ranges[11::20] = math.nan, math.inf
-        scan = LaserScan(angle_min=-direction * math.pi, angle_increment=increment)
+        ranges = self.world.scan(times, towards, given.scan_x)
+        scan = LaserScan(angle_min=-math.pi, angle_increment=increment)
         scan.header.stamp = Time(nanoseconds=self.stamp(begin)).to_msg()
         scan.header.frame_id = "laser"
         scan.angle_max = scan.angle_min + increment * max(count - 1, 0)

@@ -19,7 +19,7 @@ from serial_tools import HEEDING_CTRL_C
 from acsar_gym import RobotConfig
 from acsar_gym.testing import emulated_board
 
-TRIALS = 2
+TRIALS = 1
 ROUNDS = 3
 """Most measurements. A machine that stalls makes a robot look slow, and it is measured again."""
 INTERRUPTS = 100

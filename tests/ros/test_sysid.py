@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ros_tools import Client, ForeignRobot, Program, StartProgram, StartRobot
-from sensor_msgs.msg import JointState
+from ros_tools import ForeignRobot, Program, StartProgram, StartRobot
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
@@ -112,49 +111,6 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
     before, after = (json.loads(gap.read_text())[side]["figures"] for side in ("before", "after"))
     assert after["wheel_speed_rms"] < 0.5 * before["wheel_speed_rms"]
     assert abs(after["time_shift"]) < 0.02 < before["time_shift"]
-
-
-def test_a_simulated_robot_behind_our_driver_is_identified(
-    start_program: StartProgram, client: Client, namespace: str, tmp_path: Path
-) -> None:
-    hidden = {
-        "motor": {"time_constant": 0.14, "gain": [0.94, 1.03, 0.97, 1.05], "deadband": 0.4},
-        "firmware": {"command_delay": 0.03, "command_timeout": 0.4},
-        "encoder": {"quantum": 0.05},
-    }
-    robot = RobotConfig(**hidden)
-    robot.save(tmp_path / "hidden.yaml")
-    known = RobotConfig.preset("acsar").with_(feedback_timeout=FOX["feedback_timeout"])
-    known.save(tmp_path / "known.yaml")
-    start_program(
-        *("-m", "acsar_gym", "ros", "driver", "--link", "planar", "--namespace", namespace),
-        *("--robot", tmp_path / "hidden.yaml"),
-    )
-    heard = client.hear(JointState, "joint_states")
-    client.wait(lambda: bool(heard.messages), "the driver")
-    findings = tmp_path / "found.json"
-    run(
-        start_program(
-            *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 15),
-            *("--robot", tmp_path / "known.yaml", "--json", findings, "--anyway"),
-        )
-    )
-    found = intervals(findings)
-    # A twist waits for the driver's next tick, and takes the board's wire; a line takes the wire,
-    # and waits for the end of a tick, whose stamp it gets.
-    ways = 2.0 * robot.period
-    check_holds(
-        found,
-        {
-            "firmware.command_delay": 0.03 + robot.wire_time + ways,
-            "motor.time_constant": 0.14,
-            "motor.deadband": 0.4,
-            "ros2.wheel_separation": 0.3,
-        },
-    )
-    for letter, gain in zip("abcd", (0.94, 1.03, 0.97, 1.05), strict=True):
-        name = f"motor.gain{letter}"
-        check_holds(found, {name if name in found else "motor.gain": gain})
 
 
 def test_a_foreign_robot_is_calibrated(
