@@ -23,6 +23,7 @@ FOX: dict[str, Any] = {
     "wheelbase": 0.3,
     "firmware": {"feedback_rate": 50.0},
     "feedback_timeout": 2.0,  # a busy computer doesn't end a test
+    "watchdog_timeout": 2.0,
     "ros2": {"joints": ["fr", "fl", "rl", "rr"]},
 }
 """What is known of the foreign robot."""
