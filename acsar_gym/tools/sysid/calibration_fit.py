@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -258,7 +259,7 @@ def make_calibrated_config(
 ) -> RobotConfig:
     """The robot's config with what was found, and `measured` entries with method and logs.
 
-    A robot in ROS has a controller with a geometry of its own, by which it goes on taking twists.
+    A robot in ROS continues to take twists by the geometry of its controller.
     """
     fields = fitted_fields(fit, config)
     method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.used}))
@@ -275,9 +276,38 @@ def make_calibrated_config(
     if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
         changes["body"] = {"turn_factor": turning}
     if in_ros:
-        *radii, separation = config.twist_geometry
-        changes["ros2"] = {"wheel_radii": tuple(radii), "wheel_separation": separation}
+        left, right, separation = config.twist_geometry
+        error = 1.0
+        if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
+            error = fmean(config.motor.of_wheel(wheel).gain for wheel in range(4))
+            changes["motor"], intervals = _divide_gains(config, error)
+            measured |= intervals
+        changes["ros2"] = {
+            "wheel_radii": (left / error, right / error),
+            "wheel_separation": separation,
+        }
     return config.with_(**changes, measured=update_measured(config.measured, measured))
+
+
+def _divide_gains(config: RobotConfig, error: float) -> tuple[dict[str, Any], dict[str, Measured]]:
+    """Take the error of the radii by which twists were sent out of the motors' gains.
+
+    A controller regulates the speeds of its wheels. If they turn slower or faster than commanded,
+    twists were sent by radii other than its own, and `identify` found their ratio as the gain.
+
+    Returns:
+        The gains as a change of the config's section `motor`, and their intervals.
+    """
+    gain = config.motor.gain
+    divided = tuple(each / error for each in gain) if isinstance(gain, tuple) else gain / error
+    intervals = {
+        name: interval.model_copy(
+            update={"low": interval.low / error, "high": interval.high / error}
+        )
+        for name, interval in config.measured.items()
+        if name.startswith("motor.gain")
+    }
+    return {"gain": divided}, intervals
 
 
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:

@@ -26,7 +26,7 @@ from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.fit import MotorFit, configured_times, configured_wheel
 from acsar_gym.tools.sysid.model_check import ModelCheck, check_model, measure_parts
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
-from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, fit_twists
+from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, fit_twists, resend_twists
 
 IDENTIFY_METHOD = "identify"
 COUNTS_FIELD = "counts_per_revolution"
@@ -61,10 +61,14 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     """
     recordings = [(str(path), read(path)) for path in paths]
     check_same_robot(recordings, "identify")
-    logs = [episode.wire for _, recording in recordings for episode in recording.episodes]
+    known = config or recordings[0][1].config
+    logs = [
+        resend_twists(episode.wire, recording.config, known)
+        for _, recording in recordings
+        for episode in recording.episodes
+    ]
     hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
-    recorded = recordings[0][1].config
-    return identify_logs(logs, config or recorded, hashes, recorded.twist_geometry[2])
+    return identify_logs(logs, known, hashes)
 
 
 def identify_device(
@@ -80,10 +84,7 @@ def identify_device(
 
 
 def identify_logs(
-    logs: Sequence[WireLog],
-    config: RobotConfig,
-    hashes: Sequence[str] = (),
-    separation: float | None = None,
+    logs: Sequence[WireLog], config: RobotConfig, hashes: Sequence[str] = ()
 ) -> Identification:
     """Identify the board and motors of one robot from what its wire carried.
 
@@ -91,8 +92,6 @@ def identify_logs(
         logs: of the wire, one for each episode.
         config: of the robot; what the logs can't tell stays.
         hashes: of the logs' files, for the robot's file.
-        separation: by which twists were made of wheel speeds for a robot in ROS; None: as by
-            `config` [m].
 
     Raises:
         ConfigError: the logs hold no commands, or no feedback.
@@ -103,8 +102,7 @@ def identify_logs(
         raise ConfigError("the log holds no commands, or no feedback to them: nothing to identify")
     board_log.check_wheel_order(tracks)
     known = board_log.check_identifiability(tracks)
-    separation = separation or config.twist_geometry[2]
-    fit, controller = fit_twists(tracks, config, known, separation)
+    fit, controller = fit_twists(tracks, config, known)
     parts = () if fit is None else measure_parts(fit)
     board = parameter_findings.find_board(fit, config, known, tracks)
     delayed = any(one.name == parameter_findings.DELAY_NAME and one.told for one in board)

@@ -15,6 +15,7 @@ import numpy as np
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
+from acsar_gym.kinematics import compute_sides, compute_twist
 from acsar_gym.protocol import encode
 from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid.board_log import (
@@ -57,7 +58,7 @@ SHARE_STEP = 1e-3
 
 
 def fit_twists(
-    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability, separation: float
+    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability
 ) -> tuple[MotorFit | None, list[ParameterFinding]]:
     """Fit motors and board as `fit_motors` does, and the controller where commands were twists.
 
@@ -65,7 +66,6 @@ def fit_twists(
         tracks: of one robot.
         config: of the robot.
         known: what the tracks can tell.
-        separation: by which wheel speeds were made into twists [m].
 
     Returns:
         The fit, and the finding of the controller's separation, if there is one.
@@ -87,8 +87,8 @@ def fit_twists(
         if abs(better - share) < SETTLED_SHARE:
             break
         share = better
-    value, low, high = (separation * (share + one) for one in change)
     own = config.twist_geometry[2]
+    value, low, high = (own * (share + one) for one in change)
     found = ParameterFinding(SEPARATION_NAME, "", value, low, high, own, "as configured")
     if high - low > 2.0 * VAGUE_SHARE * own:
         found = ParameterFinding(SEPARATION_NAME, before=own, note="too vague: record more steps")
@@ -115,14 +115,20 @@ def resend_twists(log: WireLog, sender: RobotConfig, robot: RobotConfig) -> Wire
         sender: by whose geometry commands were made into twists.
         robot: by whose geometry its controller takes them.
     """
-    share = robot.twist_geometry[2] / sender.twist_geometry[2]
-    if not log.stamped or abs(share - 1.0) < SHARE_STEP:
+    if not log.stamped or robot.ros2.command == "wheel_speeds":
         return log
+    if np.allclose(sender.twist_geometry, robot.twist_geometry, rtol=SHARE_STEP, atol=0.0):
+        return log
+
     stamps, speeds = log.commands(sender)
     letters = sender.wheels.motors
-    rows = _mix_rows(speeds, share).tolist()
-    lines = tuple(encode(letters.to_wire((*row,)) if letters else row) for row in rows)
-    return replace(log, sent_stamps=stamps, sent=lines)
+    lines = []
+    for a, b, c, d in speeds.tolist():
+        linear, angular = compute_twist(a, b, c, d, *sender.twist_geometry)
+        right, left = compute_sides(linear, angular, *robot.twist_geometry, math.inf)
+        taken = (right, left, left, right)
+        lines.append(encode(letters.to_wire(taken) if letters else taken))
+    return replace(log, sent_stamps=stamps, sent=tuple(lines))
 
 
 def guess_share(tracks: Sequence[BoardTrack]) -> float:

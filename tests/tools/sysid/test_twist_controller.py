@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import pytest
 from sysid_tools import ACSAR
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym.kinematics import compute_sides, compute_twist
 from acsar_gym.links import Link
 from acsar_gym.links.base import LinkWrapper
 from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording.types import WireLog
-from acsar_gym.tools.sysid.identify import Identification, identify_device
+from acsar_gym.tools.sysid.board_log import Estimate
+from acsar_gym.tools.sysid.calibration import Geometry
+from acsar_gym.tools.sysid.calibration_fit import GeometryFit, make_calibrated_config
+from acsar_gym.tools.sysid.identify import identify_device
 from acsar_gym.tools.sysid.twist_controller import SEPARATION_NAME, resend_twists
 
 HIDDEN = ACSAR.with_(
@@ -21,32 +28,34 @@ HIDDEN = ACSAR.with_(
 
 
 class TwistLink(LinkWrapper):
-    """A simulated robot behind a controller that takes twists, with a separation of its own."""
+    """A robot behind a controller that takes twists by a separation of its own.
+
+    Args:
+        robot: Robot that is simulated; its controller has its radius.
+        sender: Robot by whose geometry commands become twists.
+        share: Separation of the controller, as a share of the robot's.
+    """
 
     commands_sides = True
     stamped = True
 
-    def __init__(self, link: Link, share: float) -> None:
-        super().__init__(link)
-        self._share = share
+    def __init__(self, robot: RobotConfig, sender: RobotConfig, share: float = 1.0) -> None:
+        super().__init__(open_link("planar", robot))
+        self._sent = sender.twist_geometry
+        self._taken = (*robot.wheel_radii, share * robot.effective_separation)
         self._decoder = Decoder()
 
     def write(self, data: bytes) -> None:
         """Send what the controller makes of a command."""
         for reading in self._decoder.feed(data):
-            a, b, c, d = reading.over(ZERO)
-            middle, turn = (a + b + c + d) / 4.0, self._share * (a + d - b - c) / 4.0
-            right, left = middle + turn, middle - turn
+            linear, angular = compute_twist(*reading.over(ZERO), *self._sent)
+            right, left = compute_sides(linear, angular, *self._taken, math.inf)
             super().write(encode((right, left, left, right)))
-
-
-def identify(share: float, known: RobotConfig = ACSAR) -> Identification:
-    return identify_device(TwistLink(open_link("planar", HIDDEN), share), known, 20.0)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
 def test_a_hidden_robot_is_found_behind_its_controller(share: float) -> None:
-    found = identify(share)
+    found = identify_device(TwistLink(HIDDEN, ACSAR, share), ACSAR, 20.0)
     # Of this link, stamps are those of arrivals, and commands take the time of a wire.
     truth = {
         "firmware.command_delay": 0.04 + 2.0 * HIDDEN.wire_time,
@@ -77,14 +86,50 @@ def test_what_is_known_of_a_controller_counts() -> None:
     assert ACSAR.twist_geometry == (0.05, 0.05, ACSAR.effective_separation)
 
 
-def test_a_log_is_sent_again_as_the_controller_took_it() -> None:
-    other = ACSAR.with_(ros2={"wheel_separation": 2.0 * ACSAR.effective_separation})
+@pytest.mark.parametrize(
+    ("ros2", "taken"),
+    [
+        ({"wheel_separation": 2.0 * ACSAR.effective_separation}, [4.0, 0.0, 0.0, 4.0]),
+        ({"wheel_radii": (0.1, 0.1)}, [1.5, 0.5, 0.5, 1.5]),
+    ],
+)
+def test_a_log_is_sent_again_as_the_controller_took_it(
+    ros2: dict[str, Any], taken: list[float]
+) -> None:
+    other = ACSAR.with_(ros2=ros2)
     stamps, lines = np.array([0.5, 0.6]), (encode((3.0, 1.0, 1.0, 3.0)), encode(ZERO))
     log = WireLog(stamps, lines, stamps, lines, stamped=True)
     sent = resend_twists(log, ACSAR, other)
     assert sent.commands(ACSAR)[0].tolist() == stamps.tolist()
-    assert sent.commands(ACSAR)[1].tolist() == [[4.0, 0.0, 0.0, 4.0], [0.0] * 4]
+    assert sent.commands(ACSAR)[1].tolist() == [taken, [0.0] * 4]
     assert sent.got == log.got
     assert resend_twists(log, ACSAR, ACSAR) is log
     board = WireLog(stamps, lines, stamps, lines)
     assert resend_twists(board, ACSAR, other) is board
+
+
+def steady_speed(link: Link, config: RobotConfig) -> float:
+    """Mean speed of the wheels on one command, without its first second [rad/s]."""
+    speeds = []
+    with Robot(link, config) as robot:
+        for _ in range(200):
+            robot.tick((5.0, 5.0, 5.0, 5.0))
+            speeds.append(robot.speeds)
+    return float(np.mean(speeds[100:]))
+
+
+def test_a_calibrated_radius_takes_its_error_out_of_the_gain() -> None:
+    """The twin answers as the robot, and it does so if users follow the advice, too."""
+    guessed = ACSAR.with_(wheel_radius=0.0485)
+    identified = identify_device(TwistLink(ACSAR, guessed), guessed, 20.0).robot()
+    assert identified.motor.of_wheel(0).gain == pytest.approx(0.97, abs=0.005)
+
+    radius = Estimate(0.05, 0.0499, 0.0501)
+    fit = GeometryFit(Geometry(0.05, 0.0, 1.5), {"wheel_radius": radius}, (), (), 1.0)
+    calibrated = make_calibrated_config(fit, identified, in_ros=True)
+    advised = calibrated.with_(ros2={"wheel_radii": None, "wheel_separation": None})
+    for config in (calibrated, advised):
+        driven = steady_speed(TwistLink(ACSAR, config), config)
+        simulated = steady_speed(open_link("planar", config), config)
+        assert simulated == pytest.approx(driven, rel=0.005)
+    assert driven == pytest.approx(5.0, rel=0.005)

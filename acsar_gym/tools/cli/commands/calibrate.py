@@ -210,8 +210,9 @@ def _finish_calibration(
         say(f"written: {output.out}; use it with --robot {output.out}")
         if job.in_ros:
             say(
-                "its controller goes on taking twists by its own radii and separation, as ros2 in "
-                "the file says; set the found ones in its parameters, too, and take these lines out"
+                "its controller takes twists by its own radii and separation, which are in ros2 of "
+                "the file. Better set the found ones in its parameters and delete wheel_radii and "
+                "wheel_separation from ros2"
             )
     return 0
 
