@@ -17,7 +17,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/gu
 CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics tests/recording \
   tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training \
   --ignore tests/recording/test_sinks.py
-STOPPING ?= --trials 40
+STOPPING ?= --trials 20
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
   test-ros test-scale lint firmware firmware-tested bench soak stopping ros-stopping ros-timing \
@@ -88,7 +88,7 @@ soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
 	$(BIN)/python tests/tools/sysid/check_hidden.py
 
-stopping: $(READY)  ## how soon a robot stops after each kind of fault, in half an hour; STOPPING='--board COMMAND ...'
+stopping: $(READY)  ## how soon a robot stops after each kind of fault, in ten minutes; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)
 
 ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`

@@ -88,7 +88,8 @@ def test_a_unit_runs_a_command_that_there_is(path: Path, monkeypatch: pytest.Mon
         assert str(given["robot"].record).startswith("/var/lib/acsar/")
         assert given["host"].realtime + 1 <= int(unit(path)["Service"]["LimitRTPRIO"][0])
     else:
-        assert given["source"] == "/dev/acsar"
+        assert given["source"] == "/var/lib/acsar/drive.mcap"
+        assert given["options"].live
 
 
 def test_a_stop_of_the_unit_leaves_the_watchdog_its_time() -> None:

@@ -141,7 +141,7 @@ class RobotConfig(Section):
     right_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
     """Factor from `wheel_radius` to the radius of the right wheels."""
     name: Name = ""
-    """What `acsar-gym estop NAME` calls this robot, beside its device."""
+    """Name of the robot in the files of policies and in datasets."""
     serial_port: Name | None = None
     """Device that `open_link("serial", config)` opens."""
     baud_rate: Annotated[int, AfterValidator(validate_baud_rate)] = 115200
