@@ -88,7 +88,7 @@ soak: $(READY)  ## half an hour of driving over a pseudo-terminal
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
 	$(BIN)/python tests/tools/sysid/check_hidden.py
 
-stopping: $(READY)  ## how soon a robot stops after each kind of fault, in ten minutes; STOPPING='--board COMMAND ...'
+stopping: $(READY)  ## how soon a robot stops after each kind of fault, in a quarter of an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)
 
 ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`

@@ -44,7 +44,7 @@ KINDS = {
     "terminal": "the terminal is closed (SIGHUP)",
     "ctrl-z": "Ctrl-Z (SIGTSTP)",
     "estop": "acsar-gym estop in another terminal",
-    "cable": "the cable is pulled and plugged in again",
+    "cable": "the cable is pulled, then plugged in",
 }
 OWN_FAULTS = ("hang", "exception")  # kinds that the program causes
 SIGNALS = {
@@ -268,7 +268,7 @@ def main() -> int:
     parser.add_argument("--board", help="command that emulates the board; see `measure`")
     options = parser.parse_args()
 
-    table = Table("fault", title="from fault to zero command [ms]")
+    table = Table("fault", title="milliseconds from fault to zero command")
     for name in ("min", "median", "max", f"within {LIMIT * 1000.0:.0f}"):
         table.add_column(name, justify="right")
     is_sound = True

@@ -20,7 +20,7 @@ FOREVER = 10**9
 
 
 def assert_stopped(emulator: Emulated) -> None:
-    """Wheels turned, then a zero command came; the process is gone, so nothing follows it."""
+    """Wheels turned, then a zero command came. The process is gone, so nothing follows it."""
     wait_until(emulator.is_stopped, "zero as the last command")
 
 
@@ -206,6 +206,7 @@ print(errors, activation_errors, no_errors, sep="|", flush=True)
     with program(DRIVER + THREAD + code, emulator.device) as process:
         output = first_line(process).split("|")
         assert ended(process) == (0, "")
+
     refusal = (
         "['LinkError: SIGINT asked the program to end, and a thread drove on: "
         "to go on, call activate() or env.reset() in the main thread']"

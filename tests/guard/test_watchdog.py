@@ -49,7 +49,7 @@ Check = Callable[[float], float]
 
 @pytest.fixture
 def check(zeros: list[float], page: memoryview[float]) -> Check:
-    """Let it look at a time; returns when it looks again."""
+    """Let it look at a time. It returns when it looks again."""
     return ProgramWatch(page, WATCH_TIMEOUT, lambda: zeros.append(0.0)).check
 
 
@@ -119,12 +119,9 @@ def test_it_trips_commands_zero_for_a_second_and_can_be_armed_again(
     for _ in range(2):
         dog.allow_drive()
         assert read_until_quiet(wire[0]) == ZEROS * HANG_ZEROS
-        assert dog.has_tripped
-        dog.beat()
         with pytest.raises(LinkError):
             dog.allow_drive()
         dog.rearm()
-        assert not dog.has_tripped
 
 
 def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
