@@ -18,7 +18,10 @@ from acsar_gym.tools.emulation.lidar import LidarEmulator, LidarTwin
 
 Floats = NDArray[np.float64]
 
-AHEAD, LEFT, BEHIND, RIGHT = 2.7, 2.1, 1.3, 0.9
+AHEAD = 2.7
+LEFT = 2.1
+BEHIND = 1.3
+RIGHT = 0.9
 """Distances of the walls of a room of 4 m x 3 m: no two directions are alike [m]."""
 OTHER_DEVICE = b"$GPGGA,120000.00,5230.0,N,01322.0,E,1,08,0.9,34.0,M,,M,,*47\r\n"
 """Output of a GPS receiver."""
@@ -75,25 +78,25 @@ def main() -> None:
     parser.add_argument("--baud", type=int)
     parser.add_argument("--fault", choices=["silent", "garbage"])
     parser.add_argument("--lose", type=int, default=0)
-    given = parser.parse_args()
-    maker = MAKERS[given.model]
-    options: dict[str, Any] = {
-        "rate": given.rate,
-        "spin_up": given.spin_up,
-        "wobble": given.wobble,
+    options = parser.parse_args()
+    maker = MAKERS[options.model]
+    traits: dict[str, Any] = {
+        "rate": options.rate,
+        "spin_up": options.spin_up,
+        "wobble": options.wobble,
         **maker.options,
-        **({"samples": given.samples} if given.samples else {}),
-        **({"broken": True} if given.broken else {}),
+        **({"samples": options.samples} if options.samples else {}),
+        **({"broken": True} if options.broken else {}),
     }
-    twin = maker.twin(room, **options)
-    with given.log.open("w", encoding="ascii", buffering=1) as log:
+    twin = maker.twin(room, **traits)
+    with options.log.open("w", encoding="ascii", buffering=1) as log:
 
         def note(**event: object) -> None:
             log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
-        baud = given.baud or maker.baud
-        if given.fault or given.lose:
-            spoil(twin, given.fault, given.lose)
+        baud = options.baud or maker.baud
+        if options.fault or options.lose:
+            spoil(twin, options.fault, options.lose)
         with LidarEmulator(twin, baud=baud) as emulator:
             print(emulator.device, flush=True)
             serve(emulator, note)
@@ -101,11 +104,14 @@ def main() -> None:
 
 def spoil(twin: LidarTwin, fault: str | None, lose: int) -> None:
     """Let a sensor be silent, or send "garbage", or lose the last one of so many bytes."""
-    sent, receive, advance = 0, twin.receive, twin.advance
+    sent = 0
+    receive = twin.receive
+    advance = twin.advance
 
     def passed(data: bytes) -> bytes:
         nonlocal sent
-        first, sent = sent + 1, sent + len(data)
+        first = sent + 1
+        sent += len(data)
         if fault:
             return b""
         return bytes(byte for number, byte in enumerate(data, first) if number % lose)
@@ -120,16 +126,17 @@ def spoil(twin: LidarTwin, fault: str | None, lose: int) -> None:
 
 def serve(emulator: LidarEmulator, note: Callable[..., None]) -> None:
     """In real time; what changes is noted."""
-    before, begun = None, 0
+    last_state = None
+    turns = 0
     deadline = time.monotonic()
     while True:
         emulator.serve_once(PERIOD)
-        now = emulator.twin.scanning, emulator.twin.running
-        if now != before:
-            note(scanning=now[0], running=now[1])
-            before = now
-        if emulator.twin.turns > begun:
+        state = (emulator.twin.scanning, emulator.twin.running)
+        if state != last_state:
+            note(scanning=state[0], running=state[1])
+            last_state = state
+        if emulator.twin.turns > turns:
             note(turn=True)
-            begun = emulator.twin.turns
+            turns = emulator.twin.turns
         deadline = max(deadline + PERIOD, time.monotonic() - LATE)
         time.sleep(max(0.0, deadline - time.monotonic()))

@@ -136,6 +136,23 @@ class Driver:
         raise NotImplementedError
 
 
+class LibraryDriver(Driver):
+    """A driver of a maker whose packets a module of lds2d decodes; `models` are its classes."""
+
+    library: ClassVar[str]
+    """Name of the module."""
+
+    def __init__(self, model: str) -> None:
+        self._library = getattr(load_lds2d(), self.library)
+        self._kind = getattr(self._library, self.models[model])
+        self.product = self._kind.MODEL_NAME
+        self.forget()
+
+    def start(self, port: OpenPort) -> None:
+        """Set the baud rate."""
+        port.set_baud_rate(self._kind.DEFAULT_BAUD)
+
+
 def load_lds2d() -> Any:
     """Import the drivers of lds2d; MissingExtraError if it isn't installed."""
     with require_extra("a real LiDAR", "lidar"):

@@ -123,6 +123,7 @@ def test_each_ray_has_what_lies_between_the_measurements_next_to_it(data: Any) -
     turned = 2.0 * math.pi * data.draw(st.integers(-2, 2))
     shuffled = Revolution(bearings[order] + turned, distances[order], np.zeros(count), 0.0)
     ranges = scan(shuffled, STANDSTILL)
+
     for k, angle in enumerate((rays.start + np.arange(64) * rays.step).tolist()):
         gaps = np.remainder(bearings - angle + math.pi, 2.0 * math.pi) - math.pi
         below = np.where(gaps <= 0.0, gaps, -np.inf).argmax()

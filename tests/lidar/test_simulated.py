@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from acsar_gym import RobotConfig
 from acsar_gym.hashing import hash_sample
-from acsar_gym.lidar.scan import Revolution, ray_spec
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.physics.planar import PlanarBody
@@ -34,8 +33,13 @@ ROBOTS = {
     ),
     "a slow head": RobotConfig.preset("acsar").with_(lidar=EXACT | {"rate": 5.0, "rays": 180}),
 }
-DRIVES = ((0.0, 0.0), (8.0, 8.0), (6.0, -6.0), (9.0, 4.0))
-"""Speeds of the wheels on the right and on the left [rad/s]: none, ahead, turning, on an arc."""
+DRIVES = (
+    (0.0, 0.0, 0.0, 0.0),
+    (8.0, 8.0, 8.0, 8.0),
+    (6.0, -6.0, -6.0, 6.0),
+    (9.0, 4.0, 4.0, 9.0),
+)
+"""Speeds of the wheels [rad/s]: at rest, ahead, turning, on an arc."""
 MOVERS: dict[str, list[Mover]] = {
     "walkers": [
         walk([[-2.0, 1.2], [2.0, 1.2]], 1.5, spread=5.0),
@@ -72,76 +76,77 @@ ROOM = {
 
 
 class Ways(NamedTuple):
-    """Where the LiDAR and the movers were at the ends of ticks."""
+    """Places of the LiDAR and of the movers at the ends of ticks."""
 
     times: list[float]
-    places: list[tuple[float, float]]
-    headings: list[float]
+    lidar: list[list[float]]
     movers: list[Floats]
 
+    def mark(self, link: SimulatedLink, config: RobotConfig) -> float:
+        """Add the present places; returns the heading."""
+        x, y, theta = link.truth.pose
+        mount = complex(config.lidar_x_offset, config.lidar_y_offset) * np.exp(1j * theta)
+        self.times.append(link.now())
+        self.lidar.append([x + mount.real, y + mount.imag])
+        assert link.truth.crowd is not None
+        self.movers.append(link.truth.crowd.states[:, :2].copy())
+        return theta
 
-def mark(ways: Ways, link: SimulatedLink, config: RobotConfig) -> None:
-    """Add where they are now."""
-    x, y, theta = link.truth.pose
-    cos, sin = math.cos(theta), math.sin(theta)
-    ahead, left = config.lidar_x_offset, config.lidar_y_offset
-    ways.times.append(link.now())
-    ways.places.append((x + cos * ahead - sin * left, y + sin * ahead + cos * left))
-    ways.headings.append(theta)
-    assert link.truth.crowd is not None
-    ways.movers.append(link.truth.crowd.states[:, :2].copy())
-
-
-def interpolate(times: Floats, ways: Ways, values: Any) -> Floats:
-    """Values of the ends of ticks, (ticks, n), at other times, (times, n)."""
-    return np.column_stack([np.interp(times, ways.times, v) for v in np.array(values).T])
+    def interpolate(self, times: Floats, values: Any) -> Floats:
+        """Values of the ends of ticks, (ticks, n), at other times, (times, n)."""
+        return np.column_stack([np.interp(times, self.times, column) for column in values.T])
 
 
 def measure_exactly(
-    revolution: Revolution, ways: Ways, world: World, config: RobotConfig
+    times: Floats, bearings: Floats, ways: Ways, world: World, reach: float
 ) -> Floats:
-    """Distances of a revolution's measurements, each from where its beam began, at its time."""
-    times = revolution.times
-    places = interpolate(times, ways, ways.places)
-    # A beam points along the ray that the robot has now.
-    bearings = ways.headings[-1] + ray_spec(config).angles()
+    """Distances along bearings in the world, each from the LiDAR's place at its time."""
+    lidar = ways.interpolate(times, np.array(ways.lidar))
     moved = np.empty((len(times), len(world.movers), 2))
-    followed = interpolate(times, ways, np.array(ways.movers).reshape(len(ways.times), -1))
     for m, mover in enumerate(world.movers):
-        share = hash_sample(KEY, m)
-        moved[:, m] = (
-            followed[:, 2 * m : 2 * m + 2]
-            if mover.reacts
-            else [mover.position(time, share) for time in times.tolist()]
-        )
-    ranges = measure_ranges((places[:, 0], places[:, 1]), bearings, world, moved)
+        if mover.reacts:
+            moved[:, m] = ways.interpolate(times, np.array(ways.movers)[:, m])
+        else:
+            moved[:, m] = [mover.position(time, hash_sample(KEY, m)) for time in times.tolist()]
+
+    ranges = measure_ranges((lidar[:, 0], lidar[:, 1]), bearings, world, moved)
     radii = [mover.radius for mover in world.movers]
-    inside = np.hypot(*np.moveaxis(moved - places[:, None], -1, 0)) <= radii
-    ranges[inside.any(axis=1)] = 1e-6  # something very near
-    return np.where(ranges < config.lidar.max_range, ranges, 0.0)
+    is_inside = np.hypot(*np.moveaxis(moved - lidar[:, None], -1, 0)) <= radii
+    ranges[is_inside.any(axis=1)] = 1e-6  # something very near
+    return np.where(ranges < reach, ranges, 0.0)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("kind", MOVERS)
 def test_each_beam_meets_movers_where_they_were(kind: str, robot: str) -> None:
-    config, world = ROBOTS[robot], World(movers=MOVERS[kind], **ROOM)  # type: ignore[arg-type]
+    config = ROBOTS[robot]
+    world = World(movers=MOVERS[kind], **ROOM)  # type: ignore[arg-type]
+    empty = World(**ROOM)  # type: ignore[arg-type]
     link = SimulatedLink(config, lambda: PlanarBody(config))
-    lidar, scene = SimulatedLidar(link, config), Scene((0.1, -0.2, 0.4), None, world, None, KEY)
+    lidar = SimulatedLidar(link, config)
+    scene = Scene((0.1, -0.2, 0.4), None, world, None, KEY)
     link.reset(scene)
     lidar.reset(scene, np.random.default_rng(3))
-    ways, met = Ways([], [], [], []), 0
-    mark(ways, link, config)
-    alone = World(**ROOM)  # type: ignore[arg-type]
-    for right, left in DRIVES:
+    ways = Ways([], [], [])
+    ways.mark(link, config)
+    met = 0
+    for wheels in DRIVES:
         for tick in range(round(0.7 / config.period)):
-            link.write(encode((right, left, left, right)))
+            link.write(encode(wheels))
             link.advance(config.period)
             lidar.poll(link.truth, link.now())
-            mark(ways, link, config)
-            if tick % 9 == 0:
-                revolution = lidar.scan()
-                expected = measure_exactly(revolution, ways, world, config)
-                since = revolution.times >= ways.times[0]  # before, people walked as at the reset
-                assert revolution.distances[since] == pytest.approx(expected[since], abs=1e-9)
-                met += (expected < measure_exactly(revolution, ways, alone, config) - 0.01).sum()
+            theta = ways.mark(link, config)
+            revolution = lidar.scan()
+            since = revolution.times >= ways.times[0]
+            if tick % 9 or not since.any():
+                continue
+
+            # A beam points along the ray that the robot has now.
+            times = revolution.times[since]
+            bearings = theta + ray_spec(config).angles()[since]
+            reach = config.lidar.max_range
+            expected = measure_exactly(times, bearings, ways, world, reach=reach)
+            assert revolution.distances[since] == pytest.approx(expected, abs=1e-9)
+            without = measure_exactly(times, bearings, ways, empty, reach=reach)
+            met += (expected < without - 0.01).sum()
     assert met > 50

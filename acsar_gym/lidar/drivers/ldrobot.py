@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from acsar_gym.lidar.serial import Driver, Packet, find_start, load_lds2d, wrap_degrees
+from acsar_gym.lidar.serial import LibraryDriver, Packet, find_start, wrap_degrees
 from acsar_gym.links.ports import OpenPort
 
 POINTS = 12
 
 
-class LdrobotDriver(Driver):
+class LdrobotDriver(LibraryDriver):
     """A LiDAR of LDROBOT."""
 
+    library = "ldrobot_ld14p"
     models: ClassVar[Mapping[str, str]] = {
         "ld06": "LD06",
         "ld14p": "LD14P",
@@ -28,11 +29,8 @@ class LdrobotDriver(Driver):
     packet_bytes = 47
 
     def __init__(self, model: str) -> None:
-        self._library = load_lds2d().ldrobot_ld14p
-        self._kind = getattr(self._library, self.models[model])
+        super().__init__(model)
         self._has_commands = model == "ld14p"
-        self.product = self._kind.MODEL_NAME
-        self.forget()
 
     def forget(self) -> None:
         """Forget the end of the newest packet."""
@@ -40,7 +38,7 @@ class LdrobotDriver(Driver):
 
     def start(self, port: OpenPort) -> None:
         """Set the baud rate; start the motor of an LD14P."""
-        port.set_baud_rate(self._kind.DEFAULT_BAUD)
+        super().start(port)
         if self._has_commands:
             self._kind(port).start()
 

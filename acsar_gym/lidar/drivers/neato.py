@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-from acsar_gym.lidar.serial import Driver, Packet, load_lds2d
-from acsar_gym.links.ports import OpenPort
+from acsar_gym.lidar.serial import LibraryDriver, Packet
 
 POINTS = 4
 FIRST_INDEX = 0xA0  # index of the packet at 0 degrees
@@ -18,40 +17,35 @@ PACKETS = 90  # of a revolution
 NOMINAL_SPEED = 5.0  # if a packet doesn't have it [turns/s]
 
 
-class NeatoDriver(Driver):
+class NeatoDriver(LibraryDriver):
     """An XV-11, or a LiDAR of the same design."""
 
+    library = "neato_xv11"
     models: ClassVar[Mapping[str, str]] = {
         "neato": "NeatoXV11",
         "neato_xv11": "NeatoXV11",
         "lds01rr": "LDS01RR",
-        "lds02rr": "LDS02RR",
+        "lds02rr": "LDS01RR",  # but for the direction
     }
     header = b"\xfa"
     packet_bytes = 22
 
     def __init__(self, model: str) -> None:
+        super().__init__(model)
         self.clockwise = model == "lds02rr"
-        drivers = load_lds2d()
-        self._library = drivers.xiaomi_lds02rr if self.clockwise else drivers.neato_xv11
-        self._kind = getattr(self._library, self.models[model])
-        self.product = self._kind.MODEL_NAME
-        self.forget()
+        if self.clockwise:
+            self.product = "Xiaomi LDS02RR"
 
     def forget(self) -> None:
         """Forget the index of the newest packet."""
         self._index: int | None = None
-
-    def start(self, port: OpenPort) -> None:
-        """Set the baud rate."""
-        port.set_baud_rate(self._kind.DEFAULT_BAUD)
 
     def decode(self, data: bytes) -> Packet | None:
         """Decode a packet of 22 bytes."""
         index = data[1] - FIRST_INDEX
         if not (0 <= index < PACKETS and self._library.valid_packet(data)):
             return None
-        speed, points = self._library.parse_packet(data)
+        speed, points = self._library.parse_packet(data, self.clockwise)
         gap = self._index not in (None, (index - 1) % PACKETS)
         self._index = index
         return Packet(

@@ -10,16 +10,17 @@ import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from acsar_gym.lidar.serial import NO_MEASUREMENTS, Driver, Packet, load_lds2d, wrap_degrees
+from acsar_gym.lidar.serial import NO_MEASUREMENTS, LibraryDriver, Packet, wrap_degrees
 from acsar_gym.links.ports import OpenPort
 
 MAX_BYTES = 130  # of a packet: a header of ten bytes, and 40 measurements of three bytes
 MAX_JUMP = 3.0  # larger angles between two packets lack measurements [deg]
 
 
-class YdlidarDriver(Driver):
+class YdlidarDriver(LibraryDriver):
     """A LiDAR of YDLIDAR; "ydlidar" is an X4."""
 
+    library = "ydlidar"
     models: ClassVar[Mapping[str, str]] = {
         "ydlidar": "YDLidarX4",
         "ydlidar_x2": "YDLidarX2X2L",
@@ -36,13 +37,10 @@ class YdlidarDriver(Driver):
     greeting = bytes.fromhex("a5 5a 05 00 00 40 81")  # of an X4, before its head turns
 
     def __init__(self, model: str) -> None:
-        library = load_lds2d().ydlidar
-        self._kind = getattr(library, self.models[model])
+        super().__init__(model)
         self._decoders = [self._kind(None)]
-        if self._kind is library.YDLidarTmini:
-            self._decoders.insert(0, make_intensity_decoder(library))
-        self.product = self._kind.MODEL_NAME
-        self.forget()
+        if self._kind is self._library.YDLidarTmini:
+            self._decoders.insert(0, make_intensity_decoder(self._library))
 
     def forget(self) -> None:
         """Forget the end of the newest packet."""
@@ -51,7 +49,7 @@ class YdlidarDriver(Driver):
 
     def start(self, port: OpenPort) -> None:
         """Set the baud rate; start motor and scan."""
-        port.set_baud_rate(self._kind.DEFAULT_BAUD)
+        super().start(port)
         port.set_dtr(on=True)
         self._kind(port).start()
 

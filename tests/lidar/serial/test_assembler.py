@@ -52,23 +52,33 @@ def turns_of(model: str, data: bytes, size: int = 10_000) -> list[Revolution]:
 @every_maker
 @pytest.mark.parametrize("size", [1, 64, 10_000])
 def test_turns_are_whole_whatever_the_pieces(model: str, size: int) -> None:
-    found = turns_of(model, stream(model), size)
-    assert [len(turn.bearings) for turn in found] == [MAKERS[model].options["samples"]] * 3
-    assert all(map(shows_the_room, found))
+    turns = turns_of(model, stream(model), size)
+    assert [len(turn.bearings) for turn in turns] == [MAKERS[model].options["samples"]] * 3
+    assert all(map(shows_the_room, turns))
+
+
+def test_bearings_are_turned_by_the_yaw_of_the_lidar() -> None:
+    straight, turned = (
+        RevolutionAssembler(find_drivers()["ld06"](), yaw).feed(stream("ld06"), 1.0)[0]
+        for yaw in (0.0, 1.5)
+    )
+    gaps = turned.bearings - straight.bearings - 1.5
+    assert np.exp(1j * gaps) == pytest.approx(1.0)
+    assert np.abs(turned.bearings).max() <= math.pi
 
 
 @every_maker
 def test_a_turn_that_lost_bytes_is_dropped(model: str) -> None:
     data = stream(model)
-    whole = turns_of(model, data)
+    complete = len(turns_of(model, data)[0].bearings)
     rng = np.random.default_rng(0)
     for first in rng.integers(len(data) // 5, len(data) // 2, 40):
         count = int(rng.choice([1, 3, 47, 90, 300]))
-        found = turns_of(model, data[:first] + data[first + count :])
-        assert len(found) < 3
-        for turn in found:
+        turns = turns_of(model, data[:first] + data[first + count :])
+        assert len(turns) < 3
+        for turn in turns:
             assert shows_the_room(turn)
-            assert len(turn.bearings) == len(whole[0].bearings)
+            assert len(turn.bearings) == complete
 
 
 @every_maker
@@ -76,9 +86,9 @@ def test_what_is_no_measurement_is_refused(model: str) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, 50_000, np.uint8).tobytes()
     assert not turns_of(model, noise)
-    found = turns_of(model, noise[:1000] + stream(model), 64)
-    assert len(found) == 3
-    assert all(map(shows_the_room, found))
+    turns = turns_of(model, noise[:1000] + stream(model), 64)
+    assert len(turns) == 3
+    assert all(map(shows_the_room, turns))
 
 
 @every_maker
@@ -97,20 +107,24 @@ def test_where_nothing_was_measured_bearings_are_still_those_of_the_head(model: 
 
 
 def reads(twin: LidarTwin, seconds: float, jitter: float, baud: float) -> list[tuple[float, bytes]]:
-    """What a reader gets that is late by up to `jitter` [s], and when."""
-    rng, now, due = np.random.default_rng(1), 0.0, PERIOD
+    """Bytes that a reader gets which is late by up to `jitter` [s], and when."""
+    rng = np.random.default_rng(1)
+    now = 0.0
+    due = PERIOD
     sent = waiting = b""
-    found: list[tuple[float, bytes]] = []
+    pieces: list[tuple[float, bytes]] = []
+
     while now < seconds:
         sent += twin.advance(0.002)
         count = int(min(baud / 10.0 * 0.002, len(sent)))
-        waiting, sent = waiting + sent[:count], sent[count:]
+        waiting += sent[:count]
+        sent = sent[count:]
         now += 0.002
         if now >= due:
-            found.append((now, waiting))
+            pieces.append((now, waiting))
             waiting = b""
             due = now + PERIOD + float(rng.choice([0.0, rng.uniform(0.0, jitter)]))
-    return found
+    return pieces
 
 
 @every_maker
@@ -137,7 +151,8 @@ def test_each_measurement_has_the_time_at_which_it_was_made(
         return advance(dt)
 
     twin.advance = tick  # type: ignore[method-assign]
-    assembler, turns = make_assembler(model), 0
+    assembler = make_assembler(model)
+    turns = 0
     for now, data in reads(twin, 2.5, jitter, MAKERS[model].baud if slow else math.inf):
         for turn in assembler.feed(data, now):
             turns += 1

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +54,7 @@ def test_a_frozen_device_is_an_error_and_comes_back(
     reset(lidar)
     emulated.pause()
     wait_until(lambda: not scans_again(lidar), "the time-out")
+
     with pytest.raises(LidarError, match=r"no complete turn for .* \(lidar.timeout = 0.5 s\)"):
         lidar.scan()
     monkeypatch.setattr(rplidar, "ANSWER_TIMEOUT", 0.05)
@@ -135,18 +135,8 @@ def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model:
 def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    for name, said in (("gone", "no such device"), ("file", "isn't a serial port")):
+    for name, message in (("gone", "no such device"), ("file", "isn't a serial port")):
         lidar = make(str(tmp_path / name))
-        assert said in error_of(functools.partial(reset, lidar))
+        assert message in error_of(functools.partial(reset, lidar))
     with pytest.raises(ConfigError, match="must be like"):
         reset(make("socket://nowhere"))
-
-
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, str]]:
-    """A board's end of a pseudo-terminal, and the device's name."""
-    board, device = os.openpty()
-    os.set_blocking(board, False)
-    yield board, os.ttyname(device)
-    os.close(board)
-    os.close(device)

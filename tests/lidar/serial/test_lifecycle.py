@@ -94,7 +94,7 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
-    emulated = start("--model", model, "--rate", "5.5", "--wobble", "0.1")
+    emulated = start(*f"--model {model} --rate 5.5 --wobble 0.1".split())
     lidar = make(emulated, model)
     reset(lidar)
     stamps: list[float] = []
