@@ -16,7 +16,6 @@ from acsar_gym.ros.node import NANOSECONDS, RosNode, read_stamp
 from acsar_gym.worlds import Scene
 
 SCAN_DEPTH = 5  # scans that wait while a program doesn't step
-STATIC_DEPTH = 100  # nodes that may publish /tf_static
 STATIC_TIMEOUT = 1.0
 """Longest wait for a transform if the robot's file has `lidar_yaw`: nodes find each other within
 this time [s]."""
@@ -86,12 +85,7 @@ class RosLidar:
         topic = self._config.ros2.scan_topic
         self.topic = node.resolve(topic if topic.startswith("/") else f"{namespace}/{topic}")
         node.subscribe(self.topic, node.ros.LaserScan, self._on_scan, SCAN_DEPTH, best_effort=True)
-        if node.ros.TFMessage is not None:
-            # A robot with a namespace has its transforms there (Clearpath, TurtleBot 4).
-            for static in dict.fromkeys(("/tf_static", f"{namespace}/tf_static")):
-                node.subscribe(
-                    static, node.ros.TFMessage, self._on_static, depth=STATIC_DEPTH, latched=True
-                )
+        node.subscribe_transforms(self._on_static, moving=False, namespace=namespace)
         return node
 
     def _on_static(self, message: Any) -> None:

@@ -253,7 +253,6 @@ class OpenPort:
     other methods raise nothing, so that stopping can't fail halfway.
 
     Attributes:
-        serial: Open port of pyserial.
         path: Persistent name of the device.
 
     Args:
@@ -264,7 +263,7 @@ class OpenPort:
 
     def __init__(self, port: Any, name: str, path: str = "") -> None:
         self.path = path
-        self.serial = port
+        self._port = port
         self._name = name
 
     @contextlib.contextmanager
@@ -280,12 +279,12 @@ class OpenPort:
     def write(self, data: bytes) -> None:
         """Send all of the bytes."""
         with self._translating_errors():
-            write_all(self.serial, data)
+            write_all(self._port, data)
 
     def try_write(self, data: bytes) -> bool:
         """Send bytes; returns whether the port accepted them."""
         with contextlib.suppress(*PORT_ERRORS):
-            write_all(self.serial, data)
+            write_all(self._port, data)
             return True
         return False
 
@@ -294,7 +293,7 @@ class OpenPort:
         data = b""
         with self._translating_errors():
             for _ in range(MAX_READ_CHUNKS):
-                chunk = self.serial.read(READ_CHUNK)
+                chunk = self._port.read(READ_CHUNK)
                 data += chunk
                 if not chunk:
                     break
@@ -303,7 +302,7 @@ class OpenPort:
     def wait_for_bytes(self, seconds: float) -> bool:
         """Wait for bytes [s]; returns whether some arrived, or the device is gone."""
         try:
-            return bool(select.select([self.serial], [], [], seconds)[0])
+            return bool(select.select([self._port], [], [], seconds)[0])
         except PORT_ERRORS:
             time.sleep(seconds)
         return False
@@ -311,18 +310,18 @@ class OpenPort:
     def drop_input(self) -> None:
         """Discard what has arrived and wasn't read."""
         with self._translating_errors():
-            self.serial.reset_input_buffer()
+            self._port.reset_input_buffer()
 
     def drop_output(self) -> None:
         """Discard what hasn't left the port yet."""
         with self._translating_errors():
-            self.serial.reset_output_buffer()
+            self._port.reset_output_buffer()
 
     def set_baud_rate(self, rate: int) -> None:
         """Change the baud rate [bit/s]; LinkError if the port can't have it."""
         with self._translating_errors():
             try:
-                self.serial.baudrate = rate
+                self._port.baudrate = rate
             except (ValueError, NotImplementedError) as error:
                 raise LinkError(
                     f"{self._name}: {error}", "connect the device by another adapter"
@@ -331,12 +330,12 @@ class OpenPort:
     def set_dtr(self, *, on: bool) -> None:
         """Set the line DTR; a port without this line, such as a pseudo-terminal, ignores it."""
         with contextlib.suppress(*PORT_ERRORS):
-            self.serial.dtr = on
+            self._port.dtr = on
 
     def fileno(self) -> int | None:
         """Return the file descriptor; None if it can't be shared, as on Windows."""
         try:
-            return int(self.serial.fileno())
+            return int(self._port.fileno())
         except OSError:
             return None
 
@@ -347,9 +346,9 @@ class OpenPort:
         """
         deadline = time.monotonic() + DRAIN_TIMEOUT
         with contextlib.suppress(*PORT_ERRORS):
-            while getattr(self.serial, "out_waiting", 0):
+            while getattr(self._port, "out_waiting", 0):
                 if time.monotonic() > deadline:
-                    self.serial.reset_output_buffer()
+                    self._port.reset_output_buffer()
                     return False
                 time.sleep(0.001)
             return True
@@ -358,11 +357,11 @@ class OpenPort:
     def close(self) -> None:
         """Close the port, in any state."""
         with contextlib.suppress(*PORT_ERRORS):
-            self.serial.close()
+            self._port.close()
 
     def detach(self) -> None:
         """Close this process's copy of a socket, without ending the parent's connection."""
-        connection = getattr(self.serial, "_socket", None)
+        connection = getattr(self._port, "_socket", None)
         if connection is not None:
             os.close(connection.detach())
-            self.serial.is_open = False
+            self._port.is_open = False
