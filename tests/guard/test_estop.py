@@ -204,7 +204,7 @@ def test_a_forked_child_is_held_and_leaves_the_socket_alone(folder: Path) -> Non
 
 INSISTING = f"""
 {DRIVER}
-from acsar_gym.errors import LinkError
+from acsar_gym.errors import EmergencyStopError, LinkError
 
 while True:
     try:
@@ -212,10 +212,11 @@ while True:
         drive(1)
     except LinkError as error:
         print(type(error).__name__, flush=True)
-        robot.close()
-        robot = Robot(open_link(sys.argv[1], config), config)
+        if isinstance(error, EmergencyStopError):
+            robot.close()
+            robot = Robot(open_link(sys.argv[1], config), config)
 """
-"""Drives on with a new robot after every error."""
+"""Drives on after every error, and after a stop with a new robot."""
 
 
 def count_drives(data: bytes) -> int:
