@@ -22,7 +22,7 @@ from acsar_gym.errors import BoardSilentError, LinkError
 from acsar_gym.links.base import WHILE_WAITING, Arrivals
 from acsar_gym.links.guarded import GuardedLink
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
-from acsar_gym.ros.joints import JointReader
+from acsar_gym.ros.joints import MAX_WHEEL_SPEED, JointReader
 from acsar_gym.ros.node import (
     COMMAND_KINDS,
     NANOSECONDS,
@@ -122,6 +122,7 @@ class Ros2Link(GuardedLink):
         self.command_kind = ""
         self.feedback_topic = ""
         self.uses_sim_time = False
+
         self.epoch = 0
         self._previous_now = 0.0
         self._clock_moved = time.monotonic()
@@ -130,6 +131,7 @@ class Ros2Link(GuardedLink):
         self._sent: deque[tuple[Any, ...]] = deque(maxlen=KEPT_COMMANDS)
         self._driving_since: float | None = None
         self._is_intruded = False
+
         self._messages = 0
         self._sources: set[Any] = set()
         self._reader = JointReader(self._config.ros_joints)
@@ -181,6 +183,7 @@ class Ros2Link(GuardedLink):
             self._find_controller(node)
             self._find_feedback(node)
             self._start_clock(node)
+
             # A node that commands the robot is found as soon as the robot, or a bit later.
             discovery_time = max(DISCOVERY_TIME, time.monotonic() - start)
             self._wait(lambda: self.commanders, discovery_time)
@@ -366,6 +369,7 @@ class Ros2Link(GuardedLink):
             self._sources.add(gid["data"])
         else:
             self._sources.add((*message.name, len(message.velocity), message.header.frame_id))
+
         when = self._read_stamp(message)
         if when is None:
             return
@@ -385,9 +389,10 @@ class Ros2Link(GuardedLink):
             self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
             return
         twist = (message.twist.twist.linear.x, message.twist.twist.angular.z)
-        right, left = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
-        if abs(right) < 1e3 and abs(left) < 1e3:
-            self._take_speeds(when, (right, left, left, right))
+        sides = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
+        if max(map(abs, sides)) < MAX_WHEEL_SPEED:
+            right_speed, left_speed = sides
+            self._take_speeds(when, (right_speed, left_speed, left_speed, right_speed))
         else:
             self._problem = f"its twist is {twist}"
 
@@ -509,6 +514,7 @@ class Ros2Link(GuardedLink):
         self.is_simulated = f"{prefix}/reset" in services
         if not self.is_simulated:
             return
+
         ros = node.ros
         values = {
             SCENE_PARAMETER: name_world(scene.world, self._config),
@@ -600,6 +606,7 @@ class Ros2Link(GuardedLink):
         self._previous_now = now
         if step:
             self._clock_moved = real
+
         source = "/clock" if self.uses_sim_time else "the clock of this computer"
         if step < 0.0:
             raise LinkError(f"{self.device}: {source} jumped back by {-step:.3f} s", "reset")

@@ -98,6 +98,7 @@ def load_ros() -> SimpleNamespace:
         from std_srvs.srv import Trigger
     except ImportError as error:
         raise MissingRosError(" ".join(str(error).split())) from error
+
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:

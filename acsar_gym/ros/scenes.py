@@ -58,6 +58,8 @@ def name_world(world: World | None, config: RobotConfig) -> str:
     kind, _, number = world.name.rpartition(" ")
     module = registry.home_module(kind)
     name = f"{module}:{kind}:{number}" if module else f"{kind}:{number}"
+
+    # The driver makes the world again, which must be the same.
     try:
         named = find_scene(name, (), config).world
     except WorldError:

@@ -196,3 +196,5 @@ def test_doctor_says_what_a_robot_in_ros_does(
     assert checks["feedback rate"]["status"] == "warn"
     assert "feedback_rate: 20" in checks["feedback rate"]["fix"]
     assert checks["other commanders"]["status"] == "ok"
+    publishers = f"1 of {namespace}/joint_states: {namespace}/foreign_robot"
+    assert checks["publishers"]["found"] == publishers

@@ -523,10 +523,14 @@ def _collect_run(
     inner: Any = env.unwrapped
     seeds = range(max(len(driven), 1)) if seeds is None else seeds
     header = provenance.make_header(env, policy, link, seeds, options)
-    link_used = inner.robot.link
-    is_placed = not link_used.is_real or (link_used.ros is not None and link_used.ros.is_simulated)
-    worlds = str(inner.pool) if inner.pool is not None and is_placed else "none"
-    return EvaluationRun(header, worlds, driven, ended)
+    return EvaluationRun(header, describe_worlds(inner), driven, ended)
+
+
+def describe_worlds(env: RobotEnv) -> str:
+    """Describe the worlds of an env. A real robot is in none of them."""
+    link = env.robot.link
+    is_placed = not link.is_real or (link.ros is not None and link.ros.is_simulated)
+    return str(env.pool) if env.pool is not None and is_placed else "none"
 
 
 def export_policy(

@@ -241,6 +241,7 @@ class RobotNode:
         overrides: dict[str, Any] = {name: value for name, value in options.items() if value}
         overrides["use_sim_time"] = False  # it publishes /clock itself, or there is none
         self._node = RosNode(DRIVER_NODE, namespace, arguments, overrides=overrides, services=True)
+
         self.requests: deque[tuple[Callable[[], str], Future[str]]] = deque()
         self._measured: SimpleQueue[Measured] = SimpleQueue()
         self._newest_stamp = SIMULATION_START
@@ -251,6 +252,7 @@ class RobotNode:
         self._reported: set[str] = set()
         self._running = True
         self._failure: Exception | None = None
+
         try:
             self._read_parameters()
             self._make_topics()
@@ -272,9 +274,9 @@ class RobotNode:
         defaults = {name: "" if value is None else value for name, value in fields.items()}
         node.declare(defaults | {"cmd_vel_timeout": config.firmware.command_timeout or 0.5})
         for name in given_names:
-            known = {*defaults, *NODE_PARAMETERS, "cmd_vel_timeout"}
-            if name not in known and not name.startswith(ROS_PARAMETERS):
-                node.warn(f"parameter {name}: doesn't exist{suggest_name(name, known)}")
+            names = {*defaults, *NODE_PARAMETERS, "cmd_vel_timeout"}
+            if name not in names and not name.startswith(ROS_PARAMETERS):
+                node.warn(f"parameter {name}: doesn't exist{suggest_name(name, names)}")
 
         values = {name: node.read_parameter(name) for name in defaults}
         changes = {name: value for name, value in values.items() if value != defaults[name]}
@@ -330,7 +332,8 @@ class RobotNode:
         mount = ros.TransformStamped(child_frame_id=config.lidar_frame)
         mount.header.frame_id = config.base_frame
         place = mount.transform.translation
-        place.x, place.y = config.lidar_x_offset, config.lidar_y_offset
+        place.x = config.lidar_x_offset
+        place.y = config.lidar_y_offset
         place.z = config.lidar_z_offset
         self._static = node.publish("/tf_static", ros.TFMessage, latched=True)
         self._static.publish(ros.TFMessage(transforms=[mount]))
@@ -419,8 +422,8 @@ class RobotNode:
         self._take_twist(message.twist, age, message.header.frame_id)
 
     def _take_twist(self, message: Any, age: float = 0.0, frame: str = "") -> None:
-        linear, angular = message.linear, message.angular
-        velocities = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+        vectors = (message.linear, message.angular)
+        velocities = [number for vector in vectors for number in (vector.x, vector.y, vector.z)]
         self.inbox.take(velocities, age, frame, simulated=self._clock is not None)
 
     def _publish_measured(self) -> None:
@@ -455,7 +458,8 @@ class RobotNode:
         odom = self._odom
         odom.header.stamp = stamp
         pose = odom.pose.pose
-        pose.position.x, pose.position.y = x, y
+        pose.position.x = x
+        pose.position.y = y
         pose.orientation.z = math.sin(theta / 2.0)
         pose.orientation.w = math.cos(theta / 2.0)
         odom.twist.twist.linear.x = linear
@@ -468,7 +472,8 @@ class RobotNode:
         if self._tf is not None:
             self._transform.header.stamp = stamp
             place = self._transform.transform
-            place.translation.x, place.translation.y = x, y
+            place.translation.x = x
+            place.translation.y = y
             place.rotation = pose.orientation
             self._tf.publish(self._node.ros.TFMessage(transforms=[self._transform]))
 
@@ -544,6 +549,7 @@ class DrivenRobot:
         if link.ros is not None:
             raise ConfigError(f"link = {show_value(node.link)}: that robot is in ROS already")
         self._simulated = link.lateness is None
+
         has_lidar = node.lidar or self._simulated
         sensors = sensor_factories(["lidar"], node.lidar or None) if has_lidar else ()
         self._robot = Robot(link, node.config, sensors, recorder)
@@ -552,6 +558,7 @@ class DrivenRobot:
         self._offset = SIMULATION_START
         self._newest_stamp = SIMULATION_START
         self._is_held = False
+
         services = {
             "estop": self._estop,
             "release": self._release,
@@ -569,6 +576,7 @@ class DrivenRobot:
         try:
             self._begin(node.read_scene())
             node.start()
+
             while True:
                 node.check()
                 while node.requests:

@@ -96,6 +96,7 @@ class Frames:
             raise GoalError(f"{goal}: must be finite numbers")
         if not frame:
             raise GoalError(f"{goal}: its header names no frame")
+
         place = (goal.x, goal.y, 0.0)
         frame_pose = self.find_base() if frame == self._base else self._climb(frame, self._odom)
         if frame_pose is not None:
@@ -277,7 +278,8 @@ class PolicyNode:
         plan.header.stamp = make_stamp(ros, nanoseconds)
         for x, y in points:
             pose = ros.PoseStamped(header=plan.header)
-            pose.pose.position.x, pose.pose.position.y = x, y
+            pose.pose.position.x = x
+            pose.pose.position.y = y
             plan.poses.append(pose)
         self._plan.publish(plan)
 
@@ -326,8 +328,8 @@ def move_goal(env: RobotEnv, place: tuple[float, float]) -> None:
     """Move the goal of the running episode, x and y in its odometry frame [m]."""
     episode = env.episode
     episode.assignment = replace(episode.assignment, goal=place)
-    if (seen := find_map(env.sensors)) is not None:
-        seen.goal = place
+    if (map_sensor := find_map(env.sensors)) is not None:
+        map_sensor.goal = place
 
 
 class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -373,8 +375,9 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def _show_plan(self, start: Pose) -> None:
         robot = self._inner.robot
-        seen = find_map(robot.sensors)
-        ahead = [self._inner.episode.assignment.goal] if seen is None else seen.way_ahead.tolist()
+        map_sensor = find_map(robot.sensors)
+        goal = self._inner.episode.assignment.goal
+        ahead = [goal] if map_sensor is None else map_sensor.way_ahead.tolist()
         places = [robot.odometry.pose, *((x, y, 0.0) for x, y, *_ in ahead)]
         self._node.show_plan(
             [to_world(start, place)[:2] for place in places], self._link.ros_time()

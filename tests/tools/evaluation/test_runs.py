@@ -65,6 +65,12 @@ def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, world
     env.close()
 
 
+@pytest.mark.parametrize(("link", "worlds"), [("planar", "clutter 0 to 9"), ("ros2", "none")])
+def test_a_real_robot_is_in_no_world(link: str, worlds: str) -> None:
+    env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link=link, worlds="clutter:10")
+    assert runs.describe_worlds(env.unwrapped).startswith(worlds)
+
+
 def test_an_evaluation_says_what_it_was_measured_with() -> None:
     run = drive(2, worlds="open", goal_tolerance=0.2)
     data = json.loads(json.dumps(run.as_dict(), allow_nan=False))
