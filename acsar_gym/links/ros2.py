@@ -139,6 +139,7 @@ class Ros2Link(GuardedLink):
         self._pending: list[tuple[float, bytes]] = []
         self._newest = 0.0
         self._heard = 0.0
+        self._advanced = 0.0
         self._problem = ""
         self.delays: deque[float] = deque(maxlen=KEPT_DELAYS)
 
@@ -284,6 +285,7 @@ class Ros2Link(GuardedLink):
         """Wait for the first speeds of all wheels, which only one node may publish."""
         if not self._wait(lambda: self._pending):
             raise self._silence_error(self._config.connect_timeout)
+        self._advanced = self.now()
         if len(self.feedback_publishers) > 1:
             self._wait(lambda: len(self._sources) > 1, PUBLISHERS_TIME)
         self._refuse_publishers()
@@ -506,6 +508,7 @@ class Ros2Link(GuardedLink):
         self._is_intruded = False
         self._pending = []
         self._heard = self.now()
+        self._advanced = self._heard
 
     def _place_robot(self, node: RosNode, scene: Scene) -> None:
         """Put a simulated robot of `acsar-gym ros driver` into a scene, if there is one."""
@@ -552,6 +555,8 @@ class Ros2Link(GuardedLink):
         """
         node = self._require_node()
         self._catch_up()
+        if self.now() - self._advanced > CLOCK_PAUSE:  # the program paused
+            self._heard = self.now()
         self._deadline += period
         while True:
             earlier = self._check_clock()
@@ -575,6 +580,7 @@ class Ros2Link(GuardedLink):
             self._refuse_commanders()
         self._is_intruded = False
         self._refuse_publishers()
+        self._advanced = now
         if now - self._heard > self._config.feedback_timeout:
             raise self._silence_error(now - self._heard)
         return b"".join([line for _, line in self._arrivals])
@@ -589,7 +595,6 @@ class Ros2Link(GuardedLink):
         earlier = self.now()
         self._wait(lambda: self.now() != earlier, CLOCK_TIMEOUT)
         self._clock_moved = time.monotonic()
-        self._heard = self.now()
         self._wait(lambda: self._pending, self._config.feedback_timeout)
 
     def _follow_phase(self, arrived: float, period: float) -> None:

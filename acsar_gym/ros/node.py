@@ -238,6 +238,29 @@ class RosNode:
             event_callbacks=self._watch_qos(topic, self.ros.SubscriptionEventCallbacks),
         )
 
+    def subscribe_transforms(
+        self, callback: Callable[[Any], None], *, moving: bool = True, namespace: str = ""
+    ) -> bool:
+        """Subscribe /tf_static and, if `moving`, /tf, and the topics of a namespace likewise.
+
+        Args:
+            callback: Takes a tf2_msgs/TFMessage.
+            moving: Whether /tf is needed.
+            namespace: Namespace with its own transforms (Clearpath, TurtleBot 4). By default that
+                of the node.
+
+        Returns:
+            Whether tf2_msgs is installed. If not, nothing is subscribed.
+        """
+        kind = self.ros.TFMessage
+        if kind is None:
+            return False
+        for prefix in dict.fromkeys(("", (namespace or self.namespace).rstrip("/"))):
+            self.subscribe(f"{prefix}/tf_static", kind, callback, depth=100, latched=True)
+            if moving:
+                self.subscribe(f"{prefix}/tf", kind, callback, depth=100)
+        return True
+
     def _make_qos(self, depth: int, *, best_effort: bool = False, latched: bool = False) -> Any:
         """Return a QoS profile that keeps the last `depth` messages."""
         reliability = self.ros.qos.ReliabilityPolicy

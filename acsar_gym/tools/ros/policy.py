@@ -33,7 +33,6 @@ POLICY_NODE = "acsar_policy"
 DEFAULT_POLICY = "point_goal"
 IDLE_PERIOD = 0.05
 """How soon a goal is noticed while the robot is at rest [s]."""
-TF_DEPTH = 100
 SPIN_PERIOD = 0.1
 """How soon the thread notices that it must end [s]."""
 
@@ -191,25 +190,13 @@ class PolicyNode:
         self.goal: Goal | None = None
         self.is_driving = False
         self.is_cancelled = False
-        self._subscribe_transforms()
+        if not node.subscribe_transforms(self._take_transforms):
+            node.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
         node.subscribe(config.ros2.odom_topic, ros.Odometry, self._take_odometry, best_effort=True)
         self._plan = node.publish("plan", ros.Path)
         self._running = True
         self._thread = threading.Thread(target=self._spin, name=POLICY_NODE, daemon=True)
         self._thread.start()
-
-    def _subscribe_transforms(self) -> None:
-        node = self._node
-        kind = node.ros.TFMessage
-        if kind is None:
-            node.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
-            return
-        # A robot with a namespace has its transforms there (Clearpath, TurtleBot 4).
-        for prefix in dict.fromkeys(("", node.namespace.rstrip("/"))):
-            node.subscribe(f"{prefix}/tf", kind, self._take_transforms, TF_DEPTH)
-            node.subscribe(
-                f"{prefix}/tf_static", kind, self._take_transforms, TF_DEPTH, latched=True
-            )
 
     def listen(self, rules: GoalRules, about: str) -> None:
         """Receive goals and offer the service from now on."""
