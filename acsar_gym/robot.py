@@ -13,7 +13,6 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
     EmergencyStopError,
@@ -283,11 +282,7 @@ class Robot:
         self.check_estop()
         self._exchange(self.safety.bounded(speeds, self.odometry.pose, self.wire.age))
         a, b, c, d = map(float, speeds)
-        radii = self.config.wheel_radii
-        linear, angular = kinematics.compute_twist(
-            a, b, c, d, *radii, wheel_separation=self.config.effective_separation
-        )
-        self._observer.after_tick(self, linear, angular)
+        self._observer.after_tick(self, *self.safety.twist((a, b, c, d)))
 
     @_deactivating
     def drive(self, linear: float, angular: float) -> None:

@@ -1,7 +1,6 @@
-"""The safety layer between a wanted twist and the wheels: limits, geofence, stale feedback, stop.
+"""The safety layer between commands and wheels: limits, geofence, stale feedback, stop.
 
-It is the same on every link, so that policies are trained with it. `sent` is the twist that was
-really sent, and `reason` says why it differs from what was asked for.
+It is the same for every link, so that policies are trained with it.
 """
 
 from __future__ import annotations
@@ -22,32 +21,38 @@ Twist = tuple[float, float]
 
 
 class Safety:
-    """The safety layer of one robot. Every tick calls either `allowed` or `bounded` once."""
+    """The safety layer of one robot. Every tick calls either `allowed` or `bounded` once.
+
+    Args:
+        config: Robot configuration.
+    """
 
     def __init__(self, config: RobotConfig) -> None:
         self._rules = rules.make_rules(config)
+        self._geometry = (*config.wheel_radii, config.effective_separation)
         self._numbers = record_of(self._rules)
         self._memory = record_of(SafetyMemory())
         self._speeds: Speeds = ZERO
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: nothing has been sent, and all stops are cleared."""
+        """Start an episode: nothing has been sent, and all stops are cleared."""
         self._memory["latched"] = 0.0
         self.halt(Reason.NONE)
-        self.allowed(0.0, 0.0, (0.0, 0.0, 0.0), 0.0)  # loads compiled code before driving
-        rules.update_holds(0.0, 0.0, 0.0, self._memory, self._numbers)  # and that of `bounded`
+        # Load the compiled code of `allowed` and `bounded` before the robot drives.
+        self.allowed(0.0, 0.0, pose=(0.0, 0.0, 0.0), feedback_age=0.0)
+        rules.update_holds(0.0, 0.0, 0.0, memory=self._memory, rules=self._numbers)
 
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
-        at = area or Geofence()
+        fence = area or Geofence()
         self._rules = self._rules._replace(
-            min_x=at.min_x, max_x=at.max_x, min_y=at.min_y, max_y=at.max_y
+            min_x=fence.min_x, max_x=fence.max_x, min_y=fence.min_y, max_y=fence.max_y
         )
         self._numbers = record_of(self._rules)
 
     def estop(self) -> None:
-        """Hold the wheels at zero from now until the reset."""
+        """Hold the wheels at zero until the reset."""
         self._memory["latched"] = float(Reason.EMERGENCY_STOP)
 
     @property
@@ -56,23 +61,26 @@ class Safety:
         return bool(self._memory["latched"][0] > 0.0)
 
     def check(self, elapsed: float) -> None:
-        """Check that the robot isn't held until the reset; `elapsed` [s] since the start is told.
+        """Check that the robot isn't held until the reset.
+
+        Args:
+            elapsed: Time since the start [s], for the message.
 
         Raises:
-            LinkError: it is; the message says why.
+            LinkError: The robot is held; the message contains the reason.
         """
         if self.stopped:
-            why, fix = rules.HELD_REASONS[Reason(int(self._memory["latched"][0]))]
-            raise LinkError(f"ended by {why} after {elapsed:.1f} s", fix)
+            cause, fix = rules.HELD_REASONS[Reason(int(self._memory["latched"][0]))]
+            raise LinkError(f"ended by {cause} after {elapsed:.1f} s", fix)
 
     @property
     def sent(self) -> Twist:
-        """The twist sent last: linear [m/s], angular [rad/s]."""
+        """The twist that was sent last: linear [m/s], angular [rad/s]."""
         return float(self._memory["sent_linear"][0]), float(self._memory["sent_angular"][0])
 
     @property
     def reason(self) -> Reason:
-        """Why `sent` differs from the twist that was asked for."""
+        """Why `sent` differs from the commanded twist."""
         return Reason(int(self._memory["reason"][0]))
 
     def halt(self, reason: Reason) -> Speeds:
@@ -86,74 +94,101 @@ class Safety:
         return ZERO
 
     def _remember(self, memory: SafetyMemory) -> None:
-        """Set all but `latched`, which an emergency stop may set at any time."""
-        for name, value in zip(SafetyMemory._fields[1:], memory[1:], strict=True):
+        """Set everything but `latched`, which an emergency stop may set at any time."""
+        for name, value in zip(memory._fields[1:], memory[1:], strict=True):
             self._memory[name] = value
 
     def allowed(self, linear: float, angular: float, pose: Pose, feedback_age: float) -> Speeds:
-        """Compute the wheel speeds that may be sent in this tick for a wanted twist.
+        """Compute the wheel speeds that may be sent in this tick for a commanded twist.
+
+        Args:
+            linear: Velocity [m/s].
+            angular: Turn rate [rad/s].
+            pose: Pose by odometry [m, m, rad].
+            feedback_age: Age of the feedback [s].
 
         Returns:
-            Four wheel speeds [rad/s]; the same tuple object for as long as they don't change.
+            Four wheel speeds [rad/s]; the same tuple object while they don't change.
 
         Raises:
-            CommandError: for a twist that isn't finite.
+            CommandError: The twist isn't finite.
         """
-        linear, angular = float(linear), float(angular)
+        linear = float(linear)
+        angular = float(angular)
         if not (math.isfinite(linear) and math.isfinite(angular)):
             raise CommandError(f"twist = ({linear}, {angular}): must be finite m/s and rad/s")
+        x, y, _ = pose
         right, left = rules.update_twist(
-            linear, angular, pose[0], pose[1], feedback_age, self._memory, self._numbers
+            linear, angular, x, y=y, age=feedback_age, memory=self._memory, rules=self._numbers
         )
-        speeds = self._speeds
-        if right != speeds[0] or left != speeds[1]:
-            self._speeds = speeds = (right, left, left, right)
-        return speeds
+        if right != self._speeds[0] or left != self._speeds[1]:
+            self._speeds = (right, left, left, right)
+        return self._speeds
 
     def bounded(self, speeds: Sequence[float], pose: Pose, feedback_age: float) -> Speeds:
-        """Compute the wheel speeds that may be sent in this tick for wanted ones.
+        """Compute the wheel speeds that may be sent in this tick for commanded speeds.
 
-        All are scaled by one factor where a wheel, or their twist, is too fast.
+        All are scaled by one factor if a wheel, or their twist, is too fast.
+
+        Args:
+            speeds: Four wheel speeds [rad/s].
+            pose: Pose by odometry [m, m, rad].
+            feedback_age: Age of the feedback [s].
 
         Raises:
-            CommandError: unless `speeds` are four finite numbers.
+            CommandError: `speeds` aren't four finite numbers.
         """
-        a, b, c, d = check_speeds(speeds)
-        reason = rules.update_holds(pose[0], pose[1], feedback_age, self._memory, self._numbers)
+        wheels = check_speeds(speeds)
+        x, y, _ = pose
+        reason = rules.update_holds(x, y, feedback_age, memory=self._memory, rules=self._numbers)
         if reason:
             return self.halt(Reason(int(reason)))
-        numbers = self._rules
-        top = _scale_into(max(map(abs, (a, b, c, d))), -numbers.top, numbers.top)
-        a, b, c, d = top * a, top * b, top * c, top * d
-        radii = numbers.left_radius, numbers.right_radius
-        linear, angular = kinematics.compute_twist(a, b, c, d, *radii, numbers.separation)
-        share = min(
-            _scale_into(linear, numbers.linear.min_velocity, numbers.linear.max_velocity),
-            _scale_into(angular, numbers.angular.min_velocity, numbers.angular.max_velocity),
+
+        top = self._rules.top
+        wheel_factor = _find_factor(max(map(abs, wheels)), -top, top)
+        wheels = _scale(wheels, wheel_factor)
+        linear, angular = self.twist(wheels)
+        linear_axis = self._rules.linear
+        angular_axis = self._rules.angular
+        factor = min(
+            _find_factor(linear, linear_axis.min_velocity, linear_axis.max_velocity),
+            _find_factor(angular, angular_axis.min_velocity, angular_axis.max_velocity),
         )
-        a, b, c, d = share * a, share * b, share * c, share * d
-        limited = 0.0 if share * top == 1.0 else float(Reason.LIMITS)
-        twist = share * linear, share * angular
-        sent = kinematics.compute_twist(a, b, c, d, *radii, numbers.separation)
-        self._remember(SafetyMemory(0.0, limited, *twist, *twist, *sent))
+        wheels = _scale(wheels, factor)
+        sent_linear, sent_angular = self.twist(wheels)
+        self._remember(
+            SafetyMemory(
+                reason=Reason.NONE if factor * wheel_factor == 1.0 else Reason.LIMITS,
+                linear=factor * linear,
+                angular=factor * angular,
+                past_linear=factor * linear,
+                past_angular=factor * angular,
+                sent_linear=sent_linear,
+                sent_angular=sent_angular,
+            )
+        )
         self._speeds = ZERO
-        return a, b, c, d
+        return wheels
+
+    def twist(self, speeds: Speeds) -> Twist:
+        """Return the twist of four wheel speeds [rad/s]: linear [m/s], angular [rad/s]."""
+        return kinematics.compute_twist(*speeds, *self._geometry)
 
     def wheels(self, linear: float, angular: float) -> Speeds:
-        """Wheel speeds [rad/s] for a twist, at most the top speed, at the same turn radius."""
-        numbers = self._rules
+        """Return the wheel speeds [rad/s] of a twist, at most the top speed, at its turn radius."""
         return kinematics.compute_speeds(
-            linear,
-            angular,
-            left_radius=numbers.left_radius,
-            right_radius=numbers.right_radius,
-            wheel_separation=numbers.separation,
-            max_speed=numbers.top,
+            linear, angular, *self._geometry, max_speed=self._rules.top
         )
 
 
-def _scale_into(value: float, low: float, high: float) -> float:
-    """The factor, at most 1, that scales a value into the range low (at most 0) to high."""
+def _find_factor(value: float, low: float, high: float) -> float:
+    """Return the factor, at most 1, that scales a value into the range low (at most 0) to high."""
     if value > high:
         return high / value
     return low / value if value < low else 1.0
+
+
+def _scale(speeds: Speeds, factor: float) -> Speeds:
+    """Return wheel speeds multiplied by a factor."""
+    a, b, c, d = speeds
+    return factor * a, factor * b, factor * c, factor * d

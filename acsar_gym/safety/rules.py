@@ -1,7 +1,8 @@
 """The rules of the safety layer, as pure functions of one robot and one tick.
 
-`Safety` calls them for the single robot, and the loops of `vector/kernel` for batches. `Rules` has
-everything that they need of the robot's configuration.
+`Safety` calls them for a single robot, and the loops of `vector/kernel` for batches, so numba must
+be able to compile them. Limits on speed, acceleration and jerk have the names and the arithmetic of
+ROS diff_drive_controller.
 """
 
 from __future__ import annotations
@@ -13,90 +14,17 @@ from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig, SpeedLimits
 from acsar_gym.jit import jit, loop
 
-# Limits on speed, acceleration and jerk, with the names and rules of ROS diff_drive_controller.
-#
-# The controller's SpeedLimiter limits a velocity by the two velocities before it: first jerk, then
-# acceleration, then velocity. In ROS 2 from Jazzy on, accelerations may differ between a robot that
-# goes forward and one that goes backward. These are pure functions, so that numba can compile them
-# for batches.
-
-NO_LIMIT = 1e18  # number that stands for no limit
-
-
-class AxisLimits(NamedTuple):
-    """Limits of one axis; velocity, acceleration and jerk in m or rad, and s."""
-
-    min_velocity: float = -NO_LIMIT
-    max_velocity: float = NO_LIMIT
-    min_acceleration: float = -NO_LIMIT
-    """Of a robot that goes forward, with the next one."""
-    max_acceleration: float = NO_LIMIT
-    min_jerk: float = -NO_LIMIT
-    max_jerk: float = NO_LIMIT
-    min_reverse: float = -NO_LIMIT
-    """Acceleration of a robot that goes backward, with the next one."""
-    max_reverse: float = NO_LIMIT
-
-    @property
-    def free(self) -> bool:
-        """Whether nothing is limited."""
-        return self == AxisLimits()
-
-
-def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
-    """Convert the limits of one axis to numbers."""
-
-    def complete(low: float | None, high: float | None) -> tuple[float, float]:
-        high = NO_LIMIT if high is None else high
-        return (-high if low is None else low), high
-
-    low, high = complete(config.min_velocity, config.max_velocity)
-    slower, faster = complete(config.min_acceleration, config.max_acceleration)
-    brakes = slower if config.max_deceleration is None else -abs(config.max_deceleration)
-    back, forth = config.max_acceleration_reverse, config.max_deceleration_reverse
-    if forth is None:
-        forth = faster if config.max_deceleration is None else config.max_deceleration
-    return AxisLimits(
-        max(low, -top),
-        min(high, top),
-        brakes,
-        faster,
-        *complete(config.min_jerk, config.max_jerk),
-        slower if back is None else -abs(back),
-        abs(forth),
-    )
-
-
-def is_unlimited(config: RobotConfig) -> bool:
-    """Whether the configuration has no limits beside the speeds of a full action."""
-    return read_limits(config.linear_limits).free and read_limits(config.angular_limits).free
-
-
-@jit
-def limit_velocity(wanted: float, last: float, before: float, dt: float, axis: AxisLimits) -> float:
-    """Compute the velocity that may follow the last two.
-
-    As in the ROS controller, jerk is the change of the change of velocity over 2 dt^2.
-    """
-    step, scale = last - before, 2.0 * dt * dt
-    change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
-    velocity = last + step + change
-    least = axis.min_acceleration if last > 0.0 else axis.min_reverse
-    most = axis.max_acceleration if last >= 0.0 else axis.max_reverse
-    rise = min(max(velocity - last, least * dt), most * dt)
-    return min(max(last + rise, axis.min_velocity), axis.max_velocity)
-
-
+NO_LIMIT = 1e18  # a number that no limit reaches
 STALE_SHARE = 0.8  # of feedback_timeout: older feedback stops the wheels until it is fresh again
-TWIST_TOLERANCE = 1e-9  # a sent twist this near is the one asked for [m/s, rad/s]
+TWIST_TOLERANCE = 1e-9  # difference of twists that are equal except for rounding [m/s, rad/s]
 TIME_SLACK = 1e-9  # tolerance for comparing ages, which are sums of periods [s]
 
-_sides = jit(kinematics.compute_sides)
-_twist = jit(kinematics.compute_twist)
+_compute_sides = jit(kinematics.compute_sides)
+_compute_twist = jit(kinematics.compute_twist)
 
 
 class Reason(IntEnum):
-    """Why the twist that was sent differs from the one that was asked for."""
+    """Why the twist that was sent differs from the commanded twist."""
 
     NONE = 0
     LIMITS = 1
@@ -104,10 +32,15 @@ class Reason(IntEnum):
     GEOFENCE = 2
     """The robot has left the geofence by odometry; holds until the next reset."""
     STALE_FEEDBACK = 3
-    """The feedback is too old; holds until a new line comes."""
+    """The feedback is too old; holds until a new line arrives."""
     EMERGENCY_STOP = 4
     """An emergency stop; holds until it is released and the robot is reset."""
 
+
+# Reasons as floats, for compiled functions.
+_LIMITS = float(Reason.LIMITS)
+_GEOFENCE = float(Reason.GEOFENCE)
+_STALE = float(Reason.STALE_FEEDBACK)
 
 HELD_REASONS = {
     Reason.GEOFENCE: (
@@ -117,11 +50,68 @@ HELD_REASONS = {
     Reason.EMERGENCY_STOP: ("an emergency stop", "start again when it is safe"),
 }
 """Reasons that hold until the reset: what ended an episode, and what to do."""
-_LIMITS, _GEOFENCE, _STALE = 1.0, 2.0, 3.0  # these reasons as floats, for compiled functions
+
+
+class AxisLimits(NamedTuple):
+    """Limits of the linear or the angular velocity, in m or rad, and s."""
+
+    min_velocity: float = -NO_LIMIT
+    max_velocity: float = NO_LIMIT
+    min_acceleration: float = -NO_LIMIT
+    """Least acceleration of a robot that drives forward."""
+    max_acceleration: float = NO_LIMIT
+    """Largest acceleration of a robot that drives forward."""
+    min_jerk: float = -NO_LIMIT
+    max_jerk: float = NO_LIMIT
+    min_reverse: float = -NO_LIMIT
+    """Least acceleration of a robot that drives backward."""
+    max_reverse: float = NO_LIMIT
+    """Largest acceleration of a robot that drives backward."""
+
+
+def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
+    """Convert the configured limits of an axis to numbers.
+
+    Args:
+        config: Limits; None is no limit.
+        top: Largest speed in both directions.
+    """
+    low, high = _read_pair(config.min_velocity, config.max_velocity)
+    slow_down, speed_up = _read_pair(config.min_acceleration, config.max_acceleration)
+    min_jerk, max_jerk = _read_pair(config.min_jerk, config.max_jerk)
+
+    # From ROS 2 Jazzy on: a deceleration, and accelerations of a robot that drives backward.
+    braking = slow_down if config.max_deceleration is None else -abs(config.max_deceleration)
+    reverse = config.max_acceleration_reverse
+    reverse_braking = config.max_deceleration_reverse
+    if reverse_braking is None:
+        reverse_braking = speed_up if config.max_deceleration is None else config.max_deceleration
+    return AxisLimits(
+        min_velocity=max(low, -top),
+        max_velocity=min(high, top),
+        min_acceleration=braking,
+        max_acceleration=speed_up,
+        min_jerk=min_jerk,
+        max_jerk=max_jerk,
+        min_reverse=slow_down if reverse is None else -abs(reverse),
+        max_reverse=abs(reverse_braking),
+    )
+
+
+def _read_pair(low: float | None, high: float | None) -> tuple[float, float]:
+    """Return both limits of a quantity; the lower limit is the negative upper one by default."""
+    high = NO_LIMIT if high is None else high
+    return -high if low is None else low, high
+
+
+def is_unlimited(config: RobotConfig) -> bool:
+    """Return whether a robot has no limits except the speeds of a full action."""
+    axes = (config.linear_limits, config.angular_limits)
+    return all(read_limits(axis) == AxisLimits() for axis in axes)
 
 
 class SafetyRules(NamedTuple):
-    """The numbers of a robot's configuration that the rules need; SI units."""
+    """The numbers of a robot's configuration that the rules need, in SI units."""
 
     period: float
     """Duration of a tick [s]."""
@@ -130,14 +120,14 @@ class SafetyRules(NamedTuple):
     linear: AxisLimits
     angular: AxisLimits
     min_x: float
-    """Least x within the geofence [m]; this and the next three are infinite without one."""
+    """Bounds of the geofence [m]; infinite without a geofence."""
     max_x: float
     min_y: float
     max_y: float
     stale: float
-    """Feedback older than this stops the wheels [s]."""
+    """Age of the feedback that stops the wheels [s]."""
     timeout: float
-    """Feedback older than this ends the episode [s]."""
+    """Age of the feedback that ends the episode [s]."""
     left_radius: float
     """Radius of the left wheels [m]."""
     right_radius: float
@@ -149,7 +139,7 @@ class SafetyRules(NamedTuple):
 
 
 def make_rules(config: RobotConfig) -> SafetyRules:
-    """Take the rules' numbers from a robot's configuration."""
+    """Return the rules of a robot."""
     left_radius, right_radius = config.wheel_radii
     fence = config.geofence or Geofence()
     return SafetyRules(
@@ -171,34 +161,41 @@ def make_rules(config: RobotConfig) -> SafetyRules:
 
 
 class SafetyMemory(NamedTuple):
-    """What the rules remember of a robot from tick to tick; all zeros at a reset."""
+    """What the rules remember of a robot from tick to tick; all zeros after a reset."""
 
     latched: float = 0.0
     """The `Reason` that holds the robot until the reset; 0 for none."""
     reason: float = 0.0
-    """The `Reason` that holds it in this tick; 0 for none."""
+    """The `Reason` of this tick; 0 for none."""
     linear: float = 0.0
-    """Linear part of the newest twist [m/s]."""
+    """Velocity of the newest twist [m/s]."""
     angular: float = 0.0
-    """Angular part of the newest twist [rad/s]."""
+    """Turn rate of the newest twist [rad/s]."""
     past_linear: float = 0.0
-    """Linear part of the twist before it [m/s]."""
+    """Velocity of the twist before it [m/s]."""
     past_angular: float = 0.0
-    """Angular part of the twist before it [rad/s]."""
+    """Turn rate of the twist before it [rad/s]."""
     sent_linear: float = 0.0
-    """Linear velocity of the wheel speeds that were sent [m/s]; kept for a single robot."""
+    """Velocity of the wheel speeds that were sent [m/s]; only for a single robot."""
     sent_angular: float = 0.0
-    """Its angular velocity [rad/s]."""
+    """Turn rate of the wheel speeds that were sent [rad/s]; only for a single robot."""
 
 
 @jit
 def find_holds(
     memory: SafetyMemory, x: float, y: float, age: float, rules: SafetyRules
 ) -> tuple[float, float]:
-    """Reasons for which the wheels must not turn.
+    """Find the reasons for which the wheels must not turn.
+
+    Args:
+        memory: Memory of the tick before.
+        x: Position by odometry [m].
+        y: Position by odometry [m].
+        age: Age of the feedback [s].
+        rules: Rules of the robot.
 
     Returns:
-        The reason that holds until the reset, and the one that holds in this tick; 0 for none.
+        The reason that holds until the reset, and the reason of this tick; 0 for none.
     """
     inside = (rules.min_x <= x) & (x <= rules.max_x) & (rules.min_y <= y) & (y <= rules.max_y)
     latched = memory.latched if inside or memory.latched > 0.0 else _GEOFENCE
@@ -221,57 +218,96 @@ def limit_twist(
     Returns:
         The memory of this tick, with the twist.
     """
-    latched, reason = find_holds(memory, x, y, age, rules)
-    stands = (reason > 0.0) | ((linear == 0.0) & (angular == 0.0))
-    ahead = _within(linear, memory.linear, memory.past_linear, rules.linear, rules)
-    turn = _within(angular, memory.angular, memory.past_angular, rules.angular, rules)
+    latched, reason = find_holds(memory, x, y, age=age, rules=rules)
+    stops = (reason > 0.0) | ((linear == 0.0) & (angular == 0.0))
+    new_linear = _limit_axis(
+        linear, memory.linear, memory.past_linear, axis=rules.linear, rules=rules
+    )
+    new_angular = _limit_axis(
+        angular, memory.angular, memory.past_angular, axis=rules.angular, rules=rules
+    )
     return SafetyMemory(
-        latched,
-        reason,
-        0.0 if stands else ahead,
-        0.0 if stands else turn,
-        0.0 if stands else memory.linear,
-        0.0 if stands else memory.angular,
-        memory.sent_linear,
-        memory.sent_angular,
+        latched=latched,
+        reason=reason,
+        linear=0.0 if stops else new_linear,
+        angular=0.0 if stops else new_angular,
+        past_linear=0.0 if stops else memory.linear,
+        past_angular=0.0 if stops else memory.angular,
+        sent_linear=memory.sent_linear,
+        sent_angular=memory.sent_angular,
     )
 
 
 @jit
-def _within(
-    wanted: float, last: float, before: float, axis: AxisLimits, rules: SafetyRules
+def _limit_axis(
+    wanted: float, last: float, second_last: float, axis: AxisLimits, rules: SafetyRules
 ) -> float:
-    """The velocity of one axis that may follow the last two."""
+    """Compute the velocity of an axis that may follow the last two."""
     if rules.free:
         return min(max(wanted, axis.min_velocity), axis.max_velocity)
-    return limit_velocity(wanted, last, before, rules.period, axis)
+    return limit_velocity(wanted, last, second_last, dt=rules.period, axis=axis)
+
+
+@jit
+def limit_velocity(
+    wanted: float, last: float, second_last: float, dt: float, axis: AxisLimits
+) -> float:
+    """Compute the velocity that may follow the last two: limit jerk, acceleration, velocity.
+
+    As in the ROS controller, jerk is the change of the change of velocity over 2 dt^2.
+    """
+    step = last - second_last
+    scale = 2.0 * dt * dt
+    change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
+    velocity = last + step + change
+
+    braking = axis.min_acceleration if last > 0.0 else axis.min_reverse
+    speeding_up = axis.max_acceleration if last >= 0.0 else axis.max_reverse
+    rise = min(max(velocity - last, braking * dt), speeding_up * dt)
+    return min(max(last + rise, axis.min_velocity), axis.max_velocity)
 
 
 @jit
 def compute_wheels(linear: float, angular: float, rules: SafetyRules) -> tuple[float, float]:
-    """Speeds of the right and the left wheels for a twist [rad/s]."""
-    left, right = rules.left_radius, rules.right_radius
-    return _sides(linear, angular, left, right, rules.separation, rules.top)
+    """Compute the speeds of the right and the left wheels for a twist [rad/s]."""
+    return _compute_sides(
+        linear,
+        angular,
+        left_radius=rules.left_radius,
+        right_radius=rules.right_radius,
+        wheel_separation=rules.separation,
+        max_speed=rules.top,
+    )
 
 
 @jit
 def explain_sent(
     linear: float, angular: float, right: float, left: float, reason: float, rules: SafetyRules
 ) -> tuple[float, float, float]:
-    """Compute the twist of sent wheel speeds, and why it differs from the wanted one.
+    """Compute the twist of sent wheel speeds, and why it differs from the commanded twist.
+
+    Args:
+        linear: Commanded velocity [m/s].
+        angular: Commanded turn rate [rad/s].
+        right: Sent speed of the right wheels [rad/s].
+        left: Sent speed of the left wheels [rad/s].
+        reason: Reason that holds the robot; 0 for none.
+        rules: Rules of the robot.
 
     Returns:
         Velocity [m/s], turn rate [rad/s] and the `Reason`.
     """
-    radii = rules.left_radius, rules.right_radius
-    ahead, turn = _twist(right, left, left, right, radii[0], radii[1], rules.separation)
-    same = (abs(ahead - linear) < TWIST_TOLERANCE) & (abs(turn - angular) < TWIST_TOLERANCE)
-    return ahead, turn, (reason if reason > 0.0 else (0.0 if same else _LIMITS))
+    geometry = (rules.left_radius, rules.right_radius, rules.separation)
+    sent_linear, sent_angular = _compute_twist(right, left, left, right, *geometry)
+    same_linear = abs(sent_linear - linear) < TWIST_TOLERANCE
+    same_angular = abs(sent_angular - angular) < TWIST_TOLERANCE
+    limits = 0.0 if same_linear & same_angular else _LIMITS
+    return sent_linear, sent_angular, (reason if reason > 0.0 else limits)
 
 
 @jit
 def is_silent(age: float, rules: SafetyRules) -> bool:
-    """Whether feedback of this age [s] ends the episode."""
+    """Return whether feedback of this age [s] ends the episode."""
     return age > rules.timeout + TIME_SLACK
 
 
@@ -280,10 +316,10 @@ def is_silent(age: float, rules: SafetyRules) -> bool:
 
 @loop
 def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
-    """`find_holds` for one robot, whose memory is changed; returns the reason of this tick."""
-    own = memory[0]
-    own.latched, own.reason = find_holds(own, x, y, age, rules[0])
-    reason: float = own.reason
+    """Update the memory by `find_holds`, and return the reason of this tick."""
+    robot = memory[0]
+    robot.latched, robot.reason = find_holds(robot, x, y, age=age, rules=rules[0])
+    reason: float = robot.reason
     return reason
 
 
@@ -291,17 +327,22 @@ def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> flo
 def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """`limit_twist` for one robot, whose memory is changed.
+    """Update the memory by `limit_twist`.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].
     """
-    own, numbers = memory[0], rules[0]
-    after = limit_twist(linear, angular, x, y, age, own, numbers)
-    right, left = compute_wheels(after.linear, after.angular, numbers)
-    ahead, turn, reason = explain_sent(linear, angular, right, left, after.reason, numbers)
-    own.latched, own.reason = after.latched, reason
-    own.linear, own.angular = after.linear, after.angular
-    own.past_linear, own.past_angular = after.past_linear, after.past_angular
-    own.sent_linear, own.sent_angular = ahead, turn
+    robot = memory[0]
+    numbers = rules[0]
+    new = limit_twist(linear, angular, x, y=y, age=age, memory=robot, rules=numbers)
+    right, left = compute_wheels(new.linear, new.angular, numbers)
+    robot.sent_linear, robot.sent_angular, robot.reason = explain_sent(
+        linear, angular, right, left=left, reason=new.reason, rules=numbers
+    )
+
+    robot.latched = new.latched
+    robot.past_linear = new.past_linear
+    robot.past_angular = new.past_angular
+    robot.linear = new.linear
+    robot.angular = new.angular
     return right, left

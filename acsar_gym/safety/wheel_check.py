@@ -47,7 +47,7 @@ PAUSE = 0.1  # boards may stop their wheels if no command comes for this long [s
 REST_SPEED = 0.3  # as `TOLERANCE` [rad/s]
 REST_SHARE = 0.15  # of its command, for a wheel that doesn't reverse, as dead wheels roll on
 MOVING_SPEED = 0.5  # shows that commands turn wheels [rad/s]
-START_MARGIN = 0.1  # time by which a wheel may start later than others [s]
+START_TIME = 0.2  # time after which a wheel turns if others do that were commanded later [s]
 APPROACH_SPEED = 0.15  # change towards the command that shows that a slow wheel moves [rad/s]
 APPROACH_SHARE = 0.2  # share of the way to the command that shows the same of a fast wheel
 
@@ -93,11 +93,10 @@ class WheelCheck:
         self._lowest = self._expected.copy()
         self._highest = self._expected.copy()
 
-        # For how long the commands have had a direction beyond the deadband, and how wheels start.
+        # For how long commands have had a direction beyond the deadband, and the speeds before.
         self._direction = self._steady = np.zeros(len(WHEELS))
-        self._is_starting = np.zeros(len(WHEELS), bool)
+        self._from_rest = np.ones(len(WHEELS), bool)
         self._speeds = deque([np.zeros(len(WHEELS))] * 2, maxlen=2)
-        self._start_time = 0.0
 
         # Contradictions: for how long they have lasted, and the speeds with which they started.
         self._lines = np.zeros(len(TO_CHANNELS), int)
@@ -136,12 +135,7 @@ class WheelCheck:
     def _compare(self, speeds: Numbers, passed: float) -> None:
         """Compare a line with the commands; `passed` is the time since the last line [s]."""
         lag = self._lag + passed  # a board may send the mean speed since the last line
-        is_moving = self._follow(speeds[WHEEL], passed)
-        memory = MEMORY * lag + self._ramp
-        if is_moving.any() and self._start_time > 0.0:
-            lag = min(lag, self._start_time + START_MARGIN)
-
-        at_rest = self._find_at_rest(speeds[WHEEL]) & (self._steady > lag)
+        at_rest = self._find_at_rest(speeds[WHEEL], passed, lag)
         is_outside = self._find_outside(speeds[WHEEL]) & any(self._sent)
         is_crossed = self._find_crossed(speeds)
         self._add(speeds, np.append(at_rest | is_outside, is_crossed), at_rest, passed)
@@ -149,36 +143,27 @@ class WheelCheck:
         if is_certain.any():
             raise self._describe_fault(int(np.argmax(is_certain)), speeds)
 
-        self._lowest += passed / memory * (self._expected - self._lowest)
-        self._highest += passed / memory * (self._expected - self._highest)
+        fade = passed / (MEMORY * lag + self._ramp)
+        self._lowest += fade * (self._expected - self._lowest)
+        self._highest += fade * (self._expected - self._highest)
 
-    def _follow(self, speeds: Numbers, passed: float) -> Mask:
-        """Note for how long the commands have had their directions, and how soon wheels start.
-
-        Returns:
-            Which wheels turn as commanded.
-        """
+    def _find_at_rest(self, speeds: Numbers, passed: float, lag: float) -> Mask:
+        """Return which wheels are at rest, or roll on without power, and should turn by now."""
         commands = self._expected[WHEEL]
         direction = np.sign(commands) * (np.abs(commands) > self._deadband)
-        is_new = direction != self._direction
+        keeps = direction == self._direction
         self._direction = direction
-        self._steady = np.abs(direction) * (np.where(is_new, 0.0, self._steady) + passed)
-        starts = direction * self._speeds[0] < REST_SPEED
-        self._is_starting = np.where(is_new, starts, self._is_starting)
+        self._steady = np.abs(direction) * (keeps * self._steady + passed)
+        from_rest = direction * self._speeds[0] < REST_SPEED
+        self._from_rest = np.where(keeps, self._from_rest, from_rest)
         self._speeds.append(speeds)
 
-        is_moving: Mask = direction * speeds > MOVING_SPEED
-        started = self._steady[is_moving & self._is_starting]
-        self._start_time = max(self._start_time, started.max(initial=0.0))
-        self._is_starting &= ~is_moving
-        return is_moving
-
-    def _find_at_rest(self, speeds: Numbers) -> Mask:
-        """Return which wheels are at rest, or roll on without power."""
+        # A wheel that has started from rest shows how soon commands take effect.
+        has_started = self._from_rest & (direction * speeds > MOVING_SPEED)
+        start_time = max(START_TIME, self._steady[has_started].min(initial=lag))
         reverses = self._lowest[WHEEL] * self._highest[WHEEL] < 0.0
-        share = np.where(reverses, 0.0, REST_SHARE)
-        limit = np.maximum(REST_SPEED, share * np.abs(self._expected[WHEEL]))
-        at_rest: Mask = np.abs(speeds) < limit
+        slow = np.maximum(REST_SPEED, np.where(reverses, 0.0, REST_SHARE) * np.abs(commands))
+        at_rest: Mask = (np.abs(speeds) < slow) & (self._steady >= start_time)
         return at_rest
 
     def _find_outside(self, speeds: Numbers) -> Mask:
