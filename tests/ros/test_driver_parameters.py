@@ -84,6 +84,7 @@ def test_parameters_that_have_no_effect_later_cannot_be_set(
         (("-p", "publish_tf:=1"), "publish_tf = 1: must be of type bool"),
         (("-p", "link:=5"), "link = 5: must be of type str"),
         (("-p", "twist_covariance_diagonal:=[0.1]"), "must be six variances"),
+        (("-p", "twist_covariance_diagonal:=0.1"), "must be of type array"),
         (("-p", "robot:=nosuch"), "unknown robot preset 'nosuch'"),
         (("-p", "link:=planar", "-p", "scene:=nosuch:1-1"), "nosuch"),
         (("--params-file", "nofile.yaml"), "Couldn't parse params file: '--params-file nofile.y"),

@@ -11,6 +11,7 @@ import contextlib
 import math
 import threading
 import time
+from array import array
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -210,7 +211,7 @@ def list_states(
     return states
 
 
-class RobotNode:
+class RobotNode(RosNode):
     """The node of a robot: topics, services and parameters.
 
     Args:
@@ -240,7 +241,7 @@ class RobotNode:
     ) -> None:
         overrides: dict[str, Any] = {name: value for name, value in options.items() if value}
         overrides["use_sim_time"] = False  # it publishes /clock itself, or there is none
-        self._node = RosNode(DRIVER_NODE, namespace, arguments, overrides=overrides, services=True)
+        super().__init__(DRIVER_NODE, namespace, arguments, overrides=overrides, services=True)
 
         self.requests: deque[tuple[Callable[[], str], Future[str]]] = deque()
         self._measured: SimpleQueue[Measured] = SimpleQueue()
@@ -257,28 +258,27 @@ class RobotNode:
             self._read_parameters()
             self._make_topics()
         except BaseException:
-            self._node.close()
+            super().close()
             raise
-        loops = (partial(self._node.spin, SPIN_PERIOD), self._publish_measured)
+        loops = (partial(self.spin, SPIN_PERIOD), self._publish_measured)
         self._threads = [
             threading.Thread(target=self._repeat, args=(loop,), daemon=True) for loop in loops
         ]
 
     def _read_parameters(self) -> None:
         """Declare the parameters, and read their values."""
-        node = self._node
-        given_names = node.list_parameters()
-        node.declare(NODE_PARAMETERS, changeable=(SCENE_PARAMETER, START_PARAMETER))
+        given_names = self.list_parameters()
+        self.declare(NODE_PARAMETERS, changeable=(SCENE_PARAMETER, START_PARAMETER))
         config = RobotConfig.of(self._read("robot", str) or None)
         fields = {name: getattr(config, name) for name in DRIVER_PARAMETERS}
         defaults = {name: "" if value is None else value for name, value in fields.items()}
-        node.declare(defaults | {"cmd_vel_timeout": config.firmware.command_timeout or 0.5})
+        self.declare(defaults | {"cmd_vel_timeout": config.firmware.command_timeout or 0.5})
         for name in given_names:
             names = {*defaults, *NODE_PARAMETERS, "cmd_vel_timeout"}
             if name not in names and not name.startswith(ROS_PARAMETERS):
-                node.warn(f"parameter {name}: doesn't exist{suggest_name(name, names)}")
+                self.warn(f"parameter {name}: doesn't exist{suggest_name(name, names)}")
 
-        values = {name: node.read_parameter(name) for name in defaults}
+        values = {name: self.read_parameter(name) for name in defaults}
         changes = {name: value for name, value in values.items() if value != defaults[name]}
         self.config = config.with_(**changes)
         self.link = self._read("link", str)
@@ -286,47 +286,47 @@ class RobotNode:
         timeout = self._read("cmd_vel_timeout", int, float)
         if not 0.0 < timeout < math.inf:
             raise ConfigError(f"cmd_vel_timeout = {timeout:g}: must be positive")
-        self.inbox = CommandInbox(timeout, self.config.base_frame, node.warn)
+        self.inbox = CommandInbox(timeout, self.config.base_frame, self.warn)
 
     def _read(self, name: str, *kinds: type) -> Any:
         """Return the value of a parameter. ConfigError if it has another type."""
-        value = self._node.read_parameter(name)
+        value = self.read_parameter(name)
         if type(value) not in kinds:
             raise ConfigError(f"{name} = {show_value(value)}: must be of type {kinds[-1].__name__}")
         return value
 
     def _read_diagonal(self, name: str) -> list[float] | None:
         """Return the six variances of a parameter. None if it is empty."""
-        values = [*self._node.read_parameter(name)]
-        if len(values) not in (0, 6) or not all(0.0 <= value < math.inf for value in values):
+        values = [*self._read(name, list, array)]
+        is_number = [isinstance(value, int | float) and 0.0 <= value < math.inf for value in values]
+        if len(values) not in (0, 6) or not all(is_number):
             raise ConfigError(f"{name} = {show_value(values)}: must be six variances")
         return values or None
 
     def _make_topics(self) -> None:
         """Make publishers and the subscription, and messages that are filled again and again."""
-        node = self._node
-        ros = node.ros
+        ros = self.ros
         config = self.config
         if self._read("stamped", bool):
-            node.subscribe("cmd_vel", ros.TwistStamped, self._take_stamped, 10)
+            self.subscribe("cmd_vel", ros.TwistStamped, self._take_stamped, 10)
         else:
-            node.subscribe("cmd_vel", ros.Twist, self._take_twist, 10)
+            self.subscribe("cmd_vel", ros.Twist, self._take_twist, 10)
 
-        self._joints = node.publish("joint_states", ros.JointState, depth=10)
+        self._joints = self.publish("joint_states", ros.JointState, depth=10)
         self._state = ros.JointState(name=list(config.ros_joints))
-        self._odometry = node.publish("odom", ros.Odometry, depth=10)
+        self._odometry = self.publish("odom", ros.Odometry, depth=10)
         self._odom = ros.Odometry(child_frame_id=config.base_frame)
         self._odom.header.frame_id = config.odom_frame
         self._covariance = OdometryCovariance(config, *map(self._read_diagonal, COVARIANCES))
-        self._scans = node.publish("scan", ros.LaserScan, depth=5)
+        self._scans = self.publish("scan", ros.LaserScan, depth=5)
         self._scan = ros.LaserScan()
         self._scan.header.frame_id = config.lidar_frame
-        self._diagnostics = node.publish("/diagnostics", ros.DiagnosticArray, depth=10)
+        self._diagnostics = self.publish("/diagnostics", ros.DiagnosticArray, depth=10)
         self._clock: Any = None
         self._tf: Any = None
         publishes_tf = self._read("publish_tf", bool)
         if ros.TFMessage is None:
-            node.warn("tf2_msgs isn't installed: no /tf and /tf_static are published")
+            self.warn("tf2_msgs isn't installed: no /tf and /tf_static are published")
             return
 
         mount = ros.TransformStamped(child_frame_id=config.lidar_frame)
@@ -335,10 +335,10 @@ class RobotNode:
         place.x = config.lidar_x_offset
         place.y = config.lidar_y_offset
         place.z = config.lidar_z_offset
-        self._static = node.publish("/tf_static", ros.TFMessage, latched=True)
+        self._static = self.publish("/tf_static", ros.TFMessage, latched=True)
         self._static.publish(ros.TFMessage(transforms=[mount]))
         if publishes_tf:
-            self._tf = node.publish("/tf", ros.TFMessage, depth=100)
+            self._tf = self.publish("/tf", ros.TFMessage, depth=100)
             self._transform = ros.TransformStamped(child_frame_id=config.base_frame)
             self._transform.header.frame_id = config.odom_frame
 
@@ -360,28 +360,24 @@ class RobotNode:
             return response
 
         for name, work in services.items():
-            kind = self._node.ros.Trigger
-            self._node.node.create_service(kind, f"~/{name}", partial(serve, work))
+            kind = self.ros.Trigger
+            self.node.create_service(kind, f"~/{name}", partial(serve, work))
 
     def start_clock(self) -> None:
         """Publish /clock from now on: time is simulated."""
-        self._clock = self._node.publish("/clock", self._node.ros.Clock)
+        self._clock = self.publish("/clock", self.ros.Clock)
 
     def start(self) -> None:
         """Start the threads, which end before the process does."""
         call_at_end(self.close)
         for thread in self._threads:
             thread.start()
-        self._node.say(f"drives {self.link or self.config.serial_port}")
-
-    def now(self) -> int:
-        """Return the time of the node's clock [ns]."""
-        return self._node.now()
+        self.say(f"drives {self.link or self.config.serial_port}")
 
     def read_scene(self) -> Scene:
         """Return the scene of the node's parameters. WorldError if there is no such world."""
-        name = str(self._node.read_parameter(SCENE_PARAMETER))
-        return find_scene(name, self._node.read_parameter(START_PARAMETER) or (), self.config)
+        name = str(self.read_parameter(SCENE_PARAMETER))
+        return find_scene(name, self.read_parameter(START_PARAMETER) or (), self.config)
 
     def put(self, measured: Measured) -> None:
         """Hand over what was measured in a tick. Doesn't wait."""
@@ -393,7 +389,7 @@ class RobotNode:
     def check(self) -> None:
         """Raise RosSetupError if a thread has failed."""
         if self._failure is not None:
-            raise RosSetupError(DRIVER_NODE, self._node.namespace, self._failure) from self._failure
+            raise RosSetupError(DRIVER_NODE, self.namespace, self._failure) from self._failure
 
     def close(self) -> None:
         """End threads and node."""
@@ -404,7 +400,7 @@ class RobotNode:
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * SPIN_PERIOD)
-        self._node.close()
+        super().close()
 
     # In the threads
 
@@ -417,7 +413,7 @@ class RobotNode:
 
     def _take_stamped(self, message: Any) -> None:
         stamp = read_stamp(message.header.stamp)
-        now = self._newest_stamp if self._clock is not None else self._node.now()
+        now = self._newest_stamp if self._clock is not None else self.now()
         age = (now - stamp) / NANOSECONDS if stamp else 0.0
         self._take_twist(message.twist, age, message.header.frame_id)
 
@@ -433,18 +429,18 @@ class RobotNode:
         except Empty:
             return
         for nanoseconds, speeds, angles in measured.states:
-            self._state.header.stamp = make_stamp(self._node.ros, nanoseconds)
+            self._state.header.stamp = make_stamp(self.ros, nanoseconds)
             self._state.position = angles
             self._state.velocity = speeds
             self._joints.publish(self._state)
 
-        stamp = make_stamp(self._node.ros, measured.stamp)
+        stamp = make_stamp(self.ros, measured.stamp)
         self._publish_pose(measured, stamp)
         if measured.scan is not None:
             self._publish_scan(measured.stamp, measured.scan)
         self._newest_stamp = measured.stamp
         if self._clock is not None:
-            self._clock.publish(self._node.ros.Clock(clock=stamp))
+            self._clock.publish(self.ros.Clock(clock=stamp))
 
         self._ticks += 1
         self._late_ticks += measured.lateness > self.config.late_tick
@@ -475,12 +471,12 @@ class RobotNode:
             place.translation.x = x
             place.translation.y = y
             place.rotation = pose.orientation
-            self._tf.publish(self._node.ros.TFMessage(transforms=[self._transform]))
+            self._tf.publish(self.ros.TFMessage(transforms=[self._transform]))
 
     def _publish_scan(self, stamp: int, scan: LaserScan) -> None:
         message = self._scan
         first_ray = max(stamp + round(scan.stamp * NANOSECONDS), 0)
-        message.header.stamp = make_stamp(self._node.ros, first_ray)
+        message.header.stamp = make_stamp(self.ros, first_ray)
         for name in (
             *("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time"),
             *("range_min", "range_max", "ranges"),
@@ -489,7 +485,7 @@ class RobotNode:
         self._scans.publish(message)
 
     def _publish_diagnostics(self, measured: Measured, stamp: Any) -> None:
-        ros = self._node.ros
+        ros = self.ros
         kinds = ros.DiagnosticStatus
         reason = measured.reason
         problem = self.inbox.problem or self._check_publishers()
@@ -518,17 +514,17 @@ class RobotNode:
     def _check_publishers(self) -> str:
         """Return what is wrong with the publishers of commands, and report it once."""
         problem = ""
-        commanders = sorted(self._node.list_commanders("cmd_vel"))
+        commanders = sorted(self.list_commanders("cmd_vel"))
         if len(commanders) > 1:
             problem = (
                 f"cmd_vel: {len(commanders)} publishers ({', '.join(commanders)}): the newest "
                 "command is driven: end the others, or let a twist_mux choose"
             )
-        elif self._node.problem:
-            problem = f"{self._node.problem}: publishers must be reliable and volatile"
+        elif self.problem:
+            problem = f"{self.problem}: publishers must be reliable and volatile"
         if problem and problem not in self._reported:
             self._reported.add(problem)
-            self._node.warn(problem)
+            self.warn(problem)
         return problem
 
 

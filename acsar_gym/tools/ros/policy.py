@@ -166,12 +166,13 @@ class GoalRules(NamedTuple):
             )
 
 
-class PolicyNode:
+class PolicyNode(RosNode):
     """The node of a policy, in a thread.
 
     Args:
-        node: Node of ROS.
-        config: Robot configuration.
+        options: Parameters of the node, with their defaults.
+        namespace: Namespace of the node.
+        arguments: Arguments of ROS, which follow "--ros-args".
 
     Attributes:
         frames: Poses of frames.
@@ -181,36 +182,42 @@ class PolicyNode:
         is_cancelled: Whether the running episode must end.
     """
 
-    def __init__(self, node: RosNode, config: RobotConfig) -> None:
-        ros = node.ros
-        self._node = node
-        self.frames = Frames(config.odom_frame, config.base_frame)
-        self._odom_frame = config.odom_frame
+    def __init__(
+        self, options: Mapping[str, str], namespace: str, arguments: Sequence[str]
+    ) -> None:
+        super().__init__(POLICY_NODE, namespace, arguments, dict(options))
+        self.frames = Frames("odom", "base_link")
         self.rules = GoalRules(0.0, math.inf)
         self.goal: Goal | None = None
         self.is_driving = False
         self.is_cancelled = False
-        if not node.subscribe_transforms(self._take_transforms):
-            node.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
-        node.subscribe(config.ros2.odom_topic, ros.Odometry, self._take_odometry, best_effort=True)
-        self._plan = node.publish("plan", ros.Path)
         self._running = True
         self._thread = threading.Thread(target=self._spin, name=POLICY_NODE, daemon=True)
+
+    def start(self, config: RobotConfig) -> None:
+        """Receive the robot's poses from now on."""
+        self.frames = Frames(config.odom_frame, config.base_frame)
+        self._odom_frame = config.odom_frame
+        if not self.subscribe_transforms(self._take_transforms):
+            self.warn("tf2_msgs isn't installed: goals must be in the frame of the odometry")
+        kind = self.ros.Odometry
+        self.subscribe(config.ros2.odom_topic, kind, self._take_odometry, best_effort=True)
+        self._plan = self.publish("plan", self.ros.Path)
         self._thread.start()
 
     def listen(self, rules: GoalRules, about: str) -> None:
         """Receive goals and offer the service from now on."""
-        ros = self._node.ros
         self.rules = rules
-        self._node.subscribe("goal_pose", ros.PoseStamped, self._take_goal)
-        self._node.node.create_service(ros.Trigger, "~/cancel", self._cancel)
-        self._node.say(f"{about}: waits for goals")
+        self.subscribe("goal_pose", self.ros.PoseStamped, self._take_goal)
+        self.node.create_service(self.ros.Trigger, "~/cancel", self._cancel)
+        self.say(f"{about}: waits for goals")
 
     def close(self) -> None:
         """End thread and node."""
         self._running = False
-        self._thread.join(2.0 * SPIN_PERIOD)
-        self._node.close()
+        if self._thread.is_alive():
+            self._thread.join(2.0 * SPIN_PERIOD)
+        super().close()
 
     def take_goal(self) -> Goal:
         """Take the newest goal, to drive to it."""
@@ -242,13 +249,9 @@ class PolicyNode:
             return "cancelled"
         return "replaced by another goal" if self.goal is not None else "not reached"
 
-    def say(self, text: str) -> None:
-        """Log a line about a success."""
-        self._node.say(text)
-
     def refuse(self, error: GoalError) -> None:
         """Log why a goal isn't driven to."""
-        self._node.warn(f"refused: {error}")
+        self.warn(f"refused: {error}")
 
     @property
     def is_interrupted(self) -> bool:
@@ -259,7 +262,7 @@ class PolicyNode:
         """Publish a path through points of the odometry's frame, if it has subscribers."""
         if not self._plan.get_subscription_count():
             return
-        ros = self._node.ros
+        ros = self.ros
         plan = ros.Path()
         plan.header.frame_id = self._odom_frame
         plan.header.stamp = make_stamp(ros, nanoseconds)
@@ -274,7 +277,7 @@ class PolicyNode:
 
     def _spin(self) -> None:
         while self._running:
-            self._node.spin(SPIN_PERIOD)
+            self.spin(SPIN_PERIOD)
 
     def _take_transforms(self, message: Any) -> None:
         for stamped in message.transforms:
@@ -462,19 +465,14 @@ def drive_policy(
         PolicyError, ConfigError: An option has a wrong value.
         LinkError: The robot can't be reached.
     """
-    ros_node = RosNode(POLICY_NODE, namespace, arguments, dict(options))
-    with contextlib.ExitStack() as nodes:
-        nodes.callback(ros_node.close)
-        chosen = {
-            name: value or str(ros_node.read_parameter(name)) for name, value in options.items()
-        }
+    with contextlib.closing(PolicyNode(options, namespace, arguments)) as node:
+        chosen = {name: value or str(node.read_parameter(name)) for name, value in options.items()}
         name = chosen["policy"] or DEFAULT_POLICY
         policy = load_policy(name, trust=trust, env=chosen["env"])
         config = RobotConfig.of(chosen["robot"] or None)
-        link = "ros2" if ros_node.namespace == "/" else f"ros2:{ros_node.namespace}"
+        link = "ros2" if node.namespace == "/" else f"ros2:{node.namespace}"
         more = ready(policy, link)
-        node = PolicyNode(ros_node, config)
-        nodes.callback(node.close)
+        node.start(config)
         node.goal = None if goal is None else Goal(*goal)
         farthest = (more.get("goal_distance") or (0.0, math.hypot(*(goal or (0.0, 0.0)))))[1]
 
