@@ -170,11 +170,20 @@ class Decoder:
         Returns:
             A reading for each valid line, oldest first.
         """
-        # The usual case first, as it is in every tick: whole lines, and nothing left from before.
-        if data.endswith(b"\n") and not (self._partial or self._is_skipping):
-            return [reading for line in data.splitlines() if (reading := self._read_line(line))]
         if not data:
             return []
+        # The usual case, as it is in every tick: one line of four known parts, and nothing before.
+        if not (self._partial or self._is_skipping):
+            try:
+                a, b, c, d, end = data.split(b",")
+                speeds = (_CACHED_A[a], _CACHED_B[b], _CACHED_C[c], _CACHED_D[d])
+            except (ValueError, KeyError):
+                pass
+            else:
+                if end == b"\r\n":
+                    self.lines += 1
+                    self.damaged = 0
+                    return [tuple.__new__(Reading, (speeds,))]  # twice as fast as the class
 
         stream = self._partial + data
         lines = stream.splitlines()

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import gc
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Self, TypeVar
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,6 @@ UNWATCHED = (
     "or this computer fails: there is no watchdog ({}), and its board doesn't stop by itself "
     "(firmware.command_timeout: null); add a time-out to its program"
 )
-Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 class DriveObserver:
@@ -80,20 +78,6 @@ class DriveObserver:
 
     def close(self) -> None:
         """Called when the robot is closed; idempotent."""
-
-
-def _deactivating(method: Method) -> Method:
-    """Make any error of a method deactivate the robot."""
-
-    @functools.wraps(method)
-    def guarded(robot: Robot, *args: Any, **kwargs: Any) -> Any:
-        try:
-            return method(robot, *args, **kwargs)
-        except BaseException as error:
-            robot.deactivate(error)
-            raise
-
-    return guarded  # type: ignore[return-value]
 
 
 class Robot:
@@ -161,7 +145,6 @@ class Robot:
         if not self.active:
             self.reset(Scene())
 
-    @_deactivating
     def reset(self, scene: Scene, rng: np.random.Generator | None = None) -> None:
         """Open the link, stop, wait for standstill, and reset odometry and sensors.
 
@@ -176,23 +159,32 @@ class Robot:
             LinkError: Link or sensors don't work, the board is silent, or the wheels keep turning.
             EmergencyStopError: An emergency stop of any robot of this process isn't released yet.
         """
-        with self._heeding_stops():
-            self._open_link()
-            self._start_episode(scene, rng or np.random.default_rng(0))
+        try:
+            with self._heeding_stops():
+                self._open_link()
+                self._start_episode(scene, rng or np.random.default_rng(0))
 
-        if self.link.is_real and not self._has_warned:  # an open link knows its watchdog
-            self._has_warned = True
-            if self.config.firmware.command_timeout is None:
-                reason = self.link.unwatched
-                warnings.warn(
-                    UNWATCHED.format(reason) if reason else NO_TIMEOUT, SafetyWarning, stacklevel=3
-                )
+            if self.link.is_real and not self._has_warned:  # an open link knows its watchdog
+                self._has_warned = True
+                if self.config.firmware.command_timeout is None:
+                    reason = self.link.unwatched
+                    warnings.warn(
+                        UNWATCHED.format(reason) if reason else NO_TIMEOUT,
+                        SafetyWarning,
+                        stacklevel=2,
+                    )
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
-    @_deactivating
     def connect(self) -> None:
         """Open the link and listen for emergency stops before an episode. Errors as for `reset`."""
-        with self._heeding_stops():
-            self._open_link()
+        try:
+            with self._heeding_stops():
+                self._open_link()
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
     @contextlib.contextmanager
     def _heeding_stops(self) -> Iterator[None]:
@@ -246,7 +238,6 @@ class Robot:
         self.sensors.reset(scene, rng)
         self._observer.after_reset(self)
 
-    @_deactivating
     def read(self) -> NDArray[np.float64]:
         """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
 
@@ -254,16 +245,22 @@ class Robot:
             AcsarError: A sensor returns something else than its finite numbers.
             LinkError: A sensor's device fails.
         """
-        numbers = self.sensors.read()
-        self._observer.after_read(self)
+        try:
+            numbers = self.sensors.read()
+            self._observer.after_read(self)
+        except BaseException as error:
+            self.deactivate(error)
+            raise
         return numbers
 
-    @_deactivating
     def add_sensor_info(self, info: dict[str, float]) -> None:
         """Add the sensors' info to an env's; ConfigError if it has one of the keys already."""
-        self.sensors.info(info)
+        try:
+            self.sensors.info(info)
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
-    @_deactivating
     def tick(self, speeds: Sequence[float]) -> None:
         """Do one control period: send four wheel speeds, read feedback, update odometry.
 
@@ -279,12 +276,15 @@ class Robot:
             CommandError: `speeds` aren't four finite numbers.
             LinkError: Not active, link lost or silent for `feedback_timeout`, or a sensor fails.
         """
-        self.check_estop()
-        self._exchange(self.safety.bounded(speeds, self.odometry.pose, self.wire.age))
-        a, b, c, d = map(float, speeds)
-        self._observer.after_tick(self, *self.safety.twist((a, b, c, d)))
+        try:
+            self.check_estop()
+            self._exchange(self.safety.bounded(speeds, self.odometry.pose, self.wire.age))
+            a, b, c, d = map(float, speeds)
+            self._observer.after_tick(self, *self.safety.twist((a, b, c, d)))
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
-    @_deactivating
     def drive(self, linear: float, angular: float) -> None:
         """Do one control period towards a twist, within the limits; (0, 0) stops at once.
 
@@ -294,19 +294,26 @@ class Robot:
             linear: Velocity [m/s], forward positive.
             angular: Turn rate [rad/s], counter-clockwise positive.
         """
-        self.check_estop()
-        self._exchange(self.safety.allowed(linear, angular, self.odometry.pose, self.wire.age))
-        self._observer.after_tick(self, linear, angular)
+        try:
+            self.check_estop()
+            self._exchange(self.safety.allowed(linear, angular, self.odometry.pose, self.wire.age))
+            self._observer.after_tick(self, linear, angular)
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
-    @_deactivating
     def listen(self) -> None:
         """Do one control period without a command, to measure the board's own time-out.
 
         Errors as for `tick`.
         """
-        self.check_estop()
-        self._exchange(None)
-        self._observer.after_tick(self, math.nan, math.nan)
+        try:
+            self.check_estop()
+            self._exchange(None)
+            self._observer.after_tick(self, math.nan, math.nan)
+        except BaseException as error:
+            self.deactivate(error)
+            raise
 
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""

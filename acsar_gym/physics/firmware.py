@@ -68,6 +68,8 @@ class Firmware:
         self._last_command = -math.inf
         self._targets: Speeds = ZERO
         self._set_points: Speeds = ZERO
+        self._counted_angles: Speeds | None = None
+        self._counts = (0, 0, 0, 0)
         self._angles.clear()
         self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
         self.decoder.reset()
@@ -126,15 +128,26 @@ class Firmware:
                 d if -top <= d <= top else math.copysign(top, d),
             )
 
+    def _count(self, angles: Speeds) -> tuple[int, int, int, int]:
+        """Return the encoders' whole counts at angles of the wheels [rad]."""
+        a, b, c, d = angles
+        scale = self._per_radian
+        floor = math.floor
+        return floor(a * scale), floor(b * scale), floor(c * scale), floor(d * scale)
+
     def _send_line(self) -> None:
         """Send an encoder line: wheel speeds from the whole counts of the last window [rad/s]."""
-        (a1, b1, c1, d1), (a0, b0, c0, d0) = self._angles[-1], self._angles[0]
-        k, scale, floor = self._per_radian, self._per_count, math.floor
+        if self._angles[0] is not self._counted_angles:  # else the window starts with the last line
+            self._counts = self._count(self._angles[0])
+        a0, b0, c0, d0 = self._counts
+        self._counted_angles = self._angles[-1]
+        self._counts = a1, b1, c1, d1 = self._count(self._angles[-1])
+        scale = self._per_count
         speeds: Speeds = (
-            (floor(a1 * k) - floor(a0 * k)) * scale,
-            (floor(b1 * k) - floor(b0 * k)) * scale,
-            (floor(c1 * k) - floor(c0 * k)) * scale,
-            (floor(d1 * k) - floor(d0 * k)) * scale,
+            (a1 - a0) * scale,
+            (b1 - b0) * scale,
+            (c1 - c0) * scale,
+            (d1 - d0) * scale,
         )
         if self._quantum is not None:
             a, b, c, d = (round_printed(speed, self._quantum) for speed in speeds)

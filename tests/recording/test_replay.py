@@ -117,7 +117,7 @@ def test_other_commands_are_told_with_their_tick(bullet: tuple[Path, list[bytes]
 
 def test_what_cannot_be_replayed_or_recorded_is_told(config: RobotConfig, tmp_path: Path) -> None:
     link = ReplayLink(taped(tmp_path / "blind.mcap", config), compare=False)
-    with pytest.raises(LinkError, match=r"no revolutions .* kept no more than the scans: record"):
+    with pytest.raises(LinkError, match=r"no revolutions .* kept only the scans: record"):
         Robot(link, config, ["lidar"]).activate()
     with pytest.raises(ConfigError, match="no such file"):
         open_link(f"replay:{tmp_path / 'none.mcap'}").open()
