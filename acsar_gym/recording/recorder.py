@@ -218,6 +218,7 @@ class Recorder(DriveObserver):
             refused=robot.wire.decoder.refused.total(),
         )
         self.add(tick)
+
         self._add_scan(robot, pause=1.0 / robot.config.lidar.rate - 0.5 * robot.config.period)
 
     def _add_scan(self, robot: Robot, pause: float = 0.0) -> None:

@@ -291,6 +291,7 @@ class ReplayLink(Link):
                 f"{self._path}: the recorded episode ends here, {tape.place}",
                 "was it made with this goal and policy?",
             )
+
         if tape.has_gap:
             reason = "the file is damaged" if recording.damages else "its writer couldn't keep up"
             raise LinkLostError(

@@ -276,14 +276,14 @@ def make_calibrated_config(
     if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
         changes["body"] = {"turn_factor": turning}
     if in_ros:
-        left, right, separation = config.twist_geometry
+        left_radius, right_radius, separation = config.twist_geometry
         error = 1.0
         if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
             error = fmean(config.motor.of_wheel(wheel).gain for wheel in range(4))
             changes["motor"], intervals = _divide_gains(config, error)
             measured |= intervals
         changes["ros2"] = {
-            "wheel_radii": (left / error, right / error),
+            "wheel_radii": (left_radius / error, right_radius / error),
             "wheel_separation": separation,
         }
     return config.with_(**changes, measured=update_measured(config.measured, measured))

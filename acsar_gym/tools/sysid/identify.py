@@ -61,14 +61,14 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     """
     recordings = [(str(path), read(path)) for path in paths]
     check_same_robot(recordings, "identify")
-    known = config or recordings[0][1].config
+    robot = config or recordings[0][1].config
     logs = [
-        resend_twists(episode.wire, recording.config, known)
+        resend_twists(episode.wire, recording.config, robot)
         for _, recording in recordings
         for episode in recording.episodes
     ]
     hashes = [digest for _, recording in recordings for digest in sorted(recording.sources)]
-    return identify_logs(logs, known, hashes)
+    return identify_logs(logs, robot, hashes)
 
 
 def identify_device(
