@@ -20,7 +20,7 @@ CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics 
 STOPPING ?= --trials 20
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
-  test-ros test-scale lint firmware firmware-tested bench soak stopping ros-stopping ros-timing \
+  test-ros test-scale lint firmware firmware-tested bench soak stopping wheel-check ros-stopping ros-timing \
   identify-check licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
@@ -90,6 +90,9 @@ identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo
 
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in a quarter of an hour; STOPPING='--board COMMAND ...'
 	$(BIN)/python tests/stopping.py $(STOPPING)
+
+wheel-check: $(READY)  ## how soon wrong wheels are found, and whether sound robots are stopped, in half an hour
+	$(BIN)/python tests/check_wheels.py
 
 ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`
 	.ci/ros $(ROS)/bin/python tests/ros_stopping.py

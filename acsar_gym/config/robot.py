@@ -165,8 +165,8 @@ class RobotConfig(Section):
     the watchdog process sends zero commands [s], 0.01 to 60; it does so at once where the process
     died. None: no watchdog."""
     wheel_check: bool = True
-    """Stop a real robot with an error that names the wheel, where measured wheel speeds contradict
-    the commanded ones for longer than `motor`, `firmware` and `encoder` explain."""
+    """Stop a real robot with an error that names the wheel if measured wheel speeds contradict the
+    commands."""
     max_linear: Speed = 0.5
     """Linear speed of a full action, and limit of all commands [m/s]."""
     max_angular: Speed = 1.5

@@ -39,9 +39,8 @@ class Safety:
         """Start an episode: nothing has been sent, and all stops are cleared."""
         self._memory["latched"] = 0.0
         self.halt(Reason.NONE)
-        # Load the compiled code of `allowed` and `bounded` before the robot drives.
+        # Load the compiled code before the robot drives.
         self.allowed(0.0, 0.0, pose=(0.0, 0.0, 0.0), feedback_age=0.0)
-        rules.update_holds(0.0, 0.0, 0.0, memory=self._memory, rules=self._numbers)
 
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
@@ -141,7 +140,10 @@ class Safety:
         """
         wheels = check_speeds(speeds)
         x, y, _ = pose
-        reason = rules.update_holds(x, y, feedback_age, memory=self._memory, rules=self._numbers)
+        memory = SafetyMemory(latched=self._memory["latched"][0])
+        latched, reason = rules.find_holds(memory, x, y, age=feedback_age, rules=self._rules)
+        if latched:
+            self._memory["latched"] = latched
         if reason:
             return self.halt(Reason(int(reason)))
 

@@ -311,23 +311,11 @@ def is_silent(age: float, rules: SafetyRules) -> bool:
     return age > rules.timeout + TIME_SLACK
 
 
-# For a single robot, whose memory and rules are records; see `jit.record_of`.
-
-
-@loop
-def update_holds(x: float, y: float, age: float, memory: Any, rules: Any) -> float:
-    """Update the memory by `find_holds`, and return the reason of this tick."""
-    robot = memory[0]
-    robot.latched, robot.reason = find_holds(robot, x, y, age=age, rules=rules[0])
-    reason: float = robot.reason
-    return reason
-
-
 @loop
 def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """Update the memory by `limit_twist`.
+    """Update the memory of a single robot by `limit_twist`; records as in `jit.record_of`.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].

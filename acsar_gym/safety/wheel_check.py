@@ -25,10 +25,9 @@ from acsar_gym.protocol import WHEELS, ZERO, Speeds
 Numbers = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# How long a contradiction must last. Lines may come up to 10 ms early or late.
-WINDOW = 0.15  # [s]
+# How long a contradiction must last.
+WINDOW = 0.13  # 0.15 s, of whose ends each may be 10 ms early or late [s]
 MIN_LINES = 3
-JITTER = 0.02  # tolerance of the window, as its first and its last line may be early or late [s]
 MIN_INTERVAL = 0.035  # lines that follow sooner aren't compared, to save time [s]
 
 # What sound wheels do. Lags up to 0.3 s and deadbands up to 1.5 rad/s are published.
@@ -139,7 +138,7 @@ class WheelCheck:
         is_outside = self._find_outside(speeds[WHEEL]) & any(self._sent)
         is_crossed = self._find_crossed(speeds)
         self._add(speeds, np.append(at_rest | is_outside, is_crossed), at_rest, passed)
-        is_certain = (self._lines >= MIN_LINES) & (self._lasted >= WINDOW - JITTER)
+        is_certain = (self._lines >= MIN_LINES) & (self._lasted >= WINDOW)
         if is_certain.any():
             raise self._describe_fault(int(np.argmax(is_certain)), speeds)
 
