@@ -37,7 +37,7 @@ SLOWER = 1.5  # lag and deadband may be larger than configured by this factor
 MEMORY = 4.0  # lags in which the range of commands fades to a third, as ramps take their time
 MAX_FACTOR = 1.4  # over the fastest command, as speed loops overshoot by a quarter
 OVERSHOOT = 0.2  # share of the commands in the other direction by which reversals overshoot further
-TOLERANCE = 0.3  # about a step of a coarse encoder [rad/s]
+TOLERANCE = 0.3  # about a step of coarse feedback [rad/s]
 UNEVEN = 0.2  # share of its speed by which unequal gains and lags turn a robot
 CROSSED = 0.25  # share of an axle's commanded difference by which each of its wheels is wrong
 PAUSE = 0.1  # boards may stop their wheels if no command comes for this long [s]
@@ -79,9 +79,13 @@ class WheelCheck:
         reversal = 2.0 * config.max_linear / config.wheel_radius
         self._ramp = reversal / min(motor.acceleration for motor in motors)
 
+        # The speeds that coarse encoders send are whole counts.
+        one_count = 2.0 * np.pi / (config.encoder.counts_per_revolution * config.encoder.window)
         deadband = SLOWER * max(motor.deadband for motor in motors)
         is_known = "motor.deadband" in measured
-        self._deadband = max(deadband, MOVING_SPEED if is_known else UNKNOWN_DEADBAND)
+        unknown = MOVING_SPEED if is_known else UNKNOWN_DEADBAND
+        self._deadband = max(deadband, unknown, one_count)
+        self._tolerance = max(TOLERANCE, one_count)
         self.reset()
 
     def reset(self) -> None:
@@ -173,8 +177,8 @@ class WheelCheck:
         forward[is_slow] = forward.max()
         backward[is_slow] = backward.max()
 
-        ahead = MAX_FACTOR * forward + OVERSHOOT * backward + TOLERANCE
-        behind = MAX_FACTOR * backward + OVERSHOOT * forward + TOLERANCE
+        ahead = MAX_FACTOR * forward + OVERSHOOT * backward + self._tolerance
+        behind = MAX_FACTOR * backward + OVERSHOOT * forward + self._tolerance
         is_outside: Mask = (speeds > ahead) | (speeds < -behind)
         return is_outside
 
@@ -184,7 +188,7 @@ class WheelCheck:
         side = np.sign(turn)
         ends = side * np.array([self._lowest[AXLE], self._highest[AXLE]])
         fastest = max(self._highest[WHEEL].max(), -self._lowest[WHEEL].min())
-        margin = max(UNEVEN * fastest + TOLERANCE, self._deadband)
+        margin = max(UNEVEN * fastest + self._tolerance, self._deadband)
         is_commanded = (ends.min(axis=0) >= 0.0) & (ends.max(axis=0) >= margin)
 
         lack = self._expected - speeds
