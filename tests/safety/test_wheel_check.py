@@ -205,12 +205,12 @@ def test_an_environment_truncates_the_episode() -> None:
     ],
 )
 def test_slow_feedback_is_checked(
-    quirks: tuple[str, ...], message: str, start_emulator: StartEmulator
+    quirks: tuple[str, ...], message: str, start_emulator: StartEmulator, config: RobotConfig
 ) -> None:
     """Over a pseudo-terminal, at rates that the robot's file doesn't contain."""
     emulator = start_emulator("--quirk", *quirks)
     with (
-        Robot(open_link(emulator.device, ACSAR), ACSAR) as robot,
+        Robot(open_link(emulator.device, config), config) as robot,
         pytest.raises(WheelError, match=message),
     ):
         for _ in range(500):
