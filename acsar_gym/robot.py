@@ -279,8 +279,7 @@ class Robot:
         try:
             self.check_estop()
             self._exchange(self.safety.bounded(speeds, self.odometry.pose, self.wire.age))
-            a, b, c, d = map(float, speeds)
-            self._observer.after_tick(self, *self.safety.twist((a, b, c, d)))
+            self._observer.after_tick(self, *self.safety.twist(map(float, speeds)))
         except BaseException as error:
             self.deactivate(error)
             raise

@@ -6,7 +6,9 @@ It is the same for every link, so that policies are trained with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from acsar_gym import kinematics
 from acsar_gym.config import Geofence, RobotConfig
@@ -45,9 +47,7 @@ class Safety:
     def fence(self, area: Geofence | None) -> None:
         """Replace the geofence, before an episode; None for no limit."""
         fence = area or Geofence()
-        self._rules = self._rules._replace(
-            min_x=fence.min_x, max_x=fence.max_x, min_y=fence.min_y, max_y=fence.max_y
-        )
+        self._rules = self._rules._replace(**fence.model_dump())
         self._numbers = record_of(self._rules)
 
     def estop(self) -> None:
@@ -138,7 +138,7 @@ class Safety:
         Raises:
             CommandError: `speeds` aren't four finite numbers.
         """
-        wheels = check_speeds(speeds)
+        wheels = np.array(check_speeds(speeds))
         x, y, _ = pose
         memory = SafetyMemory(latched=self._memory["latched"][0])
         latched, reason = rules.find_holds(memory, x, y, age=feedback_age, rules=self._rules)
@@ -148,8 +148,8 @@ class Safety:
             return self.halt(Reason(int(reason)))
 
         top = self._rules.top
-        wheel_factor = _find_factor(max(map(abs, wheels)), -top, top)
-        wheels = _scale(wheels, wheel_factor)
+        wheel_factor = _find_factor(np.abs(wheels).max(), -top, top)
+        wheels *= wheel_factor
         linear, angular = self.twist(wheels)
         linear_axis = self._rules.linear
         angular_axis = self._rules.angular
@@ -157,7 +157,7 @@ class Safety:
             _find_factor(linear, linear_axis.min_velocity, linear_axis.max_velocity),
             _find_factor(angular, angular_axis.min_velocity, angular_axis.max_velocity),
         )
-        wheels = _scale(wheels, factor)
+        wheels *= factor
         sent_linear, sent_angular = self.twist(wheels)
         self._remember(
             SafetyMemory(
@@ -171,11 +171,13 @@ class Safety:
             )
         )
         self._speeds = ZERO
-        return wheels
+        a, b, c, d = wheels.tolist()
+        return a, b, c, d
 
-    def twist(self, speeds: Speeds) -> Twist:
+    def twist(self, speeds: Iterable[float]) -> Twist:
         """Return the twist of four wheel speeds [rad/s]: linear [m/s], angular [rad/s]."""
-        return kinematics.compute_twist(*speeds, *self._geometry)
+        a, b, c, d = speeds
+        return kinematics.compute_twist(a, b, c, d, *self._geometry)
 
     def wheels(self, linear: float, angular: float) -> Speeds:
         """Return the wheel speeds [rad/s] of a twist, at most the top speed, at its turn radius."""
@@ -189,9 +191,3 @@ def _find_factor(value: float, low: float, high: float) -> float:
     if value > high:
         return high / value
     return low / value if value < low else 1.0
-
-
-def _scale(speeds: Speeds, factor: float) -> Speeds:
-    """Return wheel speeds multiplied by a factor."""
-    a, b, c, d = speeds
-    return factor * a, factor * b, factor * c, factor * d
