@@ -46,6 +46,7 @@ PAUSE = 0.1  # boards may stop their wheels if no command comes for this long [s
 REST_SPEED = 0.3  # as `TOLERANCE` [rad/s]
 REST_SHARE = 0.15  # of its command, for a wheel that doesn't reverse, as dead wheels roll on
 MOVING_SPEED = 0.5  # shows that commands turn wheels [rad/s]
+REVERSAL_SHARE = 0.5  # of the time counts if a wheel that reverses is at rest
 START_TIME = 0.2  # time after which a wheel turns if others do that were commanded later [s]
 APPROACH_SPEED = 0.15  # change towards the command that shows that a slow wheel moves [rad/s]
 APPROACH_SHARE = 0.2  # share of the way to the command that shows the same of a fast wheel
@@ -164,10 +165,15 @@ class WheelCheck:
         # A wheel that has started from rest shows how soon commands take effect.
         has_started = self._from_rest & (direction * speeds > MOVING_SPEED)
         start_time = max(START_TIME, self._steady[has_started].min(initial=lag))
-        reverses = self._lowest[WHEEL] * self._highest[WHEEL] < 0.0
-        slow = np.maximum(REST_SPEED, np.where(reverses, 0.0, REST_SHARE) * np.abs(commands))
+        share = np.where(self._reverses(), 0.0, REST_SHARE)
+        slow = np.maximum(REST_SPEED, share * np.abs(commands))
         at_rest: Mask = (np.abs(speeds) < slow) & (self._steady >= start_time)
         return at_rest
+
+    def _reverses(self) -> Mask:
+        """Return which wheels pass through zero, as their recent commands have both directions."""
+        reverses: Mask = self._lowest[WHEEL] * self._highest[WHEEL] < 0.0
+        return reverses
 
     def _find_outside(self, speeds: Numbers) -> Mask:
         """Return which wheels have speeds outside the range of their commands."""
@@ -203,11 +209,13 @@ class WheelCheck:
         approach = np.sign(gap) * (speeds - self._first)
         limit = APPROACH_SHARE * np.abs(gap)
         limit[WHEEL][at_rest] = APPROACH_SPEED
+        counted = np.full(len(speeds), passed)
+        counted[WHEEL][at_rest & self._reverses()] *= REVERSAL_SHARE
 
         goes_on = is_wrong & (self._lines > 0) & (approach <= limit)
         self._first = np.where(goes_on, self._first, speeds)
         self._lines = is_wrong * (1 + goes_on * self._lines)
-        self._lasted = is_wrong * (passed + goes_on * self._lasted)
+        self._lasted = is_wrong * (counted + goes_on * self._lasted)
 
     def _describe_fault(self, channel: int, speeds: Numbers) -> WheelError:
         """Return the error for a channel whose speed contradicts its commands."""
