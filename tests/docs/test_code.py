@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import logging
 import re
 import runpy
 import shlex
@@ -139,6 +140,10 @@ def shrink(words: list[str]) -> list[str]:
     return words
 
 
+WIRE_LOG = logging.getLogger("acsar_gym.wire")
+"""A page sets its level."""
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A page's folder, with what it names of the checkout; what it registers is forgotten."""
@@ -147,7 +152,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.syspath_prepend(str(tmp_path))
     for path in (ROOT / "agents", ROOT / "assets", *(ROOT / "docs").glob("*.json")):
         (tmp_path / path.name).symlink_to(path)
+    log_level = WIRE_LOG.level
     yield tmp_path
+    WIRE_LOG.setLevel(log_level)
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
             del sys.modules[name]
