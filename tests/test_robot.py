@@ -10,7 +10,13 @@ import pytest
 from board_like import LikeABoard
 
 from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.errors import BoardGarbledError, BoardSilentError, CommandError, LinkError
+from acsar_gym.errors import (
+    BoardGarbledError,
+    BoardSilentError,
+    CommandError,
+    LinkError,
+    WheelError,
+)
 from acsar_gym.protocol import ZERO
 from acsar_gym.recording import Recorder, read
 from acsar_gym.testing import ScriptedLink
@@ -171,3 +177,17 @@ def test_a_round_trip_begins_with_the_command_and_no_sooner() -> None:
             trips.append(trip)
     assert trips[0] == pytest.approx(trips[1], abs=1e-9)
     assert 0.02 < trips[0] < 0.08
+
+
+class RealBoard(ScriptedLink):
+    """A scripted board whose wheels are real for the driver."""
+
+    is_real = True
+    lateness = 0.0
+
+
+def test_an_error_of_a_wheel_quotes_what_the_board_reports() -> None:
+    link = RealBoard(then=b"# a cut: stalled\r\n" + STILL)
+    with Robot(link, ACSAR) as robot, pytest.raises(WheelError, match="reports a cut: stalled"):
+        for _ in range(200):
+            robot.drive(0.3, 0.0)

@@ -78,26 +78,17 @@ def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Pa
     assert checks["line quality"]["status"] == "ok"
 
 
-def test_a_drive_ends_with_what_the_board_says(reversed_board: Emulated) -> None:
-    """The board cuts the motor after 0.14 s, and the driver gives up soon after that.
-
-    Where this computer is busy, the driver may be the first: then once more.
-    """
+def test_a_reversed_encoder_ends_a_drive(reversed_board: Emulated) -> None:
+    """The driver stops the robot before the board cuts the motor, after 0.14 s, and reports it."""
     config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
-    said = ""
-    for _ in range(10):
-        with (
-            Robot(open_link(reversed_board.device, config), config) as robot,
-            pytest.raises(WheelError, match="front_right") as caught,
-        ):
-            for _ in range(3000):
-                robot.drive(0.05, 0.0)
-        said = str(caught.value)
-        if "the board says" in said:
-            break
-    assert "the board says a cut: turns against its motor" in said
-    fastest = max(abs(event["speeds"][0]) for event in reversed_board.events() if "speeds" in event)
-    assert fastest < 8.0
+    with (
+        Robot(open_link(reversed_board.device, config), config) as robot,
+        pytest.raises(WheelError, match="front_right"),
+    ):
+        for _ in range(3000):
+            robot.drive(0.05, 0.0)
+    speeds = [abs(event["speeds"][0]) for event in reversed_board.events() if "speeds" in event]
+    assert max(speeds) < 8.0
 
 
 def off_after(board: Emulated, fault: float) -> tuple[float, float]:
