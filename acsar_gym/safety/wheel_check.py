@@ -44,7 +44,7 @@ PAUSE = 0.1  # boards may stop their wheels if no command comes for this long [s
 
 # When a wheel is at rest, and when it moves.
 REST_SPEED = 0.3  # as `TOLERANCE` [rad/s]
-REST_SHARE = 0.15  # of its command, for a wheel that doesn't reverse, as dead wheels roll on
+REST_SHARE = 0.15  # of a command of two lags in one direction, as dead wheels roll on
 MOVING_SPEED = 0.5  # shows that commands turn wheels [rad/s]
 REVERSAL_SHARE = 0.5  # of the time counts if a wheel that reverses is at rest
 START_TIME = 0.2  # time after which a wheel turns if others do that were commanded later [s]
@@ -97,10 +97,10 @@ class WheelCheck:
         self._lowest = self._expected.copy()
         self._highest = self._expected.copy()
 
-        # For how long commands have had a direction beyond the deadband, and the speeds before.
+        # For how long commands have had a direction beyond the deadband, and what was before.
         self._direction = self._steady = np.zeros(len(WHEELS))
         self._from_rest = np.ones(len(WHEELS), bool)
-        self._speeds = deque([np.zeros(len(WHEELS))] * 2, maxlen=2)
+        self._before = deque([np.zeros((2, len(WHEELS)))] * 2, maxlen=2)
 
         # Contradictions: for how long they have lasted, and the speeds with which they started.
         self._lines = np.zeros(len(TO_CHANNELS), int)
@@ -158,14 +158,15 @@ class WheelCheck:
         keeps = direction == self._direction
         self._direction = direction
         self._steady = np.abs(direction) * (keeps * self._steady + passed)
-        from_rest = direction * self._speeds[0] < REST_SPEED
+        from_rest = (direction * self._before[0]).max(axis=0) < MOVING_SPEED
         self._from_rest = np.where(keeps, self._from_rest, from_rest)
-        self._speeds.append(speeds)
+        self._before.append(np.array([commands, speeds]))
 
         # A wheel that has started from rest shows how soon commands take effect.
         has_started = self._from_rest & (direction * speeds > MOVING_SPEED)
         start_time = max(START_TIME, self._steady[has_started].min(initial=lag))
-        share = np.where(self._reverses(), 0.0, REST_SHARE)
+        rolls_on = ~self._reverses() & (self._steady > 2.0 * lag)
+        share = np.where(rolls_on, REST_SHARE, 0.0)
         slow = np.maximum(REST_SPEED, share * np.abs(commands))
         at_rest: Mask = (np.abs(speeds) < slow) & (self._steady >= start_time)
         return at_rest
