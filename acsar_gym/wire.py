@@ -14,10 +14,13 @@ from acsar_gym.safety import rules
 
 STANDSTILL_TIMEOUT = 5.0  # longest wait of a reset for wheels at rest [s]
 STANDSTILL_LINES = 2  # lines in a row that must show wheels at rest
-STAMP_RESOLUTION = 1e9  # ROS stamps are whole nanoseconds [1/s]
-
 LOG = logging.getLogger("acsar_gym.wire")
 """Logs what is sent and received, with the link's time, at level DEBUG."""
+
+
+def round_stamp(seconds: float) -> float:
+    """Round a time [s] to whole nanoseconds, as recordings and ROS have it."""
+    return round(seconds * 1e9) / 1e9
 
 
 class Wire:
@@ -152,7 +155,7 @@ class Wire:
 
         # After a pause, each line that waited in the buffer has its share of the time.
         if duration > 2.0 * self._period and len(lines) > 1:
-            share = round(duration / len(lines) * STAMP_RESOLUTION) / STAMP_RESOLUTION
+            share = round_stamp(duration / len(lines))
             *earlier, newest = lines
             shares = [(speeds, share) for speeds in earlier]
             return [*shares, (newest, duration - share * len(earlier))]

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import math
 import os
 import random
 import signal
@@ -19,7 +18,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,11 +26,11 @@ from nursery import Program, first_line, nursery, program
 from rich.console import Console
 from rich.table import Table
 from serial_tools import Emulated, start
+from stop_times import FAULT_JITTER, LIMIT, MAX_STARTS, find_stop, list_commands
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
 from acsar_gym.guard.estop import stop_all
-from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.testing import EmulatedBoard
 
 KINDS = {
@@ -55,12 +54,6 @@ SIGNALS = {
     "ctrl-z": signal.SIGTSTP,
 }
 """Signals that are sent to the program, by kind."""
-LIMIT = 0.25
-"""Required time from fault to zero command [s]."""
-FAULT_JITTER = 0.02
-"""Range of the random delay before a fault [s]; two ticks."""
-MAX_STARTS = 3
-"""Attempts per trial, as a program may end or stop before its fault."""
 ZERO_TIMEOUT = 3.0
 """Longest wait for a zero command [s]."""
 QUIET_TIME = 1.0
@@ -232,32 +225,6 @@ def _wait_for_stop(board: EmulatedBoard, fault: float) -> float:
         if fault <= zero <= time.monotonic() - QUIET_TIME:
             break
     return find_stop(list_commands(board), fault)
-
-
-def list_commands(board: EmulatedBoard) -> Iterator[tuple[float, bool]]:
-    """Yield the time of each command [s], and whether it turned wheels."""
-    decoder = Decoder()
-    for event in board.events():
-        for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
-            yield event["t"], reading.speeds != ZERO
-
-
-def find_stop(commands: Iterable[tuple[float, bool]], fault: float) -> float:
-    """Return the time at which a robot was commanded to stop for good [s]; inf if never.
-
-    That is the first zero command after the fault; or the last, if all came before the fault.
-
-    Args:
-        commands: Time of each command [s], and whether it turned wheels.
-        fault: Time of the fault [s].
-    """
-    zero = math.inf
-    for when, turns in commands:
-        if turns:
-            zero = math.inf
-        elif zero == math.inf or zero < fault:
-            zero = when
-    return zero
 
 
 def main() -> int:

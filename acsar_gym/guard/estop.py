@@ -359,7 +359,7 @@ def run_command(*, release: bool = False) -> int:
     """Run `acsar-gym estop`: stop robots, or release them. Returns the exit code."""
     request = RELEASE if release else STOP
     try:
-        answers = _ask_processes(request)
+        answers = release_all() if release else stop_all()
     except LinkError as error:
         print_error(f"acsar-gym: {error}")
         return error.exit_code

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.recording.encoder import Exchange, Moved, Written
+from acsar_gym.wire import round_stamp
 from acsar_gym.worlds import Scene
 
 if TYPE_CHECKING:
     from acsar_gym.recording.recorder import Recorder
 
 REPLAY = "replay:"  # prefix of the device of a link that replays a file
-STAMP_RESOLUTION = 1e9  # times are recorded as whole nanoseconds [1/s]
 
 
 class RecordedLink(LinkWrapper):
@@ -63,7 +63,7 @@ class RecordedLink(LinkWrapper):
         """Send bytes to the link."""
         self.inner.write(data)
         if self.inner.lateness is not None:  # time goes on meanwhile
-            self._now = round(self.inner.now() * STAMP_RESOLUTION) / STAMP_RESOLUTION
+            self._now = round_stamp(self.inner.now())
         self._writes.append((self._now, data))
 
     def advance(self, period: float) -> bytes:
