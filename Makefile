@@ -1,5 +1,4 @@
-# The two commands: `make demo` and `make test`. Both make their own virtual environment with pip, of
-# Python 3.11 where it can be had: PyBullet has wheels for it.
+# The two commands: `make demo` and `make test`. Both make their own virtual environment with pip.
 PYTHON ?=
 PYTHONS ?= 3.11 3.12 3.13
 VENV := .venv
@@ -115,9 +114,10 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev,docs]'
 	touch $@
 
-# CleanRL's package is its scripts: what else it asks for is years old.
+# CleanRL's package is its scripts: what else it asks for is years old. Its constraints are those of
+# Python 3.11.
 $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
-	@.ci/venv $(ECOSYSTEM) "$(PYTHON)"
+	@.ci/venv $(ECOSYSTEM) "$(or $(PYTHON),python3.11)"
 	$(ECOSYSTEM)/bin/pip install --quiet --constraint tests/ecosystem/constraints.txt \
 	  rl_zoo3 'ray[rllib]' torchrl skrl sbx-rl minari pytest onnx onnxscript torch \
 	  accelerate av datasets --editable '.[bullet,deploy,export]'
@@ -127,7 +127,7 @@ $(ECOSYSTEM)/ready: pyproject.toml tests/ecosystem/constraints.txt
 
 # Wheels of ROS 2 are for tests: users have it from apt. They, too, are for Python 3.11.
 $(ROS)/ready: pyproject.toml constraints.txt tests/ros/constraints.txt tests/ros/build_tf2_msgs.py
-	@.ci/venv $(ROS) "$(PYTHON)"
+	@.ci/venv $(ROS) "$(or $(PYTHON),python3.11)"
 	$(ROS)/bin/pip install --quiet --constraint constraints.txt --constraint tests/ros/constraints.txt \
 	  --editable '.[bullet,deploy,lidar]' hypothesis psutil pytest pytest-xdist \
 	  'ros-rclpy[fastrtps]' ros-diagnostic-msgs ros-geometry-msgs ros-nav-msgs ros-sensor-msgs \

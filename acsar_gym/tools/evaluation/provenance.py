@@ -46,8 +46,8 @@ from acsar_gym.worlds.cache import hash_source
 from acsar_gym.worlds.mover_files import format_mover
 from acsar_gym.worlds.pool import Pool
 
-DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "mujoco")
-"""Libraries that the results of episodes depend on, where they are installed."""
+DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "pybullet-arm64", "mujoco")
+"""Libraries that the results of episodes depend on, if they are installed."""
 HIDDEN_ARGUMENTS = ("link", "record")  # arguments of an env that say nothing about its episodes
 
 
