@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
+import pybullet
 from rich.console import Console
 from rich.table import Table
 
@@ -223,7 +224,7 @@ def _measure_bullet() -> list[Figure]:
     inner: Any = other.unwrapped
     config = RobotConfig.of(None)
     calls = round(config.firmware.loop_rate / config.control_rate)
-    bare = inner.robot.link.body.engine_step
+    bare = partial(pybullet.stepSimulation, inner.robot.link.body._engine.number)
 
     def drive_bare() -> float:
         other.reset()
@@ -266,9 +267,12 @@ def _measure_rays() -> list[Figure]:
     body, ranges = BulletBody(config), np.empty(config.lidar.rays)
     body.reset(Scene(world=world))
     angles, reach = ray_spec(config).angles(), config.lidar.max_range
+    height = config.lidar_z_offset
+    starts = [(0.0, 0.0, height)] * len(angles)
+    ends = [(reach * math.cos(angle), reach * math.sin(angle), height) for angle in angles]
     ours, theirs, ratio = measure_alternating(
         lambda: mean_duration(lambda: cast_rays(0.0, 0.0, 1.0, 0.0, 0, around, ranges), 200),
-        lambda: mean_duration(lambda: body.rays((0.0, 0.0), angles, reach), 20),
+        lambda: mean_duration(lambda: body._engine.rayTestBatch(starts, ends), 20),
         ENV_BLOCKS,
     )
     body.close()

@@ -14,21 +14,22 @@ from acsar_gym.physics.body import Body
 
 
 class BodyBackend(NamedTuple):
-    """How a kind of body is made.
-
-    Attributes: `title`, its name in tables; `kind`, its class, "module:Class" of this room;
-    `has_window`, whether the simulator has a window; `has_camera`, whether it takes pictures;
-    `unused`, parameters of `Randomization` that have no effect; `module`, the simulator's, and
-    `extra`, which installs it, both empty for our own.
-    """
+    """How a kind of body is made."""
 
     title: str
+    """Its name in tables."""
     kind: str
+    """Its class in this package, "module:Class"."""
     has_window: bool = False
+    """Whether the simulator has a window."""
     has_camera: bool = False
+    """Whether the simulator takes pictures."""
     unused: tuple[str, ...] = ()
+    """Parameters of `Randomization` that have no effect."""
     module: str = ""
+    """Module of the simulator; empty for our own."""
     extra: str = ""
+    """Extra that installs the simulator."""
 
 
 BODIES = {
@@ -56,17 +57,23 @@ LINKS_WITH_CAMERA = " or ".join(repr(name) for name, body in BODIES.items() if b
 
 
 def check_installed(name: str) -> None:
-    """Raise MissingExtraError where the simulator of a body of the table isn't installed."""
+    """Raise MissingExtraError if the simulator of a body of the table isn't installed."""
     body = BODIES[name]
     if body.module:
         check_extra(f"the {body.title} robot", body.extra, body.module)
 
 
 def make_body(name: str, config: RobotConfig, *, window: bool = False) -> Body:
-    """Make a body of the table, with the simulator's window if asked for.
+    """Make a body of the table.
 
-    ConfigError for any other name, or a robot that can't be simulated, MissingExtraError where the
-    simulator isn't installed.
+    Args:
+        name: Name of the body.
+        config: Robot configuration.
+        window: Whether to open the simulator's window, if it has a window.
+
+    Raises:
+        ConfigError: There is no such body, or the robot can't be simulated.
+        MissingExtraError: The simulator isn't installed.
     """
     config.check_simulated()
     if name not in BODIES:

@@ -9,29 +9,35 @@ import os
 import re
 import sys
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.protocol import Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import Crowd
 
 Image = NDArray[np.uint8]
-"""(height, width, 3): an RGB picture."""
+"""An RGB picture, (height, width, 3)."""
+Paint = tuple[float, float, float, float]
+"""Red, green, blue and alpha, each 0 to 1."""
+
 OBSTACLE_HEIGHT = 0.6
-"""Height of every obstacle that stands [m]."""
+"""Height of every standing obstacle [m]."""
 MOVER_HEIGHT = 1.7
-"""Height of what moves [m]: a person's."""
+"""Height of movers, that of a person [m]."""
 WALL_THICKNESS = 0.002
 """Thickness of a segment's wall [m]."""
 CHASSIS_CLEARANCE = 0.02
 """Height of the chassis above the floor [m]."""
-OBSTACLE_PAINT = (0.42, 0.45, 0.5, 1.0)
-MOVER_PAINT = (0.56, 0.27, 0.68, 1.0)
-GOAL_PAINT = (0.15, 0.68, 0.38, 0.85)
+GOAL_RADIUS = 0.15
+"""Radius of the disc that marks a goal [m]."""
+OBSTACLE_PAINT: Paint = (0.42, 0.45, 0.5, 1.0)
+MOVER_PAINT: Paint = (0.56, 0.27, 0.68, 1.0)
+GOAL_PAINT: Paint = (0.15, 0.68, 0.38, 0.85)
 
 
 class Body(Protocol):
@@ -46,25 +52,25 @@ class Body(Protocol):
         """Build the scene, with the robot at rest at its start.
 
         Args:
-            scene: start, world and physics.
+            scene: Start, world and physics of the episode.
         """
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop.
 
         Args:
-            set_points: of the four wheel speeds [rad/s].
+            set_points: Set points of the four wheel speeds [rad/s].
         """
 
     def place_movers(self, crowd: Crowd) -> None:
         """Put the movers of the scene's world where they are now, moving at their velocities.
 
         Args:
-            crowd: knows them; it also decides whether the robot touches one.
+            crowd: State of the movers. It also decides whether the robot touches a mover.
         """
 
     def feel(self) -> None:
-        """Check whether the robot touches a standing obstacle now; `truth` then tells it."""
+        """Check whether the robot touches a standing obstacle now; `truth` then reports it."""
 
     @property
     def truth(self) -> GroundTruth:
@@ -75,7 +81,7 @@ class Body(Protocol):
         """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
 
     def close(self) -> None:
-        """Close the physics engine; idempotent."""
+        """Close the physics engine. Idempotent."""
 
 
 @runtime_checkable
@@ -86,21 +92,50 @@ class Camera(Protocol):
         """Take a picture.
 
         Args:
-            width: of it [pixels].
-            height: of it [pixels].
+            width: Width of the picture [pixels].
+            height: Height of the picture [pixels].
 
         Returns:
-            (height, width, 3), RGB.
+            The picture, (height, width, 3), RGB.
         """
+
+
+class Chassis(NamedTuple):
+    """Sizes of a chassis between its wheels, over the height of the axles [m]."""
+
+    bottom: float
+    top: float
+    width: float
+    tyre: float
+    """Width of a tyre."""
+
+    @classmethod
+    def of(cls, config: RobotConfig) -> Self:
+        """Return the chassis of a robot."""
+        body, radius = config.body, config.wheel_radius
+        bottom = min(CHASSIS_CLEARANCE, radius) - radius
+        tyre = max(0.02, body.width - config.wheel_separation)
+        return cls(
+            bottom,
+            top=max(body.height - radius, bottom + 0.01),
+            width=max(0.02, config.wheel_separation - tyre - 0.01),
+            tyre=tyre,
+        )
+
+
+def wheel_hubs(half_wheelbase: float, half_track: float) -> list[tuple[float, float]]:
+    """Return the wheels' centres in the base frame [m], in wheel order."""
+    front, left = half_wheelbase, half_track
+    return [(front, -left), (front, left), (-front, left), (-front, -left)]
 
 
 def wrap_angle(theta: float) -> float:
     """Wrap an angle to [-pi, pi] [rad]."""
-    return math.remainder(theta, 2.0 * math.pi)
+    return math.remainder(theta, math.tau)
 
 
 def has_display() -> bool:
-    """Whether there is an X server; without one PyBullet's window would end the whole process."""
+    """Return whether there is an X server; without it PyBullet's window would end the process."""
     if not sys.platform.startswith("linux"):
         return True
     name = os.environ.get("DISPLAY", "")
@@ -109,11 +144,11 @@ def has_display() -> bool:
 
 
 def prepare_opengl() -> None:
-    """Import triton, where there is one, before anything draws with OpenGL.
+    """Import triton, if it is installed, before anything draws with OpenGL.
 
     Mesa's drivers show their LLVM to all libraries that are loaded after them. Triton 3.7, which
-    torch's CUDA builds bring and import with the first optimizer, would take it for its own and end
-    the process with a segmentation fault (github.com/tensorflow/tensorflow/issues/124205).
+    torch's CUDA builds install and import with the first optimizer, would use that LLVM and end the
+    process with a segmentation fault (github.com/tensorflow/tensorflow/issues/124205).
     """
     with contextlib.suppress(ImportError):
         importlib.import_module("triton")

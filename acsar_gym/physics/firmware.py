@@ -2,7 +2,7 @@
 
 It parses command lines by the same rules as the driver, ramps the motors' set points, stops the
 motors when commands stop, and sends encoder lines at its own rate. The time that bytes take on the
-UART (10 bits each at the baud rate, one after the other) and in the processor is simulated.
+UART (10 bits each at the baud rate, in sequence) and in the processor is simulated.
 """
 
 from __future__ import annotations
@@ -13,41 +13,46 @@ from collections import deque
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.physics import Physics, compute_physics
 from acsar_gym.physics.body import Body
-from acsar_gym.physics.model import loop_period, ramp_set_points, round_printed
+from acsar_gym.physics.model import limit_speeds, loop_period, ramp_set_points, read_encoders
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 
-TIME_EPSILON = 1e-9  # slack for comparing times that are sums of periods [s]
+TIME_EPSILON = 1e-9
+"""Slack for comparing times that are sums of periods [s]."""
 
 
 class Firmware:
-    """One emulated board. `advance` lets time pass.
+    """An emulated board. `advance` lets time pass.
 
     Args:
-        config: of the robot.
-        body: that the board drives.
+        config: Robot configuration.
+        body: Body that the board drives.
 
-    Attributes: `decoder`, with counters of refused input; `arrived`, the lines that the newest
-    `advance` returned, with the times of their last bytes [s].
+    Attributes:
+        decoder: Decoder of commands, with counters of refused input.
+        arrived: Lines that the newest `advance` returned, with the times of their last bytes [s].
     """
 
     def __init__(self, config: RobotConfig, body: Body) -> None:
+        self.decoder = Decoder()
         self._body = body
-        self._end = line_end(trailing_comma=config.trailing_comma)
-        self._motors, self._encoders = config.wheels.motors, config.wheels.encoders
+        self._motors = config.wheels.motors
+        self._encoders = config.wheels.encoders
         self._dt = loop_period(config)
         a, b, c, d = (config.motor.of_wheel(wheel).acceleration * self._dt for wheel in range(4))
         self._ramps: Speeds = (a, b, c, d)
         self._top = config.motor.max_speed
+        self._configured = compute_physics(config)
+
+        self._line_end = line_end(trailing_comma=config.trailing_comma)
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time
         self._timeout = config.firmware.command_timeout or math.inf
-        self._configured = compute_physics(config)
+
         window = round(config.encoder.window * config.firmware.loop_rate)
         self._angles: deque[Speeds] = deque(maxlen=window + 1)
         self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
         self._per_count = 1.0 / (self._per_radian * window * self._dt)
-        self._quantum = config.encoder.quantum
-        self.decoder = Decoder()
+        self._quantum = config.encoder.quantum or 0.0
         self.reset()
 
     def reset(self, physics: Physics | None = None) -> None:
@@ -56,26 +61,25 @@ class Firmware:
         self._latency = physics.latency_loops * self._dt
         self._reaction = self._processing + physics.command_delay + self._latency
         self._feedback_every = physics.feedback_loops
+
+        self._elapsed = 0.0
         self._loops = 0
         self._lines = 0
         self._line_due = self._feedback_every - TIME_EPSILON
-        self._elapsed = 0.0
+        self._receive_free = 0.0
+        self._send_free = 0.0
         self._received: deque[tuple[float, bytes]] = deque()
         self._sent: deque[tuple[float, bytes]] = deque()
         self.arrived: list[tuple[float, bytes]] = []
-        self._receive_free = 0.0
-        self._send_free = 0.0
+        self.decoder.reset()
+
         self._last_command = -math.inf
         self._targets: Speeds = ZERO
         self._set_points: Speeds = ZERO
-        self._counted_angles: Speeds | None = None
-        self._counts = (0, 0, 0, 0)
-        self._angles.clear()
         self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
-        self.decoder.reset()
 
     def receive(self, data: bytes) -> None:
-        """Take bytes that the host sends now; they arrive one after the other."""
+        """Take bytes that the host sends now; they arrive in sequence."""
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
         self._received.append((self._receive_free + self._reaction, data))
@@ -83,18 +87,17 @@ class Firmware:
     def advance(self, period: float) -> bytes:
         """Let time pass, and return the feedback bytes that reach the host meanwhile.
 
-        Time that is left after whole firmware loops is added to the next period.
+        Time that remains after whole firmware loops is added to the next period.
         """
         self._elapsed += period
         end = self._elapsed + TIME_EPSILON
         while (self._loops + 1) * self._dt <= end:
             self._run_loop(self._loops * self._dt)
 
-        arrived = []
+        self.arrived = []
         while self._sent and self._sent[0][0] <= end:
-            arrived.append(self._sent.popleft())
-        self.arrived = arrived
-        return arrived[0][1] if len(arrived) == 1 else b"".join([line for _, line in arrived])
+            self.arrived.append(self._sent.popleft())
+        return b"".join([line for _, line in self.arrived])
 
     def _run_loop(self, now: float) -> None:
         """Run one loop: newest commands, ramps, motors, encoders, and a line if it is due."""
@@ -114,47 +117,21 @@ class Firmware:
             self._send_line()
 
     def _take_commands(self, data: bytes, now: float) -> None:
-        """Set the targets from command lines, saturated at the top speed."""
-        top = self._top
+        """Set the targets from command lines, limited to the top speed."""
         for reading in self.decoder.feed(data):
             self._last_command = now
-            if self._motors is not None:
-                reading = Reading(self._motors.to_wheels(reading.speeds))  # noqa: PLW2901
-            a, b, c, d = reading.over(self._targets)
-            self._targets = (
-                a if -top <= a <= top else math.copysign(top, a),
-                b if -top <= b <= top else math.copysign(top, b),
-                c if -top <= c <= top else math.copysign(top, c),
-                d if -top <= d <= top else math.copysign(top, d),
-            )
-
-    def _count(self, angles: Speeds) -> tuple[int, int, int, int]:
-        """Return the encoders' whole counts at angles of the wheels [rad]."""
-        a, b, c, d = angles
-        scale = self._per_radian
-        floor = math.floor
-        return floor(a * scale), floor(b * scale), floor(c * scale), floor(d * scale)
+            wheels = self._motors.to_wheels(reading.speeds) if self._motors else reading.speeds
+            self._targets = limit_speeds(Reading(wheels).over(self._targets), self._top)
 
     def _send_line(self) -> None:
         """Send an encoder line: wheel speeds from the whole counts of the last window [rad/s]."""
-        if self._angles[0] is not self._counted_angles:  # else the window starts with the last line
-            self._counts = self._count(self._angles[0])
-        a0, b0, c0, d0 = self._counts
-        self._counted_angles = self._angles[-1]
-        self._counts = a1, b1, c1, d1 = self._count(self._angles[-1])
-        scale = self._per_count
-        speeds: Speeds = (
-            (a1 - a0) * scale,
-            (b1 - b0) * scale,
-            (c1 - c0) * scale,
-            (d1 - d0) * scale,
+        speeds = read_encoders(
+            self._angles[0], self._angles[-1], self._per_radian, self._per_count, self._quantum
         )
-        if self._quantum is not None:
-            a, b, c, d = (round_printed(speed, self._quantum) for speed in speeds)
-            speeds = (a, b, c, d)
         if self._encoders is not None:
             speeds = self._encoders.to_wire(speeds)
-        line = encode_line(*speeds, self._end)
+        line = encode_line(*speeds, self._line_end)
+
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free + self._latency, line))

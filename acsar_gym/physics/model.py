@@ -27,23 +27,26 @@ GRAVITY = 9.81
 FRICTION_ROUNDS = 3
 """Fixed-point iterations for the secant friction."""
 
-Velocity = tuple[float, float, float]  # vx, vy [m/s] and yaw rate [rad/s]
+Velocity = tuple[float, float, float]
+"""vx, vy [m/s] and yaw rate [rad/s], or three axes [m/s, rad/s]."""
+Quaternion = tuple[float, float, float, float]
+"""Orientation (x, y, z, w)."""
 
 
 def loop_period(config: RobotConfig) -> float:
-    """Period of the firmware loop, which is also the step of the physics [s]."""
+    """Return the period of the firmware loop, which is also the step of the physics [s]."""
     return 1.0 / config.firmware.loop_rate
 
 
 @jit
 def whole_loops(time: float, dt: float) -> float:
-    """Firmware loops until something is used that is there after `time` [s]."""
+    """Return the firmware loops until something is used that is available after a time [s]."""
     loops: float = np.ceil(time / dt - 1e-6)
     return loops
 
 
 def wire_loops(config: RobotConfig, command_delay: float = 0.0) -> int:
-    """Firmware loops from sending a line until it is used, without extra latency."""
+    """Return the firmware loops from sending a line until it is used, without extra latency."""
     return int(whole_loops(config.wire_time + command_delay, loop_period(config)))
 
 
@@ -65,6 +68,17 @@ def ramp_set_points(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speed
 
 
 @loop
+def limit_speeds(speeds: Speeds, top: float) -> Speeds:
+    """Limit four wheel speeds to a top speed in both directions [rad/s]."""
+    return (
+        min(max(speeds[0], -top), top),
+        min(max(speeds[1], -top), top),
+        min(max(speeds[2], -top), top),
+        min(max(speeds[3], -top), top),
+    )
+
+
+@loop
 def round_printed(speed: float, quantum: float) -> float:
     """Round a measured speed [rad/s] to a multiple of the quantum.
 
@@ -75,8 +89,30 @@ def round_printed(speed: float, quantum: float) -> float:
     return multiple * (1.0 + 1e-12)
 
 
+@loop
+def read_encoders(
+    first: Speeds, last: Speeds, per_radian: float, per_count: float, quantum: float
+) -> Speeds:
+    """Measure the speeds of four wheels [rad/s] from their angles around a window of time [rad].
+
+    Args:
+        first: Angles at the start of the window.
+        last: Angles at its end.
+        per_radian: Counts of an encoder per radian.
+        per_count: Speed for a count in the window [rad/s].
+        quantum: Speeds are multiples of this [rad/s]; 0 for speeds as measured.
+    """
+    speeds = np.empty(4)
+    for wheel in range(4):
+        counts = math.floor(last[wheel] * per_radian) - math.floor(first[wheel] * per_radian)
+        speeds[wheel] = counts * per_count
+        if quantum > 0.0:
+            speeds[wheel] = round_printed(speeds[wheel], quantum)
+    return speeds[0], speeds[1], speeds[2], speeds[3]
+
+
 def turn_factor(config: RobotConfig) -> float:
-    """Factor by which the robot turns slower than the differential-drive formula says."""
+    """Return the factor by which a robot turns slower than the differential-drive formula."""
     return config.body.turn_factor or 1.0 + (config.wheelbase / config.wheel_separation) ** 2
 
 
@@ -84,17 +120,24 @@ def compute_physics(config: RobotConfig) -> Physics:
     """Return the physics of a robot from its configuration, nothing randomized.
 
     Args:
-        config: of the robot.
+        config: Robot configuration.
     """
-    body, dt = config.body, loop_period(config)
-    motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
-    lags = [motor.time_constant for motor in motors]
-    blends = [1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0 for lag in lags]
-    left, right = config.wheel_radii
-    factor, across = body.turn_factor, config.wheel_separation / config.wheelbase
+    body = config.body
+    dt = loop_period(config)
+    left_radius, right_radius = config.wheel_radii
+    factor = body.turn_factor
+    across = config.wheel_separation / config.wheelbase
+    motors: dict[str, float] = {}
+    for number, wheel in enumerate("abcd"):
+        motor = config.motor.of_wheel(number)
+        lag = motor.time_constant
+        motors[f"deadband_{wheel}"] = motor.deadband
+        motors[f"blend_{wheel}"] = 1.0 - math.exp(-dt / lag) if lag > 0.0 else 1.0
+        motors[f"gain_{wheel}"] = motor.gain
+
     return Physics(
-        left_radius=left,
-        right_radius=right,
+        left_radius=left_radius,
+        right_radius=right_radius,
         half_wheelbase=config.wheelbase / 2.0,
         half_track=config.wheel_separation / 2.0,
         mass=body.mass,
@@ -103,9 +146,7 @@ def compute_physics(config: RobotConfig) -> Physics:
         kappa=1.0 if factor is None else (factor - 1.0) * across**2,
         slip_speed=body.slip_speed,
         max_speed=config.motor.max_speed,
-        **{f"deadband_{w}": motor.deadband for w, motor in zip("abcd", motors, strict=True)},
-        **{f"blend_{w}": blend for w, blend in zip("abcd", blends, strict=True)},
-        **{f"gain_{w}": motor.gain for w, motor in zip("abcd", motors, strict=True)},
+        **motors,
         latency_loops=0.0,
         command_delay=config.firmware.command_delay,
         feedback_loops=config.firmware.loop_rate / config.feedback_rate,
@@ -131,30 +172,82 @@ def wheel_speed(
 
 
 @jit
+def turn_wheels(wheels: Speeds, set_points: Speeds, physics: Any) -> Speeds:
+    """Compute the speeds of four wheels one substep later [rad/s]."""
+    top = physics.max_speed
+    return (
+        wheel_speed(
+            wheels[0],
+            set_points[0],
+            physics.gain_a,
+            blend=physics.blend_a,
+            deadband=physics.deadband_a,
+            top=top,
+        ),
+        wheel_speed(
+            wheels[1],
+            set_points[1],
+            physics.gain_b,
+            blend=physics.blend_b,
+            deadband=physics.deadband_b,
+            top=top,
+        ),
+        wheel_speed(
+            wheels[2],
+            set_points[2],
+            physics.gain_c,
+            blend=physics.blend_c,
+            deadband=physics.deadband_c,
+            top=top,
+        ),
+        wheel_speed(
+            wheels[3],
+            set_points[3],
+            physics.gain_d,
+            blend=physics.blend_d,
+            deadband=physics.deadband_d,
+            top=top,
+        ),
+    )
+
+
+@jit
 def tyre_step(
-    vx: float, vy: float, yaw_rate: float, wheels: Speeds, own: Any, kappa: float, dt: float
+    vx: float, vy: float, yaw_rate: float, wheels: Speeds, physics: Any, kappa: float, dt: float
 ) -> Velocity:
-    """Velocity (body frame) one substep later, under the forces of four tyres; wheels in [rad/s].
+    """Compute the velocity (body frame) one substep later, under the forces of four tyres.
 
     Solves m (v' - v) / dt = sum F_i(v') with F_i = -D_i (s_x, kappa s_y), D_i = grip /
     sqrt(s_x^2 + kappa s_y^2), in which (s_x, s_y)(v') is the velocity of contact patch i over the
-    ground. `own` has fields of a `Physics`. `kappa` is its own, or the constant 1, with which
-    compiled code is faster.
+    ground. `wheels` are in [rad/s], `physics` has fields of a `Physics`. `kappa` is that of the
+    physics, or the constant 1, with which compiled code is faster.
     """
-    a, b = own.half_wheelbase, own.half_track
-    inertia, yaw_inertia = own.mass / dt, own.yaw_inertia / dt
-    rim_a, rim_b = wheels[0] * own.right_radius, wheels[1] * own.left_radius
-    rim_c, rim_d = wheels[2] * own.left_radius, wheels[3] * own.right_radius
-    nx, ny, nw = vx, vy, yaw_rate
-    floor = own.slip_speed * own.slip_speed
+    a = physics.half_wheelbase
+    b = physics.half_track
+    inertia = physics.mass / dt
+    yaw_inertia = physics.yaw_inertia / dt
+    grip = physics.grip
+    floor = physics.slip_speed * physics.slip_speed
+    rim_a = wheels[0] * physics.right_radius
+    rim_b = wheels[1] * physics.left_radius
+    rim_c = wheels[2] * physics.left_radius
+    rim_d = wheels[3] * physics.right_radius
+
+    nx = vx
+    ny = vy
+    nw = yaw_rate
     for _ in range(FRICTION_ROUNDS):
-        right, left = nx + nw * b, nx - nw * b
-        front, rear = ny + nw * a, ny - nw * a
-        d_a = own.grip / math.sqrt(max((right - rim_a) ** 2 + kappa * front**2, floor))
-        d_b = own.grip / math.sqrt(max((left - rim_b) ** 2 + kappa * front**2, floor))
-        d_c = own.grip / math.sqrt(max((left - rim_c) ** 2 + kappa * rear**2, floor))
-        d_d = own.grip / math.sqrt(max((right - rim_d) ** 2 + kappa * rear**2, floor))
+        # Secant friction of each tyre at the velocity of the last round.
+        right_speed = nx + nw * b
+        left_speed = nx - nw * b
+        front = ny + nw * a
+        rear = ny - nw * a
+        d_a = grip / math.sqrt(max((right_speed - rim_a) ** 2 + kappa * front**2, floor))
+        d_b = grip / math.sqrt(max((left_speed - rim_b) ** 2 + kappa * front**2, floor))
+        d_c = grip / math.sqrt(max((left_speed - rim_c) ** 2 + kappa * rear**2, floor))
+        d_d = grip / math.sqrt(max((right_speed - rim_d) ** 2 + kappa * rear**2, floor))
         total = d_a + d_b + d_c + d_d
+
         # Symmetric system [[k, 0, p], [0, k / y, q], [p, q, s]] (nx, ny, nw) = (fx, fy, fw).
         k = inertia + total
         y = 1.0 if kappa == 1.0 else k / (inertia + kappa * total)
@@ -164,6 +257,7 @@ def tyre_step(
         fx = inertia * vx + d_a * rim_a + d_b * rim_b + d_c * rim_c + d_d * rim_d
         fy = inertia * vy
         fw = yaw_inertia * yaw_rate + b * (d_a * rim_a + d_d * rim_d - d_b * rim_b - d_c * rim_c)
+
         free = 1.0 / k
         nw = (fw - (p * fx + y * q * fy) * free) / (s - (p * p + y * q * q) * free)
         nx = (fx - p * nw) * free
@@ -185,38 +279,48 @@ def robot_step(
     """Advance motors, then tyres, by one substep.
 
     Args:
-        cos: of the heading.
-        sin: of the heading.
+        cos: Cosine of the heading.
+        sin: Sine of the heading.
         velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
-        wheels: speeds of the four wheels [rad/s].
-        angles: turned by the four wheels [rad].
-        set_points: of the firmware [rad/s].
-        physics: of the robot, a record of `Physics`.
-        dt: substep [s].
+        wheels: Speeds of the four wheels [rad/s].
+        angles: Angles turned by the four wheels [rad].
+        set_points: Set points of the firmware [rad/s].
+        physics: Physics of the robot, a record of `Physics`.
+        dt: Substep [s].
 
     Returns:
         The new velocity, wheel speeds and wheel angles.
     """
-    own = physics[0]
-    top = own.max_speed
-    a = wheel_speed(wheels[0], set_points[0], own.gain_a, own.blend_a, own.deadband_a, top)
-    b = wheel_speed(wheels[1], set_points[1], own.gain_b, own.blend_b, own.deadband_b, top)
-    c = wheel_speed(wheels[2], set_points[2], own.gain_c, own.blend_c, own.deadband_c, top)
-    d = wheel_speed(wheels[3], set_points[3], own.gain_d, own.blend_d, own.deadband_d, top)
+    robot = physics[0]
+    a, b, c, d = turn_wheels(wheels, set_points, robot)
+
     vx, vy, rate = velocity
-    forward, left, rate = tyre_step(
-        cos * vx + sin * vy, cos * vy - sin * vx, rate, (a, b, c, d), own, own.kappa, dt
+    forward, sideways, rate = tyre_step(
+        cos * vx + sin * vy,
+        cos * vy - sin * vx,
+        rate,
+        wheels=(a, b, c, d),
+        physics=robot,
+        kappa=robot.kappa,
+        dt=dt,
     )
     return (
-        (cos * forward - sin * left, sin * forward + cos * left, rate),
+        (cos * forward - sin * sideways, sin * forward + cos * sideways, rate),
         (a, b, c, d),
         (angles[0] + a * dt, angles[1] + b * dt, angles[2] + c * dt, angles[3] + d * dt),
     )
 
 
+@jit
+def heading(orientation: Quaternion) -> tuple[float, float]:
+    """Return cosine and sine of the heading of a robot on a floor."""
+    qx, qy, qz, qw = orientation
+    return 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
+
+
 @loop
 def push_robot(
-    orientation: tuple[float, float, float, float],
+    orientation: Quaternion,
     velocity: Velocity,
     spin: Velocity,
     wheels: Speeds,
@@ -227,28 +331,35 @@ def push_robot(
 ) -> tuple[Velocity, Velocity, Speeds, Speeds]:
     """`robot_step` for an engine that moves the chassis itself, by a force [N] and a torque [Nm].
 
-    Orientation (x, y, z, w), velocity [m/s], spin [rad/s], force and torque are in the world frame.
+    Orientation, velocity [m/s], spin [rad/s], force and torque are in the world frame.
     """
-    qx, qy, qz, qw = orientation
-    cos, sin = 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
-    vx, vy, rate = velocity[0], velocity[1], spin[2]
+    cos, sin = heading(orientation)
+    vx = velocity[0]
+    vy = velocity[1]
+    rate = spin[2]
     (new_vx, new_vy, new_rate), wheels, angles = robot_step(
-        cos, sin, (vx, vy, rate), wheels, angles, set_points, physics, dt
+        cos,
+        sin,
+        (vx, vy, rate),
+        wheels=wheels,
+        angles=angles,
+        set_points=set_points,
+        physics=physics,
+        dt=dt,
     )
-    push, twist = physics[0].mass / dt, physics[0].yaw_inertia / dt
-    force = push * (new_vx - vx), push * (new_vy - vy), 0.0
+
+    push = physics[0].mass / dt
+    twist = physics[0].yaw_inertia / dt
+    force = (push * (new_vx - vx), push * (new_vy - vy), 0.0)
     return force, (0.0, 0.0, twist * (new_rate - rate)), wheels, angles
 
 
 def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
-    """Yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s], neglecting inertia."""
-    right, left = (speeds[0] + speeds[3]) / 2.0, (speeds[1] + speeds[2]) / 2.0
+    """Return the yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s]."""
     left_radius, right_radius = config.wheel_radii
-    plain = (right * right_radius - left * left_radius) / config.wheel_separation
-    return plain / turn_factor(config)
-
-
-# Mechanical power of a robot's motors, by the tyre forces of this file.
+    right_rim = (speeds[0] + speeds[3]) / 2.0 * right_radius
+    left_rim = (speeds[1] + speeds[2]) / 2.0 * left_radius
+    return (right_rim - left_rim) / config.wheel_separation / turn_factor(config)
 
 
 @loop
@@ -257,18 +368,20 @@ def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, phys
 
     P = sum over wheels of max(0, F_i r_i w_i), in which r_i w_i is the speed of the wheel's
     surface and F_i = -D_i s_x the force of its tyre along the rolling direction, with D_i and the
-    slip (s_x, s_y) of this file. A wheel that is pushed by the ground brakes; its motor
+    slip (s_x, s_y) of this file. A wheel that is pushed by the ground brakes, and its motor
     recovers nothing. Losses inside the motors are not known.
     """
-    own = physics[0]
+    robot = physics[0]
     vx, vy, rate = velocity
-    ahead, aside = cos * vx + sin * vy, cos * vy - sin * vx
+    ahead = cos * vx + sin * vy
+    aside = cos * vy - sin * vx
     power = 0.0
-    for k in range(4):
-        on_right, in_front = k in (0, 3), k < 2
-        rim = wheels[k] * (own.right_radius if on_right else own.left_radius)
-        slip = ahead + (rate if on_right else -rate) * own.half_track - rim
-        across = aside + (rate if in_front else -rate) * own.half_wheelbase
-        size = max(math.sqrt(slip * slip + own.kappa * across * across), own.slip_speed)
-        power += max(0.0, -own.grip * slip / size * rim)
+    for wheel in range(4):
+        on_right = wheel in (0, 3)
+        in_front = wheel < 2
+        rim = wheels[wheel] * (robot.right_radius if on_right else robot.left_radius)
+        slip = ahead + (rate if on_right else -rate) * robot.half_track - rim
+        across = aside + (rate if in_front else -rate) * robot.half_wheelbase
+        size = max(math.sqrt(slip * slip + robot.kappa * across * across), robot.slip_speed)
+        power += max(0.0, -robot.grip * slip / size * rim)
     return power

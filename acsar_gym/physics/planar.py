@@ -8,7 +8,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.jit import record_of
 from acsar_gym.physics import model
 from acsar_gym.physics.body import wrap_angle
-from acsar_gym.physics.model import loop_period, motor_power
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
@@ -21,7 +20,7 @@ class PlanarBody:
 
     def __init__(self, config: RobotConfig) -> None:
         self._config = config
-        self._dt = loop_period(config)
+        self._dt = model.loop_period(config)
         self._configured = model.compute_physics(config)
         self.reset(Scene())
 
@@ -30,9 +29,10 @@ class PlanarBody:
         self._physics = record_of(scene.physics or self._configured)
         self.wheel_angles: Speeds = ZERO
         self.wheel_speeds: Speeds = ZERO
-        self._velocity = (0.0, 0.0, 0.0)  # vx, vy in the world frame, yaw rate
+        self._velocity: model.Velocity = (0.0, 0.0, 0.0)  # in the frame of the world
         self._pose = scene.start
         self._touched = False
+
         world = scene.world
         self._crowded = world is not None and world.obstacles > 0
         obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
@@ -41,6 +41,7 @@ class PlanarBody:
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
         x, y, theta = self._pose
+        dt = self._dt
         self._velocity, self.wheel_speeds, self.wheel_angles = model.robot_step(
             math.cos(theta),
             math.sin(theta),
@@ -49,10 +50,9 @@ class PlanarBody:
             self.wheel_angles,
             set_points,
             self._physics,
-            self._dt,
+            dt,
         )
         vx, vy, rate = self._velocity
-        dt = self._dt
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
 
     def place_movers(self, crowd: Crowd) -> None:
@@ -62,9 +62,8 @@ class PlanarBody:
         """Check whether the footprint touches an obstacle now. Obstacles don't stop the robot."""
         if self._crowded and not self._touched:
             x, y, theta = self._pose
-            self._touched = footprint_collides(
-                x, y, math.cos(theta), math.sin(theta), 0, self._around
-            )
+            cos, sin = math.cos(theta), math.sin(theta)
+            self._touched = footprint_collides(x, y, cos, sin, 0, self._around)
 
     @property
     def truth(self) -> GroundTruth:
@@ -77,8 +76,10 @@ class PlanarBody:
     @property
     def power(self) -> float:
         """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
-        cos, sin = math.cos(self._pose[2]), math.sin(self._pose[2])
-        return motor_power(cos, sin, self._velocity, self.wheel_speeds, self._physics)
+        theta = self._pose[2]
+        return model.motor_power(
+            math.cos(theta), math.sin(theta), self._velocity, self.wheel_speeds, self._physics
+        )
 
     def close(self) -> None:
         """Do nothing: there is no engine."""

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import border_distance
 from acsar_gym.errors import ConfigError
+from acsar_gym.physics.body import wheel_hubs
 from acsar_gym.render.canvas import (
     LABEL_COLOUR,
     Bounds,
@@ -26,29 +27,33 @@ from acsar_gym.render.canvas import (
     encode_png,
     round_length,
 )
-from acsar_gym.worlds import Mover, Pose, Region, World
+from acsar_gym.worlds import Pose, World
 
 RgbImage = NDArray[np.uint8]
 """Shape (height, width, 3), RGB."""
 Point = tuple[float, float]
 """Position (x, y) [m]."""
 
-FLOOR_COLOUR: Colour = (251, 251, 249)
-GRID_COLOUR: Colour = (231, 233, 236)
-UNSEEN_COLOURS, SEEN_COLOURS = (FLOOR_COLOUR, GRID_COLOUR), ((249, 238, 237), (232, 220, 223))
-"""Colours of floor and grid outside and inside the area that the LiDAR sees."""
-OBSTACLE_COLOUR: Colour = (58, 64, 77)
-PLAN_COLOUR: Colour = (120, 128, 142)
-GOAL_COLOUR: Colour = (38, 173, 97)
-START_COLOUR: Colour = (30, 110, 220)
-ODOM_COLOUR: Colour = (30, 110, 220)
-TRUTH_COLOUR: Colour = (245, 137, 32)
-RAY_COLOUR: Colour = (216, 60, 80)
-HIT_COLOUR: Colour = (214, 20, 30)
-CHASSIS_COLOUR: Colour = (41, 89, 148)
-DECK_COLOUR: Colour = (217, 224, 233)
-TYRE_COLOUR: Colour = (30, 31, 34)
-MOVER_COLOUR: Colour = (142, 68, 173)
+FLOOR_COLOUR = (251, 251, 249)
+GRID_COLOUR = (231, 233, 236)
+UNSEEN_COLOURS = (FLOOR_COLOUR, GRID_COLOUR)
+"""Colours of floor and grid outside the area that the LiDAR sees."""
+SEEN_COLOURS = ((249, 238, 237), (232, 220, 223))
+"""Colours of floor and grid inside the area that the LiDAR sees."""
+OBSTACLE_COLOUR = (58, 64, 77)
+PLAN_COLOUR = (120, 128, 142)
+GOAL_COLOUR = (38, 173, 97)
+START_COLOUR = (30, 110, 220)
+ODOM_COLOUR = (30, 110, 220)
+TRUTH_COLOUR = (245, 137, 32)
+RAY_COLOUR = (216, 60, 80)
+CHASSIS_COLOUR = (41, 89, 148)
+DECK_COLOUR = (217, 224, 233)
+TYRE_COLOUR = (30, 31, 34)
+MOVER_COLOUR = (142, 68, 173)
+
+TOP_SIZE = (480, 480)
+"""Usual width and height of a top view [pixels]."""
 WORLD_MARGIN = 0.35
 """Width of the floor shown around a world [m]."""
 OPEN_MARGIN = 1.0
@@ -59,15 +64,11 @@ SMALL_ROBOT = 10.0
 """Robots shorter than this get a ring, to be visible [pixels]."""
 VELOCITY_TIME = 0.6
 """The line of a mover's velocity ends where it will be in this time [s]."""
-WAY_POINTS = 9
-"""Points of each piece of a mover's way."""
-MAX_PATH_POINTS = 1000
-"""Paths with more points are thinned out."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TopViewFrame:
-    """Content of one picture, in the frame of the world, or else in the odometry frame."""
+    """Content of a picture, in the frame of the world, or in the odometry frame without a world."""
 
     world: World | None = None
     odom: Pose = (0.0, 0.0, 0.0)
@@ -84,32 +85,29 @@ class TopViewFrame:
     reach: float = math.inf
     """Range of a ray that hits nothing [m]."""
     movers: Floats | None = None
-    """What moves: x, y [m], their rates [m/s], and radius [m] of each, (movers, 5)."""
+    """x, y [m], velocities in x and y [m/s], and radius [m] of each mover, (movers, 5)."""
     caption: str = ""
-    hit: Point | None = None
-    """Where the robot collided."""
 
 
 class TopView:
-    """Draws top views of one robot; the view is kept as long as world and goal are.
+    """Draws top views of a robot; the view stays the same while world and goal do.
 
     It is fitted to world and goal; without a world it is a square around origin and goal. It grows
     when the robot leaves it.
+
+    Args:
+        config: Robot configuration.
+        size: Width and height of the pictures [pixels].
     """
 
-    def __init__(
-        self, config: RobotConfig, size: tuple[int, int] = (480, 480), up: Up | None = None
-    ) -> None:
+    def __init__(self, config: RobotConfig, size: tuple[int, int] = TOP_SIZE) -> None:
         check_picture_size("size", size)
-        self.layers = 0
-        """How often the static part was drawn."""
         self._config = config
-        self._up = up
         self._parts = robot_parts(config)
         self._footprint = self._parts[0][0]
         self._goal: Point | None = None
         self._bounds = episode_bounds(None, None)
-        self._draw_layers(None, View.fitted(self._bounds, size, up or "x", PICTURE_INSET))
+        self._draw_layers(None, View.fitted(self._bounds, size, "x", PICTURE_INSET))
 
     @property
     def view(self) -> View:
@@ -127,16 +125,14 @@ class TopView:
             draw_movers(canvas, frame.movers)
         if frame.goal is not None:
             draw_goal(canvas, frame.goal, frame.goal_radius)
-        canvas.line(thin_path(frame.true_path), TRUTH_COLOUR, 3.5)
-        canvas.line(thin_path(frame.odom_path), ODOM_COLOUR, 1.5)
+        canvas.line(as_points(frame.true_path), TRUTH_COLOUR, 3.5)
+        canvas.line(as_points(frame.odom_path), ODOM_COLOUR, 1.5)
+
         self._draw_ring(canvas, pose, CHASSIS_COLOUR)
         for corners, colour in self._parts:
             canvas.shape(place_points(corners, pose), colour)
         if frame.truth is not None:
             self._draw_odometry(canvas, frame.truth, frame.odom)
-        if frame.hit is not None:
-            canvas.disc(frame.hit, 0.0, (*HIT_COLOUR, 90), HIT_COLOUR, width=2.5, least=9.0)
-            canvas.disc(frame.hit, 0.0, HIT_COLOUR, least=2.5)
         if frame.caption:
             canvas.text((12.0, 20.0), frame.caption, box=LABEL_COLOUR)
         return canvas.picture()
@@ -146,30 +142,33 @@ class TopView:
 
         In a world it still fits while the goal is visible.
         """
-        view, bounds, goal = self.view, self._bounds, frame.goal
-        goal_fits = goal == self._goal or (
-            frame.world is not None and (goal is None or view.shows(*goal, PICTURE_INSET))
+        view = self.view
+        bounds = self._bounds
+        has_new_world = frame.world is not self._world
+        goal_fits = frame.goal == self._goal or (
+            frame.world is not None
+            and (frame.goal is None or view.shows(*frame.goal, PICTURE_INSET))
         )
-        if frame.world is not self._world or not goal_fits:
-            bounds = episode_bounds(frame.world, goal)
-            up = self._up or ("x" if frame.world is None else "y")
+        if has_new_world or not goal_fits:
+            bounds = episode_bounds(frame.world, frame.goal)
+            up: Up = "x" if frame.world is None else "y"
             view = View.fitted(bounds, view.size, up, PICTURE_INSET)
         for x, y, _ in (frame.odom, frame.truth or frame.odom):
             if math.isfinite(x + y) and not view.shows(x, y, PICTURE_INSET):
-                room = 0.25 * max(bounds[2] - bounds[0], bounds[3] - bounds[1])  # to grow further
-                bounds = _join_bounds(bounds, widen_bounds((x, y, x, y), room))
+                room = 0.25 * np.ptp(bounds, axis=0).max()  # to grow further
+                bounds = span([*bounds, np.subtract((x, y), room), np.add((x, y), room)])
                 view = View.fitted(bounds, view.size, view.up, PICTURE_INSET)
-        self._goal, self._bounds = goal, bounds
-        if frame.world is not self._world or view != self.view:
+
+        self._goal = frame.goal
+        self._bounds = bounds
+        if has_new_world or view != self.view:
             self._draw_layers(frame.world, view)
 
     def _draw_layers(self, world: World | None, view: View) -> None:
         """Draw the static part twice: outside and inside the area that the LiDAR sees."""
-        self.layers += 1
         self._world = world
-        self._dark, self._lit = (
-            draw_world(world, view, *floor) for floor in (UNSEEN_COLOURS, SEEN_COLOURS)
-        )
+        self._dark = draw_world(world, view, *UNSEEN_COLOURS)
+        self._lit = draw_world(world, view, *SEEN_COLOURS)
         for canvas in (self._dark, self._lit):
             canvas.scale_bar(view.size[1] - PICTURE_INSET, 0.25, PICTURE_INSET)
 
@@ -179,93 +178,64 @@ class TopView:
         """Draw the area that the LiDAR sees, with a dot at every hit."""
         offset = np.array([[self._config.lidar_x_offset, self._config.lidar_y_offset]])
         sensor = place_points(offset, pose)
-        ends = sensor + _polar_points(angles + pose[2], np.minimum(ranges, reach))
+        ends = sensor + polar_points(angles + pose[2], np.minimum(ranges, reach))
         turn = float(angles[-1] - angles[0]) if len(angles) > 2 else 0.0
-        around = turn > 0.0 and math.tau - turn < 1.5 * turn / (len(angles) - 1)
-        canvas.reveal(self._lit.layer, ends if around else np.concatenate([sensor, ends]))
+        is_full_turn = turn > 0.0 and math.tau - turn < 1.5 * turn / (len(angles) - 1)
+        canvas.reveal(self._lit.layer, ends if is_full_turn else np.concatenate([sensor, ends]))
         canvas.rays(sensor, ends, (*RAY_COLOUR, 60))
-        canvas.dots(ends[ranges < reach - 1e-9], 1.75, RAY_COLOUR)
+        canvas.discs(ends[ranges < reach - 1e-9], 0.0, RAY_COLOUR, least=1.75)
 
     def _draw_odometry(self, canvas: Canvas, truth: Pose, odom: Pose) -> None:
         """Draw the robot's outline at its odometry pose, if that differs by a pixel or more."""
         corners = place_points(self._footprint, odom)
-        apart = np.hypot(*(corners - place_points(self._footprint, truth)).T).max()
-        if apart * canvas.view.scale >= 1.0:
+        distance = np.hypot(*(corners - place_points(self._footprint, truth)).T).max()
+        if distance * canvas.view.scale >= 1.0:
             self._draw_ring(canvas, odom, ODOM_COLOUR)
             canvas.shape(corners, (*ODOM_COLOUR, 30), ODOM_COLOUR, 1.5)
-            nose = np.array([[0.0, 0.0], [max(self._footprint[:, 0]), 0.0]])
+            nose = np.array([[0.0, 0.0], [self._footprint[:, 0].max(), 0.0]])
             canvas.line(place_points(nose, odom), ODOM_COLOUR, 1.5)
 
     def _draw_ring(self, canvas: Canvas, pose: Pose, colour: Colour) -> None:
         """Draw a ring around a robot that is too small to be seen."""
         if canvas.view.scale * self._config.body.length < SMALL_ROBOT:
-            canvas.disc(pose[:2], 0.0, (*colour, 40), colour, width=1.5, least=SMALL_ROBOT)
+            canvas.discs(pose[:2], 0.0, (*colour, 40), colour, width=1.5, least=SMALL_ROBOT)
 
 
 def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> Canvas:
     """Draw the floor with its grid, and the world's path and obstacles."""
     canvas = Canvas(view, floor)
-    left, low, right, high = view.bounds
     step = max(1.0, round_length(30.0 / view.scale))
-    for x in np.arange(math.ceil(left / step), math.floor(right / step) + 1) * step:
-        canvas.line(np.array([[x, low], [x, high]]), grid, 1.0)
-    for y in np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step:
-        canvas.line(np.array([[left, y], [right, y]]), grid, 1.0)
+    for axis in (0, 1):
+        low, high = view.bounds[:, axis]
+        for number in range(math.ceil(low / step), math.floor(high / step) + 1):
+            ends = view.bounds
+            ends[:, axis] = number * step
+            canvas.line(ends, grid, 1.0)
     if world is None:
         return canvas
+
     if world.path is not None:
         canvas.dashes(world.path, PLAN_COLOUR, 1.0, 5.0)
     for x, y, radius in world.circles.tolist():
-        canvas.disc((x, y), radius, OBSTACLE_COLOUR, least=1.0)
+        canvas.discs((x, y), radius, OBSTACLE_COLOUR, least=1.0)
     for ends in world.segments.reshape(-1, 2, 2):
         canvas.line(ends, OBSTACLE_COLOUR, 2.5)
-        canvas.dots(ends, 1.25, OBSTACLE_COLOUR)
+        canvas.discs(ends, 0.0, OBSTACLE_COLOUR, least=1.25)
     return canvas
 
 
 def draw_movers(canvas: Canvas, movers: Floats) -> None:
     """Draw movers (movers, 5) as discs, with a line to where each will be in VELOCITY_TIME."""
     for x, y, vx, vy, radius in movers.tolist():
-        canvas.disc((x, y), radius, (*MOVER_COLOUR, 120), MOVER_COLOUR, width=1.5, least=2.0)
-        ahead = x + VELOCITY_TIME * vx, y + VELOCITY_TIME * vy
+        canvas.discs((x, y), radius, (*MOVER_COLOUR, 120), MOVER_COLOUR, width=1.5, least=2.0)
+        ahead = (x + VELOCITY_TIME * vx, y + VELOCITY_TIME * vy)
         canvas.line(np.array([(x, y), ahead]), MOVER_COLOUR, 2.0)
-
-
-def draw_motions(canvas: Canvas, world: World) -> None:
-    """Draw a world's movers where an episode begins, and thin lines where they go."""
-    for mover in world.movers:
-        canvas.line(trace_way(mover), (*MOVER_COLOUR, 130), 1.0)
-    begins = [(*mover.position(0.0), *mover.velocity(0.0), mover.radius) for mover in world.movers]
-    draw_movers(canvas, np.array(begins).reshape(-1, 5))
-
-
-def trace_way(mover: Mover) -> Floats:
-    """Return points (N, 2) of where a motion leads [m]."""
-    pieces = mover.pieces
-    lengths = np.diff(np.append(pieces[:, 0], mover.duration))
-    times = (lengths[:, None] * np.linspace(0.0, 1.0, WAY_POINTS))[:, :, None] ** np.arange(4)
-    axes = [(times @ pieces[:, first : first + 4, None])[:, :, 0] for first in (1, 5)]
-    return np.stack(axes, axis=2).reshape(-1, 2)
 
 
 def draw_goal(canvas: Canvas, place: Point, radius: float) -> None:
     """Draw a goal of `radius` [m], large enough to be visible."""
-    canvas.disc(place, radius, (*GOAL_COLOUR, 70), GOAL_COLOUR, width=1.5, least=4.0)
-    canvas.disc(place, 0.0, GOAL_COLOUR, least=2.5)
-
-
-def draw_start(canvas: Canvas, start: Region) -> None:
-    """Draw a start: a disc, and an arrow if its heading is known."""
-    place = (start.x, start.y)
-    if start.radius > 0.0:
-        canvas.disc(place, start.radius, (*START_COLOUR, 50), START_COLOUR)
-    canvas.disc(place, 0.0, START_COLOUR, least=3.5)
-    if start.theta is not None:
-        ahead = np.array([math.cos(start.theta), math.sin(start.theta)]) / canvas.view.scale
-        left = np.array([-ahead[1], ahead[0]])
-        tip = place + np.array([18.0 * ahead, 11.0 * ahead + 4.5 * left, 11.0 * ahead - 4.5 * left])
-        canvas.line(np.array([place, place + 13.0 * ahead]), START_COLOUR, 2.0)
-        canvas.shape(tip, START_COLOUR)
+    canvas.discs(place, radius, (*GOAL_COLOUR, 70), GOAL_COLOUR, width=1.5, least=4.0)
+    canvas.discs(place, 0.0, GOAL_COLOUR, least=2.5)
 
 
 def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
@@ -273,26 +243,24 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
 
     It contains world and goal, or, without a world, origin and goal.
     """
+    corners = np.reshape(world.bounds if world else (0.0,) * 4, (2, 2))
+    bounds = span([*corners, goal] if goal else corners)
     if world is not None:
-        bounds = _join_bounds(world.bounds, (*goal, *goal)) if goal else world.bounds
         return widen_bounds(bounds, WORLD_MARGIN)
-    points = np.array([(0.0, 0.0), goal or (0.0, 0.0)])
-    (left, low), (right, high) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    longest = max(right - left, high - low)
-    x, y, side = (left + right) / 2.0, (low + high) / 2.0, max(OPEN_MARGIN, 0.25 * longest)
-    return widen_bounds((x, y, x, y), longest / 2.0 + side)
+    longest = np.ptp(bounds, axis=0).max()
+    margin = longest / 2.0 + max(OPEN_MARGIN, 0.25 * longest)
+    return widen_bounds([bounds.mean(axis=0)] * 2, margin)
 
 
-def widen_bounds(bounds: Bounds, margin: float) -> Bounds:
+def span(points: ArrayLike) -> Bounds:
+    """Return the smallest bounds that contain points (N, 2) [m]."""
+    return np.array([np.min(points, axis=0), np.max(points, axis=0)])
+
+
+def widen_bounds(bounds: ArrayLike, margin: float) -> Bounds:
     """Return bounds with a margin added on every side [m]."""
-    left, low, right, high = bounds
-    return left - margin, low - margin, right + margin, high + margin
-
-
-def _join_bounds(one: Bounds, other: Bounds) -> Bounds:
-    """Return the smallest bounds that contain both."""
-    left, low, right, high = one
-    return min(left, other[0]), min(low, other[1]), max(right, other[2]), max(high, other[3])
+    low, high = np.reshape(bounds, (2, 2))
+    return np.array([low - margin, high + margin])
 
 
 def robot_parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
@@ -300,42 +268,46 @@ def robot_parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
 
     They are in drawing order: footprint, wheels, chassis, heading and LiDAR.
     """
-    body, a, b = config.body, config.wheelbase / 2.0, config.wheel_separation / 2.0
+    body = config.body
     tyre = max(0.02, body.width - config.wheel_separation)
-    inner = max(0.02, config.wheel_separation - tyre - 0.02)
-    wheels = [
-        (_rectangle(x, y, 2.0 * config.wheel_radius, tyre), TYRE_COLOUR)
-        for x, y in ((a, -b), (a, b), (-a, b), (-a, -b))
-    ]
-    turn = np.linspace(0.0, math.tau, 16, endpoint=False)
-    sensor = np.array([[config.lidar_x_offset, config.lidar_y_offset]])
     if config.footprint is None:
-        outline = _rectangle(0.0, 0.0, body.length, body.width)
-        chassis = _rectangle(0.0, 0.0, body.length, inner)
+        inner = max(0.02, config.wheel_separation - tyre - 0.02)
+        outline = rectangle(body.length, body.width)
+        chassis = rectangle(body.length, inner)
         nose = np.array([[0.46, 0.0], [0.12, 0.36], [0.12, -0.36]]) * (body.length, inner)
     else:
         outline = np.array(config.footprint)
-        chassis, room = 0.75 * outline, border_distance(config.footprint, 0.0, 0.0)
+        chassis = 0.75 * outline
+        room = border_distance(config.footprint, 0.0, 0.0)
         nose = np.array([[0.6, 0.0], [0.0, 0.4], [0.0, -0.4]]) * room
+
+    wheel = rectangle(2.0 * config.wheel_radius, tyre)
+    hubs = wheel_hubs(config.wheelbase / 2.0, config.wheel_separation / 2.0)
+    turn = np.linspace(0.0, math.tau, 16, endpoint=False)
+    sensor = np.array([[config.lidar_x_offset, config.lidar_y_offset]])
     return [
         (outline, DECK_COLOUR),
-        *wheels,
+        *((wheel + hub, TYRE_COLOUR) for hub in hubs),
         (chassis, CHASSIS_COLOUR),
         (nose, FLOOR_COLOUR),
-        (sensor + _polar_points(turn, np.full(16, 0.035)), TYRE_COLOUR),
+        (sensor + polar_points(turn, np.full(16, 0.035)), TYRE_COLOUR),
     ]
 
 
-def _rectangle(x: float, y: float, length: float, width: float) -> Floats:
-    """Return the corners of a rectangle around (x, y) [m]."""
-    corners = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
-    rectangle: Floats = corners * (length, width) + (x, y)
-    return rectangle
+def rectangle(length: float, width: float) -> Floats:
+    """Return the corners of a rectangle around the origin [m]."""
+    corners: Floats = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+    return corners * (length, width)
 
 
-def _polar_points(angles: Floats, ranges: Floats) -> Floats:
+def polar_points(angles: Floats, ranges: Floats) -> Floats:
     """Convert angles (N,) [rad] and distances (N,) [m] to points (N, 2) [m]."""
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
+
+
+def as_points(path: Sequence[Point]) -> Floats:
+    """Return a path as an array (N, 2) [m]."""
+    return np.array(path, np.float64).reshape(-1, 2)
 
 
 def place_points(points: Floats, pose: Pose) -> Floats:
@@ -344,15 +316,6 @@ def place_points(points: Floats, pose: Pose) -> Floats:
     cos, sin = math.cos(theta), math.sin(theta)
     placed: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
     return placed
-
-
-def thin_path(path: Sequence[Point]) -> Floats:
-    """Thin out a path to about a thousand points (N, 2), keeping the last one."""
-    step = 1
-    while len(path) > MAX_PATH_POINTS * step:
-        step *= 2  # doubling keeps most of the points of the picture before
-    points = np.array(path[::step], np.float64).reshape(-1, 2)
-    return points if step == 1 else np.concatenate([points, np.array(path[-1:])])
 
 
 def save_picture(image: RgbImage, path: str | Path) -> None:

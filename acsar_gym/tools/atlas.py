@@ -17,9 +17,9 @@ from acsar_gym import reading
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError, show_value
 from acsar_gym.render import top_view
-from acsar_gym.render.canvas import View, check_picture_size, shorten_text
-from acsar_gym.render.top_view import PICTURE_INSET, RgbImage
+from acsar_gym.render.canvas import check_picture_size
 from acsar_gym.tools.evaluation import report
+from acsar_gym.tools.tile import draw_tile
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
 from acsar_gym.worlds.moving import can_be_crossed
@@ -30,8 +30,6 @@ MAX_DRAWN = 100
 """Most worlds on one sheet."""
 MAX_SHEET_PIXELS = 36_000_000
 """Largest size of a sheet [pixels], which is 100 MB."""
-TITLE_HEIGHT = 24
-"""Height of a tile's title [pixels]."""
 MAX_AT_ONCE = 10_000
 """Most worlds that one command makes or reads."""
 
@@ -92,23 +90,6 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
         top, left = size * (index // columns), size * (index % columns)
         image[top : top + size, left : left + size] = draw_tile(world, size)
     top_view.save_picture(image, out)
-
-
-def draw_tile(world: World, size: int) -> RgbImage:
-    """Draw one world as a map with its name, a square of `size` pixels."""
-    bounds = top_view.widen_bounds(world.bounds, top_view.WORLD_MARGIN / 2.0)
-    view = View.fitted(bounds, (size, size - TITLE_HEIGHT), "y", PICTURE_INSET / 2.0)
-    below = (view.centre[0], view.centre[1] + TITLE_HEIGHT / 2.0 / view.scale)
-    view = replace(view, centre=below, size=(size, size))
-    canvas = top_view.draw_world(world, view, *top_view.UNSEEN_COLOURS)
-    top_view.draw_motions(canvas, world)
-    top_view.draw_start(canvas, world.start)
-    top_view.draw_goal(canvas, (world.goal.x, world.goal.y), world.goal.radius)
-    canvas.band(TITLE_HEIGHT, top_view.GRID_COLOUR)
-    bar = canvas.scale_bar(TITLE_HEIGHT - 6.0, 0.2, PICTURE_INSET, right=True)
-    name = shorten_text(world.name, size - bar - 3.0 * PICTURE_INSET)
-    canvas.text((PICTURE_INSET, TITLE_HEIGHT / 2.0), name, anchor="lm")
-    return canvas.picture()
 
 
 def describe_movers(worlds: Sequence[World]) -> str:

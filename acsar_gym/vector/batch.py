@@ -17,7 +17,7 @@ from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.links.faults import Faults
 from acsar_gym.physics import Randomization, compute_physics
 from acsar_gym.physics.model import loop_period, wire_loops
-from acsar_gym.physics.randomization import DrawnRanges, drawn_places, longest_delay
+from acsar_gym.physics.randomization import PLACES, DrawnRanges
 from acsar_gym.safety import rules
 from acsar_gym.sensors import LIDAR, MAP, MOVERS, Factory, Sensor
 from acsar_gym.sensors.lidar import LidarSensor, footprint_edges, stale_after
@@ -85,7 +85,7 @@ class Batch:
         varied = [Randomization.of(randomization, config) for config in fleet]
         ranges = [drawn.ranges(config, step) for drawn, config in zip(varied, fleet, strict=True)]
         names = dict.fromkeys(name for drawn in varied for name in drawn.names)
-        self._drawn = {f"drawn_{name}": list(drawn_places(name)) for name in names}
+        self._drawn = {f"drawn_{name}": PLACES[name] for name in names}
         pools = [spawn.pool for spawn in spawns]
         self._pool = pools[0]
         self.worlds, self.places = make_worlds(pools, follow=task.follows)
@@ -113,7 +113,7 @@ class Batch:
         self._lidar_link = RobotLink(view, 0)
         self._first_python = setup.first_ray + rays
         """The first column of the observation that belongs to a sensor written in Python."""
-        kinds = list(zip(ranges, fleet, strict=True))
+        kinds = list(zip(varied, fleet, strict=True))
         edges = [np.reshape(footprint_edges(config)[:rays], (-1, 1)) for config in fleet]
         self.tables = layout.Tables(
             blocks=blocks,
@@ -344,7 +344,7 @@ def make_draws(
     """Make the arrays from which the physics of episodes is drawn."""
     delays = [np.reshape(drawn.delays, (-1, 1)) for drawn in ranges]
     return layout.Draws(
-        nominal=stack_records([compute_physics(config) for config in fleet]),
+        nominal=np.array([compute_physics(config) for config in fleet]),
         low=np.array([drawn.low for drawn in ranges]),
         high=np.array([drawn.high for drawn in ranges]),
         delays=geometry.pad_rows(delays, (0.0,))[:, :, 0],
@@ -353,7 +353,7 @@ def make_draws(
     )
 
 
-Kinds = Sequence[tuple[DrawnRanges, RobotConfig]]
+Kinds = Sequence[tuple[Randomization, RobotConfig]]
 """What each kind of robots draws, and its configuration."""
 
 
@@ -399,9 +399,8 @@ def make_scans(
     specs = [ray_spec(config) if setup.sees else None for config in fleet]
     slots = 0
     for drawn, config in kinds if setup.sees else ():  # two revolutions of the slowest LiDAR
-        slowest = drawn.low.lidar_rate
-        rate = config.lidar.rate if math.isnan(slowest) else slowest
-        slots = max(slots, count_trail_rows(2.0 / rate, config.period))
+        rates = drawn.lidar_rate or (config.lidar.rate,)
+        slots = max(slots, count_trail_rows(2.0 / rates[0], config.period))
     return layout.Scans(
         around=geometry.surround_kinds(obstacles, specs, max(len(worlds), 1), fleet),
         rays=stack_records([make_rays(config) for config in fleet]),
@@ -453,7 +452,7 @@ def write_builds(
         numbers[:, layout.BUILD_ROW + row] = column[kinds]
 
 
-def count_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -> int:
+def count_slots(setup: layout.Setup, drawn: Randomization, config: RobotConfig) -> int:
     """Size of the ring of encoder counts [firmware loops].
 
     The oldest feedback line that may still be on its way, and the encoders' window before it.
@@ -461,24 +460,23 @@ def count_slots(setup: layout.Setup, ranges: DrawnRanges, config: RobotConfig) -
     Raises:
         ConfigError: where feedback is on its way for as long as `feedback_timeout`.
     """
-    delay = wire_loops(config) + round(ranges.high.latency / setup.dt)
+    delay = wire_loops(config) + round((drawn.latency or (0.0,))[-1] / setup.dt)
     if delay * setup.dt >= config.feedback_timeout:
         raise ConfigError(
             f"feedback_timeout = {config.feedback_timeout:g} s: feedback takes "
             f"{delay * setup.dt:g} s on this wire (baud_rate, firmware.processing_time): must be "
             "longer"
         )
-    rare = ranges.low.feedback_rate
-    rate = config.feedback_rate if math.isnan(rare) else rare
-    slowest = math.ceil(1.0 / (rate * setup.dt))
+    rates = drawn.feedback_rate or (config.feedback_rate,)
+    slowest = math.ceil(1.0 / (rates[0] * setup.dt))
     late = math.ceil(setup.faults.lateness / setup.dt)
     return int(setup.window + delay + late + slowest + setup.loops + 1)
 
 
-def command_loops(config: RobotConfig, ranges: DrawnRanges) -> int:
+def command_loops(config: RobotConfig, drawn: Randomization) -> int:
     """The longest time until a command has effect, without faults [firmware loops]."""
-    latency = ranges.high.latency / loop_period(config)
-    return round(wire_loops(config, longest_delay(ranges, config)) + latency)
+    latency = (drawn.latency or (0.0,))[-1] / loop_period(config)
+    return round(wire_loops(config, drawn.longest_delay(config)) + latency)
 
 
 def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[World], list[range]]:

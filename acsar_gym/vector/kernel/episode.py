@@ -141,9 +141,10 @@ def reset(  # noqa: C901, PLR0912, PLR0913, PLR0917 - as `drive.step`
             for k in range(len(samples)):
                 if high[k] > low[k]:
                     samples[k] = uniform(random, robot)
-            nominal = draws.nominal[kind : kind + 1]
             delays = draws.delays[kind, : draws.delay_counts[kind]]
-            physics, drawn = draw_robot(nominal, low, high, delays, samples, setup.dt)
+            physics, drawn = draw_robot(
+                draws.nominal[kind], low, high, delays=delays, samples=samples, dt=setup.dt
+            )
             for k in range(len(physics)):
                 tables.numbers[block, PHYSICS_ROW + k, i] = physics[k]
             for k in range(draws.drawn.shape[1]):

@@ -327,8 +327,8 @@ class Tables(NamedTuple):
 class Draws(NamedTuple):
     """What the physics of episodes is drawn from, and what was drawn."""
 
-    nominal: NDArray[Any]  # (kinds,): records of `Physics`, as configured
-    low: Floats  # (kinds, numbers): least value of each randomized number: `randomization.Drawn`
+    nominal: Floats  # (kinds, numbers): `Physics` as configured
+    low: Floats  # (kinds, numbers): least value of each randomized number, see `DrawnRanges`
     high: Floats  # (kinds, numbers): largest value of each randomized number
     delays: Floats  # (kinds, delays): what randomized delays of commands are drawn from [s]
     delay_counts: NDArray[np.int64]
