@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Writer as FolderWriter
 
 from acsar_gym.recording import messages
 
-JOINTS = ("front_right_wheel", "front_left_wheel", "rear_left_wheel", "rear_right_wheel")
+JOINTS = messages.JOINT_NAMES
 Bag = Sequence[tuple[str, str, int, bytes]]
 """Topic, type, time [ns] and content of each message."""
 

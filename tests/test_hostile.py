@@ -22,7 +22,7 @@ ROBOTS = {
     "list.yaml": ("[" + "[]," * 200_000 + "]", "must be a mapping"),
     "params.urdf": (
         f"<r><ros2_control><hardware>{'<param/>' * 2_000}</hardware></ros2_control></r>",
-        "2,000 params",
+        "has no parameters of ACSARInterface",
     ),
 }
 WORLD = '{{"name": {}, "start": {{"x": 0, "y": 0}}, "goal": {{"x": 4, "y": 0}}}}'

@@ -8,14 +8,14 @@ from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
-from acsar_gym.config import drawn, files
+from acsar_gym.config import drawn
 from acsar_gym.config.robot import RobotConfig, RobotSource
 from acsar_gym.errors import ConfigError
 
 FleetSource = RobotSource | Sequence[RobotSource]
-"""Type of a batch's `robot` argument; see `make_fleet`."""
-_COUNTED = re.compile(r"(?:([0-9]{1,5})x)?(.*)", re.DOTALL)
-MAX_KINDS = 10_000  # robots of a fleet, at most
+"""Type of a batch's `robot` argument. See `make_fleet`."""
+MAX_KINDS = 10_000
+"""Most robots of a fleet."""
 SHARED_FIELDS = (
     "control_rate",
     "baud_rate",
@@ -26,66 +26,78 @@ SHARED_FIELDS = (
     "encoder.window",
 )
 """The timing of the wire and of the board, which all robots of a batch share."""
+_COUNTED = re.compile(r"(?:(?P<count>[0-9]{1,5})x)?(?P<name>.*)", re.DOTALL)
+"""A name that may follow a number of robots, as in "24xjackal"."""
 
 
 class Fleet(NamedTuple):
-    """Robots that differ, but for the timing of their wires."""
+    """Robots that may differ, except for the timing of their wires."""
 
     robots: tuple[RobotConfig, ...]
     names: tuple[str, ...]
-    """How messages call them."""
+    """Names of the robots in messages."""
 
 
 def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     """Return the robots that a value of a batch's `robot` argument means.
 
     Args:
-        source: one robot, as for `RobotConfig.of`; a range of drawn ones, such as "drawn:train" or
-            "drawn:0-63"; several of these with commas between, "24xjackal" for 24 of them; or a
-            list of robots.
-        most: how many of them are used; the first ones.
+        source: A robot, as for `RobotConfig.of`, a range of drawn robots, such as "drawn:train" or
+            "drawn:0-63", several of these with commas between, with "24xjackal" for 24 of them, or
+            a list of robots.
+        most: Number of robots to use, the first ones of `source`.
 
     Raises:
-        ConfigError: for a robot as `RobotConfig.of`, no robot, more than 10,000, or robots whose
-            `SHARED_FIELDS` differ.
+        ConfigError: A robot isn't valid for `RobotConfig.of`, there is no robot or more than
+            10,000, or the robots differ in `SHARED_FIELDS`.
     """
-    robots: list[RobotSource] = []
-    if not isinstance(source, str):
-        robots += source if isinstance(source, Sequence) else [source]
-    else:
-        for group in files.group_parts(source.split(",")):
-            counted = _COUNTED.match(",".join(group))
-            count, name = counted.groups() if counted else ("1", "")
-            robots += drawn.expand_name(name) * int(count or 1)
-    if not 1 <= len(robots) <= MAX_KINDS:
+    sources = _list_sources(source)
+    if not 1 <= len(sources) <= MAX_KINDS:
         raise ConfigError(
-            f"robot: a fleet of {len(robots):,} robots: must have 1 to {MAX_KINDS:,}; "
+            f"robot: a fleet of {len(sources):,} robots: must have 1 to {MAX_KINDS:,}; "
             "drawn ones are given as 'drawn:0-63'"
         )
-    used = robots[:most]
-    fleet = Fleet(
-        tuple(RobotConfig.of(robot) for robot in used),
-        tuple(_name(robot, place) for place, robot in enumerate(used)),
-    )
-    for place in range(1, len(used)):
+    robots = tuple(RobotConfig.of(robot) for robot in sources[:most])
+    names = tuple(_name(robot, place) for place, robot in enumerate(sources[:most]))
+    fleet = Fleet(robots, names)
+
+    for place in range(1, len(robots)):
         for path in SHARED_FIELDS:
             check_equal(fleet, place, path)
     return fleet
 
 
+def _list_sources(source: FleetSource) -> list[RobotSource]:
+    """Return the single robots of a fleet."""
+    if not isinstance(source, str):
+        return [*source] if isinstance(source, Sequence) else [source]
+
+    names: list[RobotSource] = []
+    for match in map(_COUNTED.fullmatch, source.split(",")):
+        if match is not None:
+            names += drawn.expand_name(match["name"]) * int(match["count"] or 1)
+    return names
+
+
 def check_equal(fleet: Fleet, place: int, path: str) -> None:
-    """Raise ConfigError where a field of a fleet's robot isn't that of its first one."""
-    first, other = map(attrgetter(path), (fleet.robots[0], fleet.robots[place]))
-    if first != other:
+    """Raise ConfigError if a robot of a fleet differs from the first robot in a field.
+
+    Args:
+        fleet: The robots.
+        place: Index of the robot in the fleet.
+        path: Dotted name of the field.
+    """
+    first, value = map(attrgetter(path), (fleet.robots[0], fleet.robots[place]))
+    if first != value:
         raise ConfigError(
-            f"robot: {fleet.names[0]} has {path} = {first}, {fleet.names[place]} {other}: must be "
+            f"robot: {fleet.names[0]} has {path} = {first}, {fleet.names[place]} {value}: must be "
             "the same for all robots of a batch"
         )
 
 
 def _name(source: RobotSource, place: int) -> str:
-    """What a message calls a robot of a fleet."""
+    """Return the name of a robot in messages."""
     if isinstance(source, str | Path):
         return str(source)
-    named = source.name if isinstance(source, RobotConfig) else ""
-    return named or f"number {place}"
+    name = source.name if isinstance(source, RobotConfig) else ""
+    return name or f"number {place}"

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 
 class Physics(NamedTuple):
-    """The numbers of one robot that its physics needs; SI units, wheels a to d in wheel order.
+    """The numbers of a robot that its physics needs, in SI units, for the wheels a to d.
 
-    Any of them may vary from episode to episode; see `randomization`. Compiled functions that
-    Python calls take it as a record, see `jit.record_of`.
+    Randomization may vary any of them from episode to episode. Compiled functions that Python calls
+    take it as a record, see `jit.record_of`.
     """
 
     left_radius: float
@@ -25,9 +25,9 @@ class Physics(NamedTuple):
     yaw_inertia: float
     """Moment of inertia about the vertical axis [kg m^2]."""
     grip: float
-    """Greatest friction force of one tyre along its rolling direction [N]."""
+    """Greatest friction force of a tyre along its rolling direction [N]."""
     kappa: float
-    """(mu_lateral / mu_longitudinal)^2 of the tyres; 1 for isotropic friction."""
+    """(mu_lateral / mu_longitudinal)^2 of the tyres. 1 is isotropic friction."""
     slip_speed: float
     """Below this slip speed friction grows linearly with it [m/s]."""
     max_speed: float

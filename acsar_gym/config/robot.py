@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -9,14 +10,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from acsar_gym.config.footprint import Corners, Outline, make_rectangle, outline_radius
-from acsar_gym.config.parts import HINTS, MANY_ROBOTS
-from acsar_gym.config.section import Length, Name, Offset, Rate, Section, Speed, Wait
+from acsar_gym.config.footprint import Corners, Outline, make_rectangle
+from acsar_gym.config.section import Factor, Length, Name, Offset, Rate, Section, Speed, Wait
 from acsar_gym.config.sections import (
     ANGULAR_ACCELERATION,
     LINEAR_ACCELERATION,
+    MANY_ROBOTS,
+    SIX_NUMBERS,
+    WHEEL_JOINTS,
     AngularLimits,
     BodyConfig,
     EncoderConfig,
@@ -31,15 +34,15 @@ from acsar_gym.config.sections import (
     Ros2Config,
     WheelsConfig,
     default_acceleration,
+    list_joints,
     validate_measured,
 )
 from acsar_gym.errors import ConfigError, show_value
 
 MISFIT = "doesn't fit: "
-"""Begin of a `motor_fit` of a robot whose motors or board answer otherwise than simulated."""
+"""Start of the `motor_fit` of a robot whose motors or board respond differently than simulated."""
 LEAST_RATE = 0.01
 """Lowest rate of ticks and policy steps [Hz], which bounds the simulated time of a step."""
-
 MAX_ENCODER_SAMPLES = 2_000
 """Most encoder readings that the simulated firmware stores for averaging."""
 
@@ -48,43 +51,44 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
     """Return the ratio of two rates.
 
     Args:
-        fast_name: name of the faster rate, for the message.
-        fast: [Hz].
-        slow_name: name of the slower rate, for the message.
-        slow: [Hz].
+        fast_name: Name of the faster rate, for the message.
+        fast: The faster rate [Hz].
+        slow_name: Name of the slower rate, for the message.
+        slow: The slower rate [Hz].
 
     Returns:
         fast / slow as an int.
 
     Raises:
-        ConfigError: it isn't an integer of at least 1, or `slow` is below 0.01 Hz.
+        ConfigError: The ratio isn't an integer of at least 1, or `slow` is below 0.01 Hz.
     """
-    try:
-        texts = isinstance(fast, str | bytes) or isinstance(
-            slow, str | bytes
-        )  # float() parses them
-        ratio = math.nan if texts else float(fast) / float(slow)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        ratio = math.nan
+    ratio = math.nan
+    # float() also parses text, which isn't a rate.
+    if not isinstance(fast, str | bytes) and not isinstance(slow, str | bytes):
+        with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, OverflowError):
+            ratio = float(fast) / float(slow)
     if not ratio > 0.0:
         raise ConfigError(f"{slow_name} = {show_value(slow)}: must be a positive number of Hz")
     if slow < LEAST_RATE:
         raise ConfigError(f"{slow_name} = {slow:g} Hz: must be at least {LEAST_RATE:g} Hz")
-    whole = round(min(ratio, 1e9))
-    if whole < 1 or not math.isclose(ratio, whole, rel_tol=1e-9):
+
+    nearest = round(min(ratio, 1e9))
+    if nearest < 1 or not math.isclose(ratio, nearest, rel_tol=1e-9):
         raise ConfigError(
             f"{fast_name} = {fast:g} Hz: must be a whole multiple of {slow_name} = {slow:g} Hz"
         )
-    return whole
+    return nearest
 
 
 BAUD_RATES = (9600, 19200, 38400, 57600, 115200)
-LINE_BYTES = 33  # length of a full line with CR LF, without the optional trailing comma [bytes]
-BITS_PER_BYTE = 10  # 8N1: a start bit, eight data bits, a stop bit
+LINE_BYTES = 33
+"""Length of a full line with CR LF, without the optional trailing comma [bytes]."""
+BITS_PER_BYTE = 10
+"""Format 8N1: a start bit, eight data bits, a stop bit."""
 
 
 def validate_baud_rate(value: int) -> int:
-    """Return the baud rate; ValueError for rates that boards don't use."""
+    """Return the baud rate. Raises ValueError for rates that boards don't use."""
     if value not in BAUD_RATES:
         raise ValueError(f"must be one of {', '.join(map(str, BAUD_RATES))}")
     return value
@@ -92,78 +96,65 @@ def validate_baud_rate(value: int) -> int:
 
 CONTACT_PATCH = 0.01
 """Size of the contact patch of a wheel, which the default footprint contains [m]."""
-USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
-"""Rates that error messages suggest [Hz]."""
-SIMULATION_SECTIONS = (
-    "motor",
-    "encoder",
-    "firmware",
-    "body",
-    "measured",
-    "motor_fit",
-    "motor_fit_logs",
-)
-"""Sections that the robot's own driver doesn't have: for the simulation only, or about it."""
-
-
-MOST_LENGTHS = {
-    "wheel_radius": (0.005, 1.0),
-    "wheel_separation": (0.02, 10.0),
-    "wheelbase": (0.02, 10.0),
+HINTS = {
+    "wheel_base": "write wheel_separation for the distance between left and right wheels, or "
+    "wheelbase for that between the axles",
+    "wheel_diameter": "write wheel_radius, half of it",
+    "wheel_track": "write wheel_separation",
+    "track_width": "write wheel_separation",
+    "robot_radius": "write footprint, the corners around it",
 }
-"""Least and largest sizes of robots on four wheels [m]; loaders in mines have the largest."""
-LIDAR_OFFSETS = ("lidar_x_offset", "lidar_y_offset", "lidar_z_offset")
-MOST_RADII = 50.0  # tracks and wheelbases are at most as many wheel radii long
-MOST_TRACKS = 20.0  # a robot reaches from its middle at most as many times its track or wheelbase
+"""What to write instead of fields of other programs, some of which call the track wheel_base."""
 
 
 class RobotConfig(Section):
-    """One robot: geometry, serial link, limits, and simulation. Units: m, m/s and rad/s.
+    """A robot: geometry, serial link, limits, and simulation. Units: m, m/s and rad/s.
 
-    Speeds are at most 1,000, rates 10,000 Hz, times 1 h, and lengths those of robots: wheels of 5
-    mm to 1 m in radius, a track and a wheelbase of 2 cm to 10 m.
+    Speeds are at most 1,000, rates 10,000 Hz, times 1 h and lengths 100 m, and wheels have a radius
+    of 5 mm to 1 m.
     """
 
     hints: ClassVar[Mapping[str, str]] = HINTS
 
-    wheel_radius: Length = 0.05
-    """Radius of the wheels [m]."""
+    wheel_radius: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    """Radius of the wheels [m]. A number in centimetres is out of range."""
     wheel_separation: Length = 0.3
     """Distance between the centres of left and right wheels [m]."""
     wheelbase: Length = 0.22
-    """Distance between the front and the rear axle [m]; used by the simulation."""
-    wheel_separation_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Factor for skidding, as in ROS diff_drive_controller; with equal wheel loads
+    """Distance between the front and the rear axle [m], used by the simulation."""
+    wheel_separation_multiplier: Factor = 1.0
+    """Factor for skidding, as in ROS diff_drive_controller. With equal wheel loads it is
     1 + (wheelbase / wheel_separation)^2."""
-    left_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    left_wheel_radius_multiplier: Factor = 1.0
     """Factor from `wheel_radius` to the radius of the left wheels, as in ROS
-    diff_drive_controller; driver and simulation use both."""
-    right_wheel_radius_multiplier: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    diff_drive_controller. Driver and simulation use both factors."""
+    right_wheel_radius_multiplier: Factor = 1.0
     """Factor from `wheel_radius` to the radius of the right wheels."""
     name: Name = ""
     """Name of the robot in the files of policies and in datasets."""
     serial_port: Name | None = None
     """Device that `open_link("serial", config)` opens."""
     baud_rate: Annotated[int, AfterValidator(validate_baud_rate)] = 115200
-    """Baud rate [bit/s]; 8N1, no flow control."""
+    """Baud rate [bit/s]. The format is 8N1, without flow control."""
     trailing_comma: bool = True
-    """Send a comma after the last motor, as the robot's own driver does; some boards take a value
-    only at its comma."""
+    """Send a comma after the last motor, as the robot's own driver does. Some boards use a value
+    only after its comma."""
     control_rate: Rate = 100.0
-    """Ticks per second [Hz]; one command line per tick."""
+    """Ticks per second [Hz]. Each tick sends a command line."""
     late_after: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
-    """A tick is late that ends more than this share of a control period after its deadline. Drives
-    and their odometry don't tell less (`pytest -s -m slow tests/links/test_lateness.py`)."""
+    """A tick is late if it ends more than this share of a control period after its deadline. A
+    smaller delay has no measurable effect on drives and their odometry
+    (`pytest -s -m slow tests/links/test_lateness.py`)."""
     connect_timeout: Wait = 5.0
-    """Longest wait for the first valid line after opening [s]; AVR boards reset on open."""
+    """Longest wait for the first valid line after opening [s]. AVR boards reset when they are
+    opened."""
     reconnect_timeout: Annotated[float, Field(ge=0.0, le=3600.0)] = 10.0
     """Longest wait at the next activation for a lost port to come back [s]."""
     feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
     watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
-    """Where the driving process gave no sign of life for this time while wheels turn, as it hangs,
-    the watchdog process sends zero commands [s], 0.01 to 60; it does so at once where the process
-    died. None: no watchdog."""
+    """If the driving process hangs for this time while wheels turn, the watchdog process sends zero
+    commands [s], 0.01 to 60. If the process died, it does so at once. None: no watchdog."""
     wheel_check: bool = True
     """Stop a real robot with an error that names the wheel if measured wheel speeds contradict the
     commands."""
@@ -172,18 +163,18 @@ class RobotConfig(Section):
     max_angular: Speed = 1.5
     """Angular speed of a full action, and limit of all commands [rad/s]."""
     max_wheel_speed: Speed = 30.0
-    """Limit of wheel speeds [rad/s]; all four are scaled, which keeps the turning radius."""
+    """Limit of wheel speeds [rad/s]. All four are scaled, which keeps the turning radius."""
     linear_limits: Annotated[LinearLimits, default_acceleration(LINEAR_ACCELERATION)] = (
         LinearLimits(max_acceleration=LINEAR_ACCELERATION)
     )
-    """Limits of the commanded linear velocity, in simulation and on hardware; `max_acceleration` is
-    2 m/s^2 by default, and null means none."""
+    """Limits of the commanded linear velocity, in simulation and on hardware. `max_acceleration` is
+    2 m/s^2 by default, and null means no limit."""
     angular_limits: Annotated[AngularLimits, default_acceleration(ANGULAR_ACCELERATION)] = (
         AngularLimits(max_acceleration=ANGULAR_ACCELERATION)
     )
-    """Limits of the commanded angular velocity; `max_acceleration` is 8 rad/s^2 by default."""
+    """Limits of the commanded angular velocity. `max_acceleration` is 8 rad/s^2 by default."""
     geofence: Geofence | None = None
-    """Area that the robot may not leave, by odometry; None for no limit."""
+    """Area that the robot may not leave, by odometry. None: no limit."""
     odom_frame: Name = "odom"
     """Name of the odometry frame in recordings."""
     base_frame: Name = "base_link"
@@ -198,20 +189,15 @@ class RobotConfig(Section):
     """z of the LiDAR in the base frame [m], up."""
     lidar_yaw: Annotated[float, Field(ge=-2.0 * math.pi, le=2.0 * math.pi)] | None = None
     """Direction of a real LiDAR's zero, counter-clockwise from the robot's x axis [rad]. None: 0
-    for a LiDAR on a serial port; a LiDAR in ROS then needs a transform on /tf_static."""
+    for a LiDAR on a serial port, while a LiDAR in ROS needs a transform on /tf_static."""
     footprint: Corners | None = None
-    """Footprint for collisions: polygon of 3 to 100 corners (x, y) in order, in the base frame [m],
-    with the origin inside. A list, or a string like "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]".
-    None: the rectangle around body and wheels."""
-    wheel_joints: JointNames = (
-        "front_right_wheel_joint",
-        "front_left_wheel_joint",
-        "rear_left_wheel_joint",
-        "rear_right_wheel_joint",
-    )
+    """Footprint for collisions: convex polygon of 3 to 100 corners (x, y) in order, in the base
+    frame [m], with the origin inside. A list, or a string like
+    "[[0.2, 0.1], [-0.2, 0.1], [0.0, -0.2]]". None: the rectangle around body and wheels."""
+    wheel_joints: Annotated[JointNames, BeforeValidator(list_joints)] = WHEEL_JOINTS
     """Names of the joints of the wheels a, b, c, d in ROS."""
     wheels: WheelsConfig = WheelsConfig()
-    """Letters and signs of motors and encoders, where the board is wired differently."""
+    """Letters and signs of motors and encoders, if the board is wired differently."""
     ros2: Ros2Config = Ros2Config()
     """Names and topics of a robot that is in ROS 2, for the link "ros2"."""
     motor: MotorConfig = MotorConfig()
@@ -229,14 +215,14 @@ class RobotConfig(Section):
     "motor.time_constant.a" or "firmware.command_delay". Randomization can take its ranges from
     them."""
     motor_fit: Name = ""
-    """Whether motors and board answer as simulated: "fits", or "doesn't fit: " and in which way, as
-    `acsar-gym identify` found; empty: nobody looked."""
+    """Whether motors and board respond as simulated, by `acsar-gym identify`: "fits", or
+    "doesn't fit: " and the difference. Empty: it wasn't checked."""
     motor_fit_logs: LogHashes = ()
-    """What that was found from: first 16 hex digits of the SHA-256 of each log."""
+    """Logs from which `motor_fit` was found: first 16 hex digits of the SHA-256 of each log."""
 
     def __hash__(self) -> int:
-        fields = [getattr(self, name) for name in type(self).model_fields if name != "measured"]
-        return hash((*fields, frozenset(self.measured.items())))
+        """Hash some fields, since `measured` has no hash."""
+        return hash((self.name, self.wheel_radius, self.wheelbase, self.max_linear, self.motor))
 
     @model_validator(mode="after")
     def _measured_fields_exist(self) -> Self:
@@ -245,46 +231,16 @@ class RobotConfig(Section):
         return self
 
     @model_validator(mode="after")
-    def _is_as_large_as_robots_are(self) -> Self:
-        """Check lengths, alone and against each other, as some are meant in centimetres."""
-        for name, (least, most) in MOST_LENGTHS.items():
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise _not_in_metres(name, value, f"{least:g} to {most:g} m")
-        for name in ("wheel_separation", "wheelbase"):
-            value, most = getattr(self, name), MOST_RADII * self.wheel_radius
-            if value > most:
-                allowed = f"at most {most:g} m with wheels of {self.wheel_radius:g} m"
-                raise _not_in_metres(name, value, allowed)
-        body, most = self.body, MOST_TRACKS * max(self.wheel_separation, self.wheelbase)
-        lengths = {
-            **{f"body.{name}": getattr(body, name) for name in ("length", "width", "height")},
-            "footprint's reach": outline_radius(self.footprint) if self.footprint else 0.0,
-            **{name: getattr(self, name) for name in LIDAR_OFFSETS},
-        }
-        for name, value in lengths.items():
-            if abs(value) > most:
-                allowed = f"at most {most:g} m with a track of {self.wheel_separation:g} m"
-                raise _not_in_metres(name, value, allowed)
-        return self
-
-    @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:
         """Check that the baud rate can carry the lines of the control and feedback rates."""
         line = LINE_BYTES + self.trailing_comma
         lines = self.baud_rate / (BITS_PER_BYTE * line)
-        for field, rate in (
-            ("control_rate", self.control_rate),
-            ("firmware.feedback_rate", self.feedback_rate),
-        ):
+        rates = {"control_rate": self.control_rate, "firmware.feedback_rate": self.feedback_rate}
+        for field, rate in rates.items():
             if rate > lines:
-                enough = [b for b in BAUD_RATES if b >= rate * BITS_PER_BYTE * line]
-                hint = f"baud_rate {enough[0]} or more, or " if enough else ""
-                loop = self.firmware.loop_rate
-                fits = max((r for r in USUAL_RATES if r <= lines and loop % r == 0), default=1.0)
                 raise ConfigError(
                     f"baud_rate = {self.baud_rate}: carries {int(lines)} lines of {line} bytes a "
-                    f"second, {field} needs {rate:g}; use {hint}{field} = {fits:g} or less"
+                    f"second, {field} needs {rate:g}; use a higher baud_rate, or a lower {field}"
                 )
         return self
 
@@ -292,8 +248,8 @@ class RobotConfig(Section):
     def _rates_fit(self) -> Self:
         """Check that the rates are integer multiples, and time-out and averaging window fit."""
         loop = self.firmware.loop_rate
+        rate = self.feedback_rate
         whole_ratio("firmware.loop_rate", loop, "control_rate", self.control_rate)
-        rate, samples = self.feedback_rate, self.encoder.window * loop
         if rate > loop:
             raise ConfigError(
                 f"firmware.feedback_rate = {rate:g} Hz: must be at most "
@@ -304,17 +260,20 @@ class RobotConfig(Section):
                 f"feedback_timeout = {self.feedback_timeout:g} s: must be at least one and a half "
                 f"periods of the feedback at {rate:g} Hz"
             )
-        if not 1.0 - 1e-9 <= samples <= MAX_ENCODER_SAMPLES:
+
+        window = self.encoder.window
+        if not 1.0 - 1e-9 <= window * loop <= MAX_ENCODER_SAMPLES:
             raise ConfigError(
-                f"encoder.window = {self.encoder.window:g} s: must be 1 to "
-                f"{MAX_ENCODER_SAMPLES:,} periods of firmware.loop_rate ({1.0 / loop:g} s)"
+                f"encoder.window = {window:g} s: must be 1 to {MAX_ENCODER_SAMPLES:,} periods of "
+                f"firmware.loop_rate ({1.0 / loop:g} s)"
             )
         return self
 
     @model_validator(mode="after")
     def _commanded_joints_are_the_wheels(self) -> Self:
-        """Check that each joint of the array of wheel speeds is a wheel's, and none is missing."""
-        commanded, joints = self.ros2.command_joints, self.ros_joints
+        """Check that the array of wheel speeds has the joint of each wheel once."""
+        commanded = self.ros2.command_joints
+        joints = self.ros_joints
         if commanded is not None and sorted(commanded) != sorted({*joints}):
             raise ConfigError(
                 f"ros2.command_joints = {show_value([*commanded])}: must be the wheels' joints, "
@@ -324,37 +283,36 @@ class RobotConfig(Section):
 
     @property
     def ros_joints(self) -> JointNames:
-        """Joints of the wheels a, b, c, d in ROS 2; of two wheels, that of the side."""
+        """Joints of the wheels a, b, c, d in ROS 2. Two wheels have the joint of a side twice."""
         return self.ros2.joints or self.wheel_joints
 
     @property
     def has_two_wheels(self) -> bool:
-        """Whether one joint stands for each side in ROS 2, so that b and c, and a and d are one."""
+        """Whether ROS 2 has a single joint for each side, which b and c, and a and d share."""
         return len({*self.ros_joints}) == 2
 
     def check_four_wheels(self) -> None:
         """Raise ConfigError for a robot with two driven wheels, which only ROS 2 drives."""
         if self.has_two_wheels and self.ros2.only is not False:
-            right, left = self.ros_joints[:2]
+            joints = ", ".join(self.ros_joints[:2])
             raise ConfigError(
-                f"this robot has two driven wheels ({right}, {left}): only robots with four "
+                f"this robot has two driven wheels ({joints}): only robots with four "
                 "driven wheels that skid are simulated or driven over a serial port; --link ros2 "
                 "drives it"
             )
 
     def check_simulated(self) -> None:
-        """Raise ConfigError for a robot that can't be simulated, but driven in ROS 2."""
+        """Raise ConfigError for a robot that can only be driven in ROS 2, not simulated."""
         self.check_four_wheels()
         if self.ros2.only:
             raise ConfigError(
-                "no file says the wheelbase of this robot, so it can't be simulated: give its "
-                "URDF, too (URDF,FILE), or set wheelbase, and ros2.only to false; --link ros2 "
-                "drives it"
+                "no file has the wheelbase of this robot, so only --link ros2 drives it; for a "
+                f"simulation, {SIX_NUMBERS}"
             )
 
     @property
     def misfit(self) -> str:
-        """One line that says how motors or board answer otherwise than simulated; empty if not."""
+        """A line about how motors or board respond differently than simulated, or empty."""
         fit = self.motor_fit
         return f"this robot's simulation {fit}" if fit.startswith(MISFIT) else ""
 
@@ -380,7 +338,7 @@ class RobotConfig(Section):
 
     @property
     def late_tick(self) -> float:
-        """How long after its deadline a tick has ended that is just not late [s]."""
+        """Time after its deadline from which a tick is late [s]."""
         return self.late_after * self.period
 
     @property
@@ -393,8 +351,11 @@ class RobotConfig(Section):
     @property
     def wheel_radii(self) -> tuple[float, float]:
         """Radius of the left wheels, and of the right ones [m]."""
-        left, right = self.left_wheel_radius_multiplier, self.right_wheel_radius_multiplier
-        return self.wheel_radius * left, self.wheel_radius * right
+        radius = self.wheel_radius
+        return (
+            radius * self.left_wheel_radius_multiplier,
+            radius * self.right_wheel_radius_multiplier,
+        )
 
     @property
     def effective_separation(self) -> float:
@@ -403,25 +364,25 @@ class RobotConfig(Section):
 
     @property
     def twist_geometry(self) -> tuple[float, float, float]:
-        """Left and right radius and separation by which a controller in ROS 2 takes twists [m]."""
-        left, right = self.ros2.wheel_radii or self.wheel_radii
-        return left, right, self.ros2.wheel_separation or self.effective_separation
+        """Left and right radius and separation by which a controller converts twists [m]."""
+        separation = self.ros2.wheel_separation or self.effective_separation
+        return *(self.ros2.wheel_radii or self.wheel_radii), separation
 
     def with_(self, **changes: Any) -> RobotConfig:
         """Return a validated copy with changed fields.
 
         Args:
-            **changes: new values; a dict changes single fields of a section, but `measured` is
-                replaced as a whole.
+            **changes: New values. A dict changes single fields of a section, except for `measured`,
+                which is replaced as a whole.
 
         Raises:
-            ConfigError: for unknown fields and bad values.
+            ConfigError: A field is unknown, or a value is bad.
         """
         fields = self.model_dump()
         for name, value in changes.items():
-            section = isinstance(fields.get(name), dict) and name != "measured"
-            nested = isinstance(value, dict) and section
-            fields[name] = {**fields[name], **value} if nested else value
+            is_section = isinstance(fields.get(name), dict) and name != "measured"
+            is_nested = is_section and isinstance(value, dict)
+            fields[name] = fields[name] | value if is_nested else value
         return RobotConfig(**fields)
 
     def save(
@@ -434,57 +395,53 @@ class RobotConfig(Section):
     ) -> None:
         """Write a YAML file that `load` reads back: the geometry, and what isn't the default.
 
-        In a robot's file that exists, only the values that differ are changed: its comments and
-        all other lines stay.
+        In a robot's file that exists, only the values that differ are changed. Other values and
+        comments stay, except for comments inside braces or brackets that go over several lines.
 
         Args:
-            path: the file, .yaml or .yml.
-            remarks: comments to write above fields, by their names.
-            outdated: remarks of earlier savings to remove from the file.
-            force: replace a file that isn't a robot's.
+            path: The file, .yaml or .yml.
+            remarks: Comments to write above fields, by their names.
+            outdated: Remarks of earlier calls to remove from the file.
+            force: Replace a file that isn't a robot's.
 
         Raises:
-            ConfigError: it can't be written, has another suffix, or exists and isn't a robot's.
+            ConfigError: It can't be written, has another suffix, or exists and isn't a robot's.
         """
         from acsar_gym.config import saving  # noqa: PLC0415 - only saving needs the YAML writer
 
         saving.save_robot(self, path, remarks or {}, outdated, force=force)
 
     @classmethod
-    def load(cls, path: str | Path, *more: str | Path) -> RobotConfig:
-        """Return the robot that a file describes, or several files together.
+    def load(cls, path: str | Path) -> RobotConfig:
+        """Return the robot that a file describes.
 
         Args:
-            path: a `.yaml` file of this package, a `.urdf` file (its `<ros2_control>` parameters,
-                links and joints), or a file of ROS parameters: those of a diff_drive_controller or
-                JointGroupVelocityController, "controllers.yaml:base_drive" where it has several, or
-                nav2's footprint. In a URDF of the robot's own driver, no baud_rate means 9600 baud,
-                and by default a control_rate of 20 Hz.
-            *more: further files of the same robot; a later one counts more.
+            path: A `.yaml` file of this package, a `.urdf` file of the robot's own driver (the
+                parameters in its `<ros2_control>` block, of which a missing baud_rate means 9600
+                baud at a control_rate of 20 Hz), or a ROS parameter file with a
+                diff_drive_controller.
 
         Raises:
-            ConfigError: a file is missing or malformed, holds a bad value, or isn't of a robot with
-                four driven wheels that skid, or two in ROS; or they don't say how large it is.
+            ConfigError: The file is missing or malformed, has a bad value, or is of another kind.
         """
         from acsar_gym.config import files  # noqa: PLC0415 - only loading needs the parsers
 
-        for file in (path, *more):
-            if not isinstance(file, str | Path):
-                raise ConfigError(f"path = {show_value(file)}: must be a file's name")
-        params = [name for name in cls.model_fields if name not in SIMULATION_SECTIONS]
-        fields = files.read_fields((path, *more), params)
+        if not isinstance(path, str | Path):
+            raise ConfigError(f"path = {show_value(path)}: must be a file's name")
         try:
-            return cls(**fields)
+            return cls(**files.read_fields(Path(path), cls.model_fields))
         except ConfigError as error:
-            names = ",".join(str(Path(file)) for file in (path, *more))
-            raise ConfigError(f"{names}: {error}") from error
+            raise ConfigError(f"{path}: {error}") from error
 
     @classmethod
     def preset(cls, name: str) -> RobotConfig:
-        """Return a robot that comes with the package; ConfigError where there is no such preset.
+        """Return a robot of this package.
 
         Args:
-            name: such as "acsar".
+            name: Such as "acsar".
+
+        Raises:
+            ConfigError: There is no such preset.
         """
         from acsar_gym.config import files  # noqa: PLC0415
 
@@ -495,12 +452,11 @@ class RobotConfig(Section):
         """Return the config that a value of an env's `robot` argument means.
 
         Args:
-            robot: a config, a mapping of fields, a file, the name of a preset, the number of a
-                robot drawn at random, such as "drawn:17", or None for acsar. Files of ROS
-                parameters may follow, separated by commas: "robot.urdf,controllers.yaml".
+            robot: A config, a mapping of fields, a file, the name of a preset, the number of a
+                robot drawn at random, such as "drawn:17", or None for acsar.
 
         Raises:
-            ConfigError: for other types, and see `load` and `preset`.
+            ConfigError: The value has another type. See `load` and `preset` for other reasons.
         """
         if isinstance(robot, RobotConfig):
             return robot
@@ -508,45 +464,35 @@ class RobotConfig(Section):
             return cls.model_validate(dict(robot))
         if robot is None:
             return cls.preset("acsar")
-        if isinstance(robot, list | tuple):
-            raise ConfigError(f"robot: {MANY_ROBOTS}, such as the first of them")
-        if not isinstance(robot, str | Path):
-            raise ConfigError(
-                f"robot = {show_value(robot)}: must be a RobotConfig, its fields, a "
-                "preset or a file"
-            )
-        from acsar_gym.config import drawn, files  # noqa: PLC0415 - NumPy, and the parsers
-
-        numbers = drawn.parse_numbers(robot) if isinstance(robot, str) else None
-        if numbers is not None:
-            first = f"{drawn.PREFIX}{numbers[0]}"
-            if len(numbers) > 1:
-                raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}, such as {first!r}")
-            return cls.model_validate(drawn.draw_robot(numbers[0]))
         if isinstance(robot, Path):
             return cls.load(robot)
-        return cls.load(*files.find_parts(robot))
+        if not isinstance(robot, str):
+            many = isinstance(robot, list | tuple)
+            must = MANY_ROBOTS if many else "must be a RobotConfig, its fields, a preset or a file"
+            raise ConfigError(f"robot = {show_value(robot)}: {must}")
+        from acsar_gym.config import drawn, files  # noqa: PLC0415 - NumPy, and the parsers
 
-
-def _not_in_metres(name: str, value: float, allowed: str) -> ConfigError:
-    """Return the error for a length that no robot has."""
-    return ConfigError(
-        f"{name} = {value:g}: must be {allowed}; lengths are in metres, not cm or mm"
-    )
+        numbers = drawn.parse_numbers(robot)
+        if numbers is None:
+            return cls.load(files.find_file(robot))
+        if len(numbers) > 1:
+            first = f"{drawn.PREFIX}{numbers[0]}"
+            raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}, such as {first!r}")
+        return cls.model_validate(drawn.draw_robot(numbers[0]))
 
 
 RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
-"""Type of an env's `robot` argument; see `RobotConfig.of`."""
+"""Type of an env's `robot` argument. See `RobotConfig.of`."""
 
 
 def hash_config(config: RobotConfig) -> str:
-    """Return the SHA-256 of a robot's whole config, in hexadecimal; the order of fields is free."""
+    """Return the SHA-256 of a robot's config in hexadecimal. The order of fields doesn't matter."""
     return _hash_data(config.model_dump(mode="json"))
 
 
 def hash_calibration(config: RobotConfig) -> str | None:
-    """Return the SHA-256 of a robot's measured intervals; None where nothing was measured."""
-    measured = config.model_dump(mode="json", include={"measured"})["measured"]
+    """Return the SHA-256 of a robot's measured intervals, None if it has none."""
+    measured = config.model_dump(mode="json")["measured"]
     return _hash_data(measured) if measured else None
 
 

@@ -1,7 +1,4 @@
-"""Sections of the configuration.
-
-Frozen, validated, one exception for bad values; types of fields.
-"""
+"""The base class of sections, which are frozen and validated, and the types of their fields."""
 
 from __future__ import annotations
 
@@ -22,11 +19,12 @@ from pydantic_core import PydanticCustomError
 
 from acsar_gym.errors import ConfigError, show_value, suggest_name
 
-MAX_PROBLEMS = 10  # most problems that one message lists
+MAX_PROBLEMS = 10
+"""Most problems that an error message lists."""
 
 
 class Section(BaseModel):
-    """A section of the config; unknown fields and bad values raise ConfigError."""
+    """A section of the config. Unknown fields and bad values raise ConfigError."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     section: ClassVar[str] = ""
@@ -42,28 +40,15 @@ class Section(BaseModel):
             return handler(data)
         except ValidationError as error:
             problems = error.errors(include_url=False, include_context=False)
-            if (strange := cls._describe_stranger(data)) is not None:
-                raise ConfigError(strange) from error
             lines = [cls._describe_problem(item) for item in problems[:MAX_PROBLEMS]]
             if len(problems) > MAX_PROBLEMS:
                 lines.append(f"and {len(problems) - MAX_PROBLEMS:,} more")
             raise ConfigError("; ".join(lines)) from error
 
     @classmethod
-    def _describe_stranger(cls, data: Any) -> str | None:
-        """What to say of several fields of which this section has none; None for others."""
-        if not isinstance(data, Mapping) or len(data) < 2 or cls.model_fields.keys() & data.keys():
-            return None
-        fields = ", ".join([*cls.model_fields][:4])
-        return (
-            f"unknown field {str(next(iter(data)))[:40]!r}, and none of the {len(data):,} is known "
-            f"here: {fields}, ..."
-        )
-
-    @classmethod
     def _describe_problem(cls, item: Any) -> str:
-        """Field, value and allowed range of one of pydantic's errors."""
-        path = [str(part)[:40] for part in item["loc"]]
+        """Field, value and allowed range of an error of pydantic."""
+        path = [str(name)[:40] for name in item["loc"]]
         field = ".".join([cls.section, *path] if cls.section else path)
         if item["type"] == "missing":
             return f"{field!r} is missing"
@@ -77,24 +62,30 @@ class Section(BaseModel):
         return f"{field} = {show_value(item['input'])}: {must}{allowed}"
 
 
-Length = Annotated[float, Field(gt=0.0, le=100.0)]  # [m]
+Factor = Annotated[float, Field(gt=0.0, le=100.0)]
+Length = Factor  # [m]
 Offset = Annotated[float, Field(ge=-100.0, le=100.0)]  # [m]
 Speed = Annotated[float, Field(gt=0.0, le=1e3)]  # [m/s] or [rad/s]
 Rate = Annotated[float, Field(gt=0.0, le=1e4)]  # [Hz]
 Wait = Annotated[float, Field(gt=0.0, le=3600.0)]  # [s], at most 1 h
 Name = Annotated[str, Field(max_length=1000)]
-Delay = Annotated[float, Field(ge=0.0, le=1.0)]  # [s], at most 1 s
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Delay = Share  # [s], at most 1 s
 PerWheel = float | tuple[float, float, float, float]
 """A number for all wheels, or four in the order a, b, c, d."""
 
 
 def value_of_wheel(value: PerWheel, wheel: int) -> float:
-    """Return the number of one wheel, 0 to 3 for a to d."""
+    """Return the number of a wheel, 0 to 3 for a to d."""
     return value[wheel] if isinstance(value, tuple) else value
 
 
 def per_wheel(bounds: Any) -> WrapValidator:
-    """Return a validator of `PerWheel` fields, whose numbers have bounds: a pydantic `Field`."""
+    """Return a validator of `PerWheel` fields.
+
+    Args:
+        bounds: Limits of each number, a pydantic `Field`.
+    """
     adapter: TypeAdapter[float] = TypeAdapter(
         Annotated[float, bounds], config={"allow_inf_nan": False}
     )

@@ -1,4 +1,4 @@
-"""The sections of a robot's configuration: board, wiring, body, LiDAR, ROS 2, limits, intervals."""
+"""Sections of a robot's configuration: board, wiring, body, LiDAR, ROS 2, limits, intervals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple, Self, get_args
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -26,11 +26,13 @@ from pydantic import (
 
 from acsar_gym.config.section import (
     Delay,
+    Factor,
     Length,
     Name,
     PerWheel,
     Rate,
     Section,
+    Share,
     Speed,
     Wait,
     per_wheel,
@@ -38,31 +40,51 @@ from acsar_gym.config.section import (
 )
 from acsar_gym.errors import ConfigError
 
+GEOMETRY_FIELDS = (
+    "wheel_radius",
+    "wheel_separation",
+    "wheelbase",
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
+"""Fields that a robot's file always has. ROS's diff_drive_controller uses the same names."""
+SIX_NUMBERS = (
+    "write wheel_radius, wheel_separation, wheelbase, wheel_separation_multiplier, max_linear and "
+    "max_angular into a YAML file, and give that"
+)
+"""What to do about a robot in any file that isn't read."""
+MANY_ROBOTS = "a fleet is for a batch of robots (make_vec); give one robot here"
+
+
+Distance = Annotated[float, Field(ge=0.0, le=1e3)]
+
 
 class LidarConfig(Section):
-    """The LiDAR and how its scans are used; its position is lidar_x/y/z_offset of the robot."""
+    """The LiDAR and how its scans are used. The robot's lidar_x/y/z_offset are its position."""
 
     section = "lidar"
     rays: Annotated[int, Field(gt=0, le=10_000)] = 64
-    """Rays of an observation; each has the range between the two measurements next to it in
-    direction."""
+    """Rays of an observation. The range of a ray is interpolated between the two measurements next
+    to it in direction."""
     field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
-    """Angle covered by the rays, centred on the x axis [rad]; a full turn has no duplicate ray."""
-    min_range: Annotated[float, Field(ge=0.0, le=1e3)] = 0.1
+    """Angle covered by the rays, centred on the x axis [rad]. A full turn has no duplicate ray."""
+    min_range: Distance = 0.1
     """Smaller measurements are set to this range [m]."""
     max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
     """Larger or failed measurements are set to this range [m], at most 1 km."""
     rate: Rate = 10.0
     """Scans per second [Hz], at most 10,000."""
-    noise: Annotated[float, Field(ge=0.0, le=1e3)] = 0.01
-    """Standard deviation of simulated ranges [m]; typical of hobby LiDARs at a few metres."""
+    noise: Distance = 0.01
+    """Standard deviation of simulated ranges [m]. The default is typical of hobby LiDARs at a few
+    metres."""
     bias: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
     """Added to all simulated ranges [m]."""
     dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     """Share of simulated measurements that fail."""
-    outliers: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-    """Share of simulated measurements at an edge that lie anywhere between what is before and what
-    is behind it, as the beam meets both."""
+    outliers: Share = 0.0
+    """Share of simulated measurements at an edge that lie anywhere between the surfaces in front of
+    it and behind it, since the beam meets both."""
     timeout: Wait = 1.0
     """A scan older than this is an error that stops the robot [s], at most 1 h."""
 
@@ -83,7 +105,7 @@ class LidarConfig(Section):
 
 
 class WheelMotor(NamedTuple):
-    """The motor values of one wheel; see `MotorConfig`."""
+    """Motor values of a single wheel. See `MotorConfig`."""
 
     gain: float
     acceleration: float
@@ -92,20 +114,21 @@ class WheelMotor(NamedTuple):
 
 
 class MotorConfig(Section):
-    """The motors and their speed control; values of single wheels as four numbers, a to d."""
+    """The motors and their speed control. Four numbers are values of the wheels a to d."""
 
     section = "motor"
     max_speed: Speed = 30.0
     """Largest wheel speed of the motors [rad/s], at most 1,000."""
     gain: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=100.0))] = 1.0
-    """Wheel speed for a set point of 1 rad/s, at most 100; a number, or four."""
+    """Wheel speed for a set point of 1 rad/s, at most 100. A number, or four."""
     acceleration: Annotated[PerWheel, per_wheel(Field(gt=0.0, le=1e6))] = 60.0
-    """Acceleration of the firmware's set point ramp [rad/s^2], at most 1e6; a number, or four."""
+    """Acceleration of the firmware's set point ramp [rad/s^2], at most 1e6. A number, or
+    four."""
     time_constant: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=100.0))] = 0.08
-    """Time constant of the first-order speed loop [s], at most 100; hobby motors have 0.05-0.2. A
+    """Time constant of the first-order speed loop [s], at most 100. Hobby motors have 0.05-0.2. A
     number, or four."""
     deadband: Annotated[PerWheel, per_wheel(Field(ge=0.0, le=1e3))] = 0.0
-    """Set points times gain below this don't turn the wheel [rad/s], at most 1,000; a number, or
+    """Set points times gain below this don't turn the wheel [rad/s], at most 1,000. A number, or
     four."""
 
     def of_wheel(self, wheel: int) -> WheelMotor:
@@ -127,9 +150,9 @@ class EncoderConfig(Section):
     """Counts per turn of the wheel, at most ten million."""
     window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
     """Averaging time of the feedback [s], at most 5 s and 2,000 loops of the firmware."""
-    quantum: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
-    """Printed speeds are rounded to multiples of this [rad/s], at most 100; None: not rounded, but
-    for the two decimals of a line."""
+    quantum: Factor | None = None
+    """Printed speeds are rounded to multiples of this [rad/s], at most 100. None: they are only
+    rounded to the two decimals of a line."""
 
 
 class FirmwareConfig(Section):
@@ -139,7 +162,7 @@ class FirmwareConfig(Section):
     loop_rate: Rate = 200.0
     """Rate of its control loop, and of the simulation's substeps [Hz], at most 10,000."""
     feedback_rate: Rate | None = None
-    """Feedback lines per second [Hz]; None: one per tick of the control rate."""
+    """Feedback lines per second [Hz]. None: as many as ticks of the control rate."""
     processing_time: Delay = 0.00125
     """Time from the last byte of a line to its effect, and from encoder to first byte [s], at most
     1 s."""
@@ -147,9 +170,9 @@ class FirmwareConfig(Section):
     """Further time from the last byte of a command to its effect [s], at most 1 s."""
     delay_samples: Annotated[tuple[Delay, ...], Field(max_length=1_000)] = ()
     """Measured delays of commands on top of `command_delay` [s], as quantiles of equal weight. Only
-    randomization uses them: each episode draws one."""
+    randomization uses them: each episode draws a delay."""
     command_timeout: Wait | None = 0.5
-    """Motors stop after this time without a valid command [s], at most 1 h; None: never."""
+    """Motors stop after this time without a valid command [s], at most 1 h. None: never."""
 
 
 class BodyConfig(Section):
@@ -164,7 +187,7 @@ class BodyConfig(Section):
     """Width of the footprint over the wheels, along y [m]."""
     height: Length = 0.12
     """Height of the top of the chassis above ground [m]."""
-    friction: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    friction: Factor = 1.0
     """Coulomb friction coefficient between tyre and ground, at most 100."""
     slip_speed: Speed = 0.005
     """Slip speed below which friction is proportional to slip [m/s], at most 1,000."""
@@ -181,7 +204,7 @@ WIRE_LETTERS = "abcd"
 Letter = Literal["a", "b", "c", "d"]
 Sign = Literal[1, -1]
 Speeds = tuple[float, float, float, float]
-Heard = tuple[float | None, float | None, float | None, float | None]
+ReportedSpeeds = tuple[float | None, float | None, float | None, float | None]
 
 
 class WheelConfig(Section):
@@ -189,13 +212,13 @@ class WheelConfig(Section):
 
     section = "wheels"
     motor: Letter
-    """Letter that commands it."""
+    """Letter that commands the motor."""
     motor_sign: Sign = 1
-    """-1 where a positive command turns it backward."""
+    """-1 if a positive command turns the wheel backward."""
     encoder: Letter
-    """Letter that reports its speed."""
+    """Letter that reports the wheel's speed."""
     sign: Sign = 1
-    """-1 where its encoder reports a forward turn as negative."""
+    """-1 if the encoder reports a forward turn as negative."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -204,33 +227,28 @@ class WheelConfig(Section):
         return handler(data)
 
 
-def _wheel(letter: Letter) -> BeforeValidator:
-    """Return a validator that sets missing letters of a wheel to its own."""
-    letters = {"motor": letter, "encoder": letter}
-    return BeforeValidator(lambda given: {**letters, **given} if isinstance(given, dict) else given)
-
-
 @dataclass(frozen=True, slots=True)
 class WheelLetters:
     """Which letter belongs to each wheel, for one direction of the wire.
 
     Attributes:
-        places: index of each wheel's letter, in the order of the wheels.
+        places: Index of each wheel's letter, in the order of the wheels.
         signs: 1.0 or -1.0 for each wheel.
     """
 
-    places: tuple[int, int, int, int]
-    signs: Speeds
+    places: tuple[int, ...]
+    signs: tuple[float, ...]
 
     def to_wire(self, speeds: Sequence[float]) -> Speeds:
         """Convert speeds of the wheels to those of the letters a, b, c, d [rad/s]."""
-        wire = [0.0, 0.0, 0.0, 0.0]
+        wire = [0.0] * 4
         for place, sign, speed in zip(self.places, self.signs, speeds, strict=True):
             wire[place] = sign * speed + 0.0  # no negative zero
-        return wire[0], wire[1], wire[2], wire[3]
+        a, b, c, d = wire
+        return a, b, c, d
 
-    def to_wheels(self, wire: Heard) -> Heard:
-        """Convert speeds of the letters to those of the wheels [rad/s]; None where one misses."""
+    def to_wheels(self, wire: ReportedSpeeds) -> ReportedSpeeds:
+        """Convert speeds of the letters to those of the wheels [rad/s]. None is a missing speed."""
         a, b, c, d = (
             None if (speed := wire[place]) is None else sign * speed + 0.0
             for place, sign in zip(self.places, self.signs, strict=True)
@@ -238,29 +256,41 @@ class WheelLetters:
         return a, b, c, d
 
 
+def _wire_wheel(letter: Letter) -> WheelConfig:
+    return WheelConfig(motor=letter, encoder=letter)
+
+
 class WheelsConfig(Section):
     """The wiring: letters and signs of each wheel's motor and encoder."""
 
     section = "wheels"
-    a: Annotated[WheelConfig, _wheel("a")] = WheelConfig(motor="a", encoder="a")
+    a: WheelConfig = _wire_wheel("a")
     """The front right wheel."""
-    b: Annotated[WheelConfig, _wheel("b")] = WheelConfig(motor="b", encoder="b")
+    b: WheelConfig = _wire_wheel("b")
     """The front left wheel."""
-    c: Annotated[WheelConfig, _wheel("c")] = WheelConfig(motor="c", encoder="c")
+    c: WheelConfig = _wire_wheel("c")
     """The rear left wheel."""
-    d: Annotated[WheelConfig, _wheel("d")] = WheelConfig(motor="d", encoder="d")
+    d: WheelConfig = _wire_wheel("d")
     """The rear right wheel."""
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _fill_letters(cls, wheel: Any, info: ValidationInfo) -> Any:
+        """Set missing letters of a wheel to its own."""
+        letter = info.field_name
+        usual = {"motor": letter, "encoder": letter}
+        return usual | wheel if isinstance(wheel, dict) else wheel
 
     @model_validator(mode="after")
     def _letters_are_used_once(self) -> Self:
         """Check that no letter belongs to two wheels."""
-        for part in ("motor", "encoder"):
-            used = Counter(getattr(wheel, part) for wheel in self.each)
-            twice = sorted(letter for letter, count in used.items() if count > 1)
-            if twice:
+        for device in ("motor", "encoder"):
+            letters = Counter(getattr(wheel, device) for wheel in self.each)
+            letter, count = max(letters.items(), key=lambda item: item[1])
+            if count > 1:
                 raise ConfigError(
-                    f"wheels: {part} {twice[0]} belongs to {used[twice[0]]} wheels: each letter "
-                    "must be used once"
+                    f"wheels: {device} {letter} belongs to {count} wheels: each letter must be "
+                    "used once"
                 )
         return self
 
@@ -271,52 +301,55 @@ class WheelsConfig(Section):
 
     @property
     def motors(self) -> WheelLetters | None:
-        """Letters of the commands; None where every wheel has its own, forward."""
+        """Letters of the commands. None if each wheel has its own letter, forward."""
         return _letters([(wheel.motor, wheel.motor_sign) for wheel in self.each])
 
     @property
     def encoders(self) -> WheelLetters | None:
-        """Letters of the feedback; None where every wheel has its own, forward."""
+        """Letters of the feedback. None if each wheel has its own letter, forward."""
         return _letters([(wheel.encoder, wheel.sign) for wheel in self.each])
 
 
-def _letters(named: Sequence[tuple[str, int]]) -> WheelLetters | None:
-    """Return the mapping of four wheels; None for the identity."""
-    if [letter for letter, sign in named if sign == 1] == list(WIRE_LETTERS):
+def _letters(wiring: Sequence[tuple[str, int]]) -> WheelLetters | None:
+    """Return the mapping of four wheels, None for the identity."""
+    if [letter for letter, sign in wiring if sign == 1] == list(WIRE_LETTERS):
         return None
-    a, b, c, d = (WIRE_LETTERS.index(letter) for letter, _ in named)
-    sa, sb, sc, sd = (float(sign) for _, sign in named)
-    return WheelLetters((a, b, c, d), (sa, sb, sc, sd))
+    letters, signs = zip(*wiring, strict=True)
+    return WheelLetters(tuple(map(WIRE_LETTERS.index, letters)), tuple(map(float, signs)))
 
 
 # ROS 2
 
 JointNames = tuple[Name, Name, Name, Name]
-"""Joints of the wheels a, b, c, d; where two stand for a side, each of them twice."""
+"""Joints of the wheels a, b, c, d. A robot with two driven wheels has the joint of a side twice."""
+WHEEL_JOINTS: JointNames = (
+    "front_right_wheel_joint",
+    "front_left_wheel_joint",
+    "rear_left_wheel_joint",
+    "rear_right_wheel_joint",
+)
 _TOPIC = re.compile("/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 def _topic(name: str) -> str:
-    """Return a name that ROS 2 allows; ValueError for others."""
+    """Return a name that ROS 2 allows. Raises ValueError for any other."""
     if not _TOPIC.fullmatch(name):
         raise ValueError("must be a topic, such as 'cmd_vel' or '/base/cmd_vel'")
     return name
 
 
 Topic = Annotated[str, Field(max_length=200), AfterValidator(_topic)]
-"""Relative to the link's namespace, but for names that begin with a slash."""
+"""Relative to the link's namespace, except for names that start with a slash."""
 
 
-def _name_joints(given: Any) -> Any:
-    """Return names in the order a, b, c, d; ValueError for what isn't four, or one of a side."""
-    if given is None:
+def list_joints(value: Any) -> Any:
+    """Return names in the order a, b, c, d. Raises ValueError if they aren't four, or two sides."""
+    if value is None:
         return None
-    if isinstance(given, Mapping):
-        if given.keys() == {"left", "right"}:
-            given = [given[side] for side in ("right", "left", "left", "right")]
-        elif given.keys() == set(WIRE_LETTERS):
-            given = [given[letter] for letter in WIRE_LETTERS]
-    names = [*given] if isinstance(given, list | tuple) else []
+    if isinstance(value, Mapping):
+        order = ("right", "left", "left", "right") if "left" in value else tuple(WIRE_LETTERS)
+        value = [value[key] for key in order] if value.keys() == {*order} else []
+    names = [*value] if isinstance(value, list | tuple) else []
     if len(names) != 4 or not all(isinstance(name, str) and name for name in names):
         raise ValueError("must be four names in the order a, b, c, d, or {left: NAME, right: NAME}")
     a, b, c, d = names
@@ -325,24 +358,21 @@ def _name_joints(given: Any) -> Any:
     return a, b, c, d
 
 
-Radius = Annotated[float, Field(gt=0.0, le=100.0)]
-
-
 class Ros2Config(Section):
-    """How a robot that is in ROS 2 is reached by the link "ros2"."""
+    """How the link "ros2" reaches a robot that is in ROS 2."""
 
     section = "ros2"
-    joints: Annotated[JointNames | None, BeforeValidator(_name_joints)] = None
+    joints: Annotated[JointNames | None, BeforeValidator(list_joints)] = None
     """Joints of the wheels in `joint_states`: four names in the order a, b, c, d, a mapping
-    {a, b, c, d}, or {left, right} where one joint stands for a side. None: `wheel_joints`."""
+    {a, b, c, d}, or {left, right} for a robot with two driven wheels. None: `wheel_joints`."""
     command: Literal["twist_stamped", "twist", "wheel_speeds"] | None = None
-    """What the robot takes: geometry_msgs/TwistStamped or Twist, or the wheels' speeds [rad/s] as
-    std_msgs/Float64MultiArray. None: as its subscription says."""
+    """Type of the commands: geometry_msgs/TwistStamped or Twist, or the wheels' speeds [rad/s] as
+    std_msgs/Float64MultiArray. None: the type that the robot subscribes to."""
     command_topic: Topic = "cmd_vel"
-    """Topic of the commands. Topics are relative to the link's namespace, but for those that begin
-    with a slash."""
+    """Topic of the commands. Topics are relative to the link's namespace, except for those that
+    start with a slash."""
     command_joints: tuple[Name, ...] | None = None
-    """Order of the joints in the array of wheel speeds; None: a, b, c, d."""
+    """Order of the joints in the array of wheel speeds. None: a, b, c, d."""
     joint_states_topic: Topic = "joint_states"
     """Topic of the measured wheels, sensor_msgs/JointState."""
     odom_topic: Topic = "odom"
@@ -350,77 +380,80 @@ class Ros2Config(Section):
     scan_topic: Topic = "scan"
     """Topic of the LiDAR `--lidar ros2`, sensor_msgs/LaserScan."""
     wheel_separation: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
-    """Separation by which the robot's controller turns twists into speeds of wheels, its multiplier
-    included [m]; None: that of the robot. `identify` finds it, and `calibrate` keeps it."""
-    wheel_radii: tuple[Radius, Radius] | None = None
-    """Likewise the radii of its left and its right wheels [m]."""
+    """Separation by which the robot's controller converts twists to speeds of wheels, its
+    multiplier included [m]. None: that of the robot. `identify` measures it, `calibrate` keeps
+    it."""
+    wheel_radii: tuple[Length, Length] | None = None
+    """Radii of the left and right wheels by which the controller converts twists [m]."""
     feedback: Literal["joint_states", "odom"] | None = None
-    """Where the wheels' speeds come from; None: `joint_states`, or `odom` where nobody publishes
-    those."""
+    """Source of the wheels' speeds. None: `joint_states`, or `odom` if no node publishes joint
+    states."""
     use_sim_time: bool | None = None
-    """Whether time is that of the topic /clock; None: where somebody publishes it."""
+    """Whether the topic /clock is the time. None: it is if a node publishes it."""
     only: bool | None = None
-    """Whether the robot can't be simulated, as it has two driven wheels, or nothing says its
-    wheelbase. None: where one joint stands for a side."""
+    """Whether the robot can't be simulated, since it has two driven wheels, or since no file has
+    its wheelbase. None: it can't if `joints` has a joint for each side."""
 
 
 # Limits
 
-LINEAR_ACCELERATION = 2.0  # default limit [m/s^2]; ROS configurations of mobile bases use 1 to 3
-ANGULAR_ACCELERATION = 8.0  # default limit [rad/s^2]
+LINEAR_ACCELERATION = 2.0
+"""Default limit [m/s^2]. ROS configurations of mobile bases use 1 to 3."""
+ANGULAR_ACCELERATION = 8.0
+"""Default limit [rad/s^2]."""
 
 
 def _not_zero(value: float) -> float:
-    """Return an acceleration; ValueError for zero, which would never let the robot go."""
+    """Return an acceleration. Raises ValueError for zero, with which the robot would never move."""
     if value == 0.0:
         raise ValueError("must not be 0")
     return value
 
 
+Increase = Annotated[float, Field(gt=0.0, le=1e6)]
+Decrease = Annotated[float, Field(ge=-1e6, lt=0.0)]
 AccelerationLimit = Annotated[float, Field(ge=-1e6, le=1e6), AfterValidator(_not_zero)]
-"""An acceleration whose sign follows from its name, so that it doesn't matter."""
+"""An acceleration whose direction follows from its name. Its sign doesn't matter."""
 
 
 class SpeedLimits(Section):
-    """Limits of one axis, with names and meaning of ROS diff_drive_controller; None is no limit.
+    """Limits of an axis, with names and meaning of ROS diff_drive_controller. None is no limit.
 
     Units are m/s or rad/s and their derivatives, at most 1e6. If a minimum is None, it is the
-    negative maximum. A twist of zero isn't limited, but sent at once. NaN is None, and so is a jerk
-    of 0, as in ROS.
+    negative maximum. A twist of zero isn't limited, but sent at once. NaN and a jerk of 0 are None,
+    as in ROS.
 
-    Accelerations have the names of Humble (`min_acceleration` limits braking, and speeding up
-    backward) or of Jazzy, which tells these two apart.
+    Accelerations have the names of Humble, in which `min_acceleration` limits braking and speeding
+    up backward, or the names of Jazzy, which distinguishes these two.
     """
 
     section = "limits"
     max_velocity: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
     """Forward or counter-clockwise."""
     min_velocity: Annotated[float, Field(ge=-1e6, le=0.0)] | None = None
-    """Backward or clockwise; not positive."""
-    max_acceleration: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
-    """Of a robot that speeds up forward, and in the names of Humble also of one that brakes
-    backward."""
-    min_acceleration: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
-    """Humble's; negative, and an error beside a name of Jazzy."""
+    """Backward or clockwise. Not positive."""
+    max_acceleration: Increase | None = None
+    """For speeding up forward, and in the names of Humble also for braking backward."""
+    min_acceleration: Decrease | None = None
+    """A name of Humble. Negative, and an error next to a name of Jazzy."""
     max_deceleration: AccelerationLimit | None = None
-    """Of a robot that goes forward; None: as `max_acceleration`."""
+    """For braking forward. None: as `max_acceleration`."""
     max_acceleration_reverse: AccelerationLimit | None = None
-    """Of a robot that goes backward; None: as `max_acceleration`."""
+    """For speeding up backward. None: as `max_acceleration`."""
     max_deceleration_reverse: AccelerationLimit | None = None
-    """Of a robot that goes backward; None: as `max_deceleration`."""
-    max_jerk: Annotated[float, Field(gt=0.0, le=1e6)] | None = None
+    """For braking backward. None: as `max_deceleration`."""
+    max_jerk: Increase | None = None
     """How fast the acceleration may grow [m/s^3 or rad/s^3]."""
-    min_jerk: Annotated[float, Field(ge=-1e6, lt=0.0)] | None = None
-    """How fast the acceleration may fall; negative."""
+    min_jerk: Decrease | None = None
+    """How fast the acceleration may fall. Negative."""
 
     @field_validator("*", mode="before")
     @classmethod
     def _without_unset(cls, value: Any, info: ValidationInfo) -> Any:
         """Return None for ROS's words for no limit."""
-        if not isinstance(value, float | int):
-            return value
+        is_number = isinstance(value, float | int)
         is_jerk = str(info.field_name).endswith("_jerk")
-        return None if math.isnan(value) or (is_jerk and value == 0.0) else value
+        return None if is_number and (math.isnan(value) or (is_jerk and not value)) else value
 
     @model_validator(mode="after")
     def _names_of_one_release(self) -> Self:
@@ -447,28 +480,28 @@ class AngularLimits(SpeedLimits):
 
 
 def default_acceleration(limit: float) -> BeforeValidator:
-    """Return a validator that sets a missing `max_acceleration` to this limit; null stays null."""
+    """Return a validator that sets a missing `max_acceleration` to this limit. Null stays null."""
 
-    def complete(given: Any) -> Any:
-        if isinstance(given, SpeedLimits):
-            return given.model_dump()
-        return {"max_acceleration": limit, **given} if isinstance(given, dict) else given
+    def complete(value: Any) -> Any:
+        if isinstance(value, SpeedLimits):
+            return value.model_dump()
+        return {"max_acceleration": limit} | value if isinstance(value, dict) else value
 
     return BeforeValidator(complete)
 
 
 class Geofence(Section):
-    """A rectangle in the odometry frame [m]; outside of it the robot is stopped."""
+    """A rectangle in the odometry frame [m]. The robot is stopped outside of it."""
 
     section = "geofence"
     min_x: float = -math.inf
-    """Least x [m]; negative."""
+    """Smallest x [m]. Negative."""
     max_x: float = math.inf
-    """Largest x [m]; positive."""
+    """Largest x [m]. Positive."""
     min_y: float = -math.inf
-    """Least y [m]; negative."""
+    """Smallest y [m]. Negative."""
     max_y: float = math.inf
-    """Largest y [m]; positive."""
+    """Largest y [m]. Positive."""
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
 
     @model_validator(mode="after")
@@ -490,7 +523,7 @@ LogHashes = Annotated[tuple[LogHash, ...], Field(max_length=1_000)]
 
 
 class Measured(Section):
-    """The 95 % interval of one measured value, and what it was measured from."""
+    """The 95 % interval of a measured value, and its sources."""
 
     section = "measured"
     low: Number
@@ -511,7 +544,7 @@ class Measured(Section):
 
 
 def validate_measured(measured: Mapping[str, Measured], model: type[Section]) -> None:
-    """Raise ConfigError for intervals of no number of the model, or with bad ends."""
+    """Raise ConfigError if an interval isn't of a number of the model, or has a bad end."""
     for name, interval in measured.items():
         adapter = _find_number(model, name)
         if adapter is None:
@@ -527,18 +560,18 @@ def validate_measured(measured: Mapping[str, Measured], model: type[Section]) ->
 
 @functools.lru_cache(maxsize=256)
 def _find_number(model: type[Section], name: str) -> TypeAdapter[Any] | None:
-    """The validator of a field by its dotted name; None where there is none."""
-    part, _, inner = name.partition(".")
-    field = model.model_fields.get(part)
+    """The validator of a field by its dotted name, None for an unknown name."""
+    first, _, inner = name.partition(".")
+    field = model.model_fields.get(first)
     if field is None:
         return None
-    for kind in (field.annotation, *get_args(field.annotation)):
-        if isinstance(kind, type) and issubclass(kind, Section):
-            return _find_number(kind, inner)
+    if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+        return _find_number(field.annotation, inner)
     if inner and not (field.annotation == PerWheel and inner in WIRE_LETTERS):
         return None
-    is_whole = field.annotation is int  # whose interval has any ends
-    number: Any = float if is_whole else Annotated[field.annotation, *field.metadata, Field()]
+    if field.annotation is int:  # the ends of its interval needn't be whole
+        return TypeAdapter(float)
+    number: Any = Annotated[field.annotation, *field.metadata, Field()]
     return TypeAdapter(number)
 
 
@@ -547,15 +580,19 @@ def update_measured(
 ) -> dict[str, Measured]:
     """Return the intervals of a robot after new findings, for its field `measured`.
 
-    An interval for all wheels replaces those of single wheels; one of a single wheel leaves the
-    others theirs; None ends one.
+    An interval for all wheels replaces those of single wheels. An interval of a single wheel
+    leaves the other wheels theirs.
+
+    Args:
+        measured: Intervals before.
+        findings: New intervals by the names of their fields. None removes an interval.
     """
     result = dict(measured)
     for name in findings:
         field, _, wheel = name.rpartition(".")
         if wheel in WIRE_LETTERS and field in result:
-            every = result.pop(field)
-            result = {f"{field}.{other}": every for other in WIRE_LETTERS} | result
-        for old in (name, *(f"{name}.{other}" for other in WIRE_LETTERS)):
-            result.pop(old, None)
+            shared = result.pop(field)
+            result = {f"{field}.{letter}": shared for letter in WIRE_LETTERS} | result
+        for outdated in (name, *(f"{name}.{letter}" for letter in WIRE_LETTERS)):
+            result.pop(outdated, None)
     return result | {name: interval for name, interval in findings.items() if interval is not None}

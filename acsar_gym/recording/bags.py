@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.wheel_names import CORNERS, find_corner
 from acsar_gym.errors import (
     ConfigError,
     RecordingWarning,
@@ -228,7 +227,10 @@ def choose_topics(
             if kind == JOINT_STATE
             for name in _joint_names(first)
         ]
-        holds = f"its joints are {escape_unprintable(', '.join(joints), 300)}" if joints else ""
+        holds = ""
+        if joints:
+            listed_joints = escape_unprintable(", ".join(joints), 300)
+            holds = f"its joints are {listed_joints}; write the wheels' into ros2.joints of --robot"
         holds = holds or f"it has {escape_unprintable(listed, 300) or 'no messages'}"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
@@ -257,28 +259,9 @@ def _joint_names(data: bytes) -> list[str]:
 
 
 def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | None:
-    """Find the joints of the wheels a, b, c, d by their names; None where there aren't.
-
-    The robot's `ros_joints` count first, then what names say: front_left_wheel_joint, fl_wheel,
-    wheel_rear_right. Two wheels, as left_wheel_joint, stand for both of their side.
-    """
+    """Find the robot's `ros_joints` of the wheels a, b, c, d. None if a joint is missing."""
     joints = robot.ros_joints
-    if all(name in names for name in joints):
-        return tuple(names.index(name) for name in joints)
-    places: dict[str, int] = {}
-    for place, name in enumerate(names):
-        corner = find_corner(name)
-        if corner and "wheel" in name.lower():
-            places.setdefault(corner, place)
-    if not places:
-        places = {
-            corner: place for place, name in enumerate(names) if (corner := find_corner(name))
-        }
-    if all(corner in places for corner in CORNERS):
-        return tuple(places[corner] for corner in CORNERS)
-    if "l" in places and "r" in places:
-        return tuple(places[corner[1]] for corner in CORNERS)
-    return None
+    return tuple(map(names.index, joints)) if {*joints} <= {*names} else None
 
 
 def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:

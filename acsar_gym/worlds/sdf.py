@@ -26,7 +26,6 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 
 from acsar_gym import reading
-from acsar_gym.config.urdf import turn
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds import sdf_motions
 from acsar_gym.worlds.movers import Mover
@@ -197,9 +196,21 @@ def _read_pose(pose: Element | None, model: str) -> Matrix:
         x, y, z, *angles = read_numbers(pose, "pose", 6, model)
         if pose.get("degrees", "").strip() in ("true", "1"):
             angles = list(map(math.radians, angles))
-        matrix[:3, :3] = turn(angles)
+        matrix[:3, :3] = _turn(angles)
     matrix[:3, 3] = x, y, z
     return matrix
+
+
+def _turn(angles: Sequence[float]) -> Floats:
+    """The rotation by roll, pitch and yaw [rad] about fixed axes, (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 class _WorldReader:

@@ -1,8 +1,7 @@
-"""Robots read from YAML and URDF, and written to YAML."""
+"""Robots read from YAML, and written to new files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,40 +10,6 @@ import yaml
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-
-Load = Callable[[str], RobotConfig]
-
-BILLION_LAUGHS = "<!DOCTYPE robot [<!ENTITY e0 'ha'>{}]>".format(
-    "".join(f"<!ENTITY e{i} '{f'&e{i - 1};' * 10}'>" for i in range(1, 10))
-)
-
-
-def param(name: str, value: object) -> str:
-    return f'<param name="{name}">{value}</param>'
-
-
-def urdf(*params: str, doctype: str = "") -> str:
-    return f"""<?xml version="1.0" encoding="utf-8"?>
-{doctype}<robot name="acsar">
-  <link name="base_link"/>
-  <ros2_control name="acsar" type="system">
-    <hardware>
-      <plugin>acsar_hardware/ACSARInterface</plugin>
-      {" ".join(params)}
-    </hardware>
-    <joint name="front_right"><param name="wheel_radius">9</param></joint>
-  </ros2_control>
-</robot>"""
-
-
-@pytest.fixture
-def load_urdf(tmp_path: Path) -> Load:
-    def load(text: str) -> RobotConfig:
-        path = tmp_path / "robot.urdf"
-        path.write_text(text, encoding="utf-8")
-        return RobotConfig.load(path)
-
-    return load
 
 
 @pytest.mark.parametrize("suffix", [".yaml", ".yml"])
@@ -57,82 +22,24 @@ def test_yaml_sets_fields_and_sections_and_leaves_the_rest(tmp_path: Path, suffi
 
 
 @pytest.mark.parametrize(
-    ("suffix", "text", "found"),
+    ("text", "expected"),
     [
-        (".yaml", "- wheel_radius", "must be a mapping"),
-        (".yaml", "odom_frame: \x00", "not valid YAML"),
-        (".yaml", "wheel_radius: .nan", "wheel_radius"),
-        (".yaml", "body: {mass: 0}", "body.mass"),
-        *(
-            (".yaml", f"wheel_radius: {scalar}", "")
-            for scalar in ("2020-13-45", "!!int abc", "!!bool abc", '!!int ""')
-        ),
-        (".urdf", "", "not a valid URDF"),
-        (".urdf", "<robot><ros2_control/></robot>", "<ros2_control><hardware>"),
-        (".urdf", urdf(param("baud_rate", 4800)), "baud_rate"),
-        (".urdf", urdf(param("baud_rate", 115200), param("wheel_radius", "")), "wheel_radius"),
-        (".urdf.xacro", "{}", "robot.urdf.xacro"),
-        ("", "{}", "robot"),
+        ("- wheel_radius", "must be a mapping"),
+        ("odom_frame: \x00", "not valid YAML"),
+        ("wheel_radius: .nan", "wheel_radius"),
+        ("body: {mass: 0}", "body.mass"),
+        ("wheel_radius: 2020-13-45", ""),
+        ('wheel_radius: !!int ""', ""),
     ],
-    ids=lambda text: text[:40],
 )
-def test_a_bad_file_is_one_line_that_names_it(
-    suffix: str, text: str, found: str, tmp_path: Path
-) -> None:
-    path = tmp_path / f"robot{suffix}"
+def test_a_bad_file_is_one_line_that_names_it(text: str, expected: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         RobotConfig.load(path)
     assert str(path) in str(caught.value)
-    assert found in str(caught.value)
+    assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_urdf_params_of_the_drivers_document(load_urdf: Load) -> None:
-    values = {
-        "serial_port": "/dev/ttyUSB0",
-        "baud_rate": 57600,
-        "wheel_radius": 0.07,
-        "wheel_separation": 0.4,
-        "odom_frame": "odometry",
-        "base_frame": "base",
-        "lidar_frame": "laser",
-        "lidar_x_offset": 0.1,
-        "lidar_y_offset": -0.2,
-        "lidar_z_offset": 0.3,
-    }
-    config = load_urdf(urdf(*(param(name, value) for name, value in values.items())))
-    assert config.model_dump(include=set(values)) == values
-    assert config == RobotConfig().with_(**values)
-
-
-def test_urdf_without_a_baud_rate_means_the_drivers_9600(load_urdf: Load) -> None:
-    config = load_urdf(urdf(param("serial_port", "/dev/ttyUSB0")))
-    assert (config.baud_rate, config.control_rate) == (9600, 20.0)
-    assert load_urdf(urdf(param("control_rate", 25))).control_rate == 25.0
-    with pytest.raises(ConfigError, match="baud_rate = 9600: carries 28 lines"):
-        load_urdf(urdf(param("control_rate", 100)))
-
-
-@pytest.mark.parametrize(
-    ("near", "meant"),
-    [
-        ("wheel_radus", "wheel_radius"),
-        ("baudrate", "baud_rate"),
-        ("serial_prt", "serial_port"),
-        ("wheel_seperation", "wheel_separation"),
-    ],
-)
-def test_a_near_miss_of_a_urdf_param_is_an_error(load_urdf: Load, near: str, meant: str) -> None:
-    with pytest.raises(ConfigError, match=f"unknown param '{near}'; did you mean '{meant}'?"):
-        load_urdf(urdf(param(near, 1), param("baud_rate", 115200)))
-
-
-def test_an_entity_bomb_is_refused_unexploded(load_urdf: Load) -> None:
-    bomb = urdf(param("baud_rate", 115200), param("odom_frame", "&e9;"), doctype=BILLION_LAUGHS)
-    with pytest.raises(ConfigError, match=r"not a valid URDF: .*Entit") as caught:
-        load_urdf(bomb)
-    assert len(str(caught.value)) < 1000
 
 
 FIT = {
@@ -148,17 +55,13 @@ ROBOTS: dict[str, dict[str, Any]] = {
         "watchdog_timeout": None,
         "firmware": {"command_timeout": None},
         "linear_limits": {"max_acceleration": None},
-        "angular_limits": {"max_jerk": 60.0},
     },
     "a fence and a footprint": {
         "geofence": {"max_x": 2.0},
         "footprint": [(0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2)],
     },
     "a wiring": {"wheels": {"a": {"motor_sign": -1, "sign": -1}, "b": {"sign": -1}}},
-    "measured": {
-        "body": {"turn_factor": 1.6},
-        "measured": {"motor.time_constant.a": FIT, "firmware.command_delay": FIT},
-    },
+    "measured": {"measured": {"motor.time_constant.a": FIT, "firmware.command_delay": FIT}},
 }
 
 
@@ -172,6 +75,7 @@ def test_a_saved_robot_is_loaded_back_equal(name: str, tmp_path: Path) -> None:
 def test_a_file_has_the_geometry_and_what_was_changed(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     RobotConfig.preset("acsar").with_(motor={"gain": 1.1}).save(path)
+    assert "\nwheel_radius: 0.05\n" in path.read_text("utf-8")
     content = yaml.safe_load(path.read_text("utf-8"))
     assert content["motor"] == {"gain": 1.1}
     assert content["wheel_separation_multiplier"] == 1.5378

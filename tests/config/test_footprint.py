@@ -1,4 +1,4 @@
-"""Outlines of robots: what is refused, and the pieces that they fall into."""
+"""Outlines of robots: which are refused, and how far they reach."""
 
 from __future__ import annotations
 
@@ -7,58 +7,45 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.config.footprint import (
-    Outline,
     contains_point,
-    convex_pieces,
+    make_circle,
     make_rectangle,
     outline_radius,
     outline_reach,
-    validate_outline,
 )
 from acsar_gym.errors import ConfigError
 from acsar_gym.worlds.search import footprint_radius
 
 WEDGE = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
-NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
-STAR = tuple(
-    (r * math.cos(a), r * math.sin(a))
-    for r, a in zip([0.3, 0.1] * 5, np.arange(10) * math.pi / 5.0, strict=True)
+SQUARE = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+STAR = [(math.cos(k * 0.8 * math.pi), math.sin(k * 0.8 * math.pi)) for k in range(5)]
+"""Five corners, of which each second is next: all turns are to the left, around it twice."""
+
+
+@pytest.mark.parametrize(
+    "corners", [SQUARE, SQUARE[::-1], (*SQUARE, SQUARE[0]), (*SQUARE, (1, 0.3)), make_circle(0.3)]
 )
-SHAPES = {"box": make_rectangle(0.4, 0.2), "wedge": WEDGE, "notched": NOTCHED, "star": STAR}
-
-
-def area(outline: Outline) -> float:
-    x, y = np.array(outline).T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_pieces_are_convex_and_cover_it_once(name: str) -> None:
-    outline = validate_outline(SHAPES[name])
-    pieces = convex_pieces(outline)
-    assert (len(pieces) == 1) == (name in ("box", "wedge"))
-    assert sum(map(area, pieces)) == pytest.approx(area(outline))
-    for piece in pieces:
-        edges = np.roll(np.array(piece), -1, axis=0) - piece
-        after = np.roll(edges, -1, axis=0)
-        assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] > 0.0).all()
-    rng = np.random.default_rng(0)
-    for x, y in rng.uniform(-0.35, 0.35, (300, 2)).tolist():
-        assert contains_point(outline, x, y) == any(contains_point(piece, x, y) for piece in pieces)
+def test_convex_outlines_are_taken_counterclockwise(corners: Any) -> None:
+    outline = RobotConfig(footprint=corners).outline
+    assert set(outline) == set(corners)
+    (ax, ay), (bx, by) = outline[:2]
+    assert ax * by - ay * bx > 0.0
+    assert contains_point(outline, 0.1, 0.1)
+    assert not contains_point(outline, 1.1, 0.1)
 
 
 BAD: dict[str, Any] = {
     "two corners": ((1, 1), (-1, -1)),
     "a bow": ((1, 1), (-1, -1), (-1, 1), (1, -1)),
+    "a notch": (*SQUARE, (0.05, 0.0)),
+    "a star": STAR,
     "a side that comes back": ((1, 1), (-1, 1), (-3, 1), (-1, 1), (-1, -1), (1, -1)),
-    "a corner on a side": ((1, 1), (-1, 1), (-1, -1), (1, -1), (1, 3), (1, 1.5)),
+    "a corner twice": (SQUARE[0], *SQUARE),
     "the origin outside": ((2, 1), (1, 1), (1, -1), (2, -1)),
-    "no number": ((1, 1), (-1, 1), (0, math.nan)),
     "too far": ((1, 1), (-1, 1), (0, -101)),
     "text": "[[1, 1], [-1, 1]",
 }
@@ -66,7 +53,9 @@ BAD: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_outlines_are_one_line_that_names_the_field(name: str) -> None:
-    with pytest.raises(ConfigError, match=r"^footprint") as caught:
+    convex = name.startswith("a ")
+    pattern = "^footprint = .*: must be a convex polygon" if convex else "^footprint"
+    with pytest.raises(ConfigError, match=pattern) as caught:
         RobotConfig(footprint=BAD[name])
     assert "\n" not in str(caught.value)
 

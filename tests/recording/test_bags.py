@@ -11,7 +11,6 @@ from recording_tools import drive
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig
-from acsar_gym.config.wheel_names import find_corner
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, read
 from acsar_gym.recording.bags import find_wheels, is_recording, open_recording
@@ -88,8 +87,9 @@ def test_an_odometry_will_do(tape: Path, tmp_path: Path) -> None:
 
 def test_two_wheels_stand_for_their_sides(tape: Path, tmp_path: Path) -> None:
     names = ("right_wheel_joint", "left_wheel_joint", "arm_1", "arm_2")
-    found = read_bag(write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS, names)))
-    (episode,) = found.episodes
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS, names))
+    robot = ROBOT.with_(ros2={"joints": {"right": names[0], "left": names[1]}})
+    (episode,) = read_bag(bag, robot).episodes
     np.testing.assert_array_equal(episode.speeds[:, 0], episode.speeds[:, 3])
     np.testing.assert_array_equal(episode.speeds[:, 1], episode.speeds[:, 2])
     assert abs(episode.poses[-1, 0]) > 0.5
@@ -108,30 +108,10 @@ def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(speeds, episode.speeds, atol=0.006)
 
 
-@pytest.mark.parametrize(
-    ("name", "corner"),
-    [
-        ("front_left_wheel_joint", "fl"),
-        ("fl_wheel", "fl"),
-        ("wheel_front_left", "fl"),
-        ("base_link_left_wheel_joint", "l"),
-        ("rear_right_wheel", "br"),
-        ("wheel_back_right_joint", "br"),
-        ("rightRearWheel", "br"),
-        ("lf_wheel_joint", "fl"),
-        ("robot1/rl_wheel", "bl"),
-        ("leftwheel", "l"),
-        ("caster_wheel_left", ""),
-        ("wheel", ""),
-    ],
-)
-def test_joints_are_known_by_their_names(name: str, corner: str) -> None:
-    assert find_corner(name) == corner
-
-
-def test_the_robots_joints_count_more_than_what_names_say() -> None:
+def test_wheels_are_the_robots_joints() -> None:
     robot = RobotConfig(ros2={"joints": {"left": "fr_wheel", "right": "j2"}})
     assert find_wheels(["fr_wheel", "fl_wheel", "j2"], robot) == (2, 0, 0, 2)
+    assert find_wheels(["fr_wheel", "fl_wheel"], robot) is None
 
 
 def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:

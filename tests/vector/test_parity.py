@@ -56,8 +56,8 @@ LIMITED = ACSAR.with_(
 UNLIMITED = ACSAR.with_(
     linear_limits={"max_acceleration": None}, angular_limits={"max_acceleration": None}
 )
-FORK = ACSAR.with_(
-    footprint=[(0.4, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.4, -0.2), (0.05, 0.0)],
+POINTED = ACSAR.with_(
+    footprint=[(0.4, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.4, -0.2), (0.5, 0.0)],
     lidar={"noise": 0.0},
 )
 FENCED = ACSAR.with_(geofence={"max_x": 0.6, "min_y": -0.3, "max_y": 0.3})
@@ -82,7 +82,7 @@ LATE = ACSAR.with_(
 ONES = np.ones(3)
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
     "obstacles": ("ObstacleGoal", {"worlds": "clutter:6"}, {}),
-    "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": FORK}, {}),
+    "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": POINTED}, {}),
     "BARN": ("Barn", {"worlds": "barn:4"}, {}),
     "people": ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
     "movers of both kinds, and none": ("ObstacleGoal", {"worlds": MOVING}, {}),
@@ -136,8 +136,8 @@ FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
         [UNLIMITED, LIMITED, UNEVEN, FITTED.with_(firmware={"loop_rate": 200.0})],
         {},
     ),
-    "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", FORK], {"worlds": "clutter:6"}),
-    "movers": ("ObstacleGoal", [*NAMED, FORK], {"worlds": MOVING, "max_episode_steps": 40}),
+    "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", POINTED], {"worlds": "clutter:6"}),
+    "movers": ("ObstacleGoal", [*NAMED, POINTED], {"worlds": MOVING, "max_episode_steps": 40}),
     "paths": ("PathFollow", [*NAMED, "drawn:4"], {"worlds": "smooth_path:6"}),
     "randomized": ("ObstacleGoal", NAMED, {"worlds": "open:6", "randomization": RANGES}),
     "as trained": (

@@ -82,13 +82,10 @@ def test_nothing_is_seen_at_full_reach_and_all_from_inside(circles: Any, expecte
     assert (seen(around, (0.5, 0.0, 3.0)) == expected).all()
 
 
-NOTCHED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.05, 0.0))
-STAR = tuple(
-    (r * math.cos(a), r * math.sin(a))
-    for r, a in zip([0.35, 0.1] * 5, np.arange(10) * math.pi / 5.0, strict=True)
-)
+POINTED = ((0.3, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.3, -0.2), (0.4, 0.0))
+ROUND = tuple((0.35 * math.cos(a), 0.35 * math.sin(a)) for a in np.arange(10) * math.pi / 5.0)
 ASIDE = ((0.5, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.5, -0.1))
-SHAPES: dict[str, Any] = {"notched": NOTCHED, "star": STAR, "aside": ASIDE}
+SHAPES: dict[str, Any] = {"pointed": POINTED, "round": ROUND, "aside": ASIDE}
 
 
 def hits(config: RobotConfig, circles: Any, segments: Any, poses: Any) -> list[bool]:

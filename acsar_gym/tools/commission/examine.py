@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from statistics import median
 
 from acsar_gym.config import BAUD_RATES, RobotConfig
-from acsar_gym.config.robot import USUAL_RATES
 from acsar_gym.errors import (
     BoardGarbledError,
     BoardSilentError,
@@ -29,6 +28,8 @@ from acsar_gym.worlds import Scene
 
 BAUD_TIMEOUT = 3.0
 """Longest wait for a valid line at each rate [s]; boards take 1 to 3 s to start."""
+USUAL_RATES = (200.0, 100.0, 50.0, 40.0, 25.0, 20.0, 10.0, 5.0, 2.0, 1.0)
+"""Control rates that are tried on a slower wire [Hz]."""
 USUAL_POLICY_RATE = 10.0
 """Usual rate of a policy; a control rate must be a multiple of it [Hz]."""
 PADDED_LINE = re.compile(rb"(?:[abcd][pn][0-9]{2}\.[0-9]{2},?){1,4}")

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from cli_tools import Call, assert_one_line
 from recording_tools import drive
-from urdf_tools import link, robot, tyre, wheel
 from zip_tools import save
 
 from acsar_gym import RobotConfig
@@ -70,8 +69,8 @@ ERRORS = [
     (f"identify {MISSING} --yes", 3, f"{MISSING}: "),
     ("identify planar --out list.yaml", 2, "list.yaml: is there, and isn't a robot's file"),
     (f"doctor {MISSING} --spin --yes --out list.yaml", 2, "list.yaml: is there, and isn't"),
-    ("run 1 0 --link planar --robot ekf.yaml", 2, "ekf.yaml: is a ROS parameter file (ekf)"),
-    ("run 1 0 --link planar --robot two.urdf", 2, "two.urdf: is a robot with two driven wheels"),
+    ("run 1 0 --link planar --robot ekf.yaml", 2, "ekf.yaml: is a ROS parameter file without"),
+    ("run 1 0 --link planar --robot two.urdf", 2, "two.urdf: has no parameters of ACSARInterface"),
     ("run 1 0 --link planar --robot acsar,jackal", 2, "give one robot here"),
     (f"identify {MISSING} --yes --out x.txt", 2, "path = 'x.txt'"),
     (f"identify one.mcap {MISSING}", 2, f"{MISSING}: "),
@@ -98,8 +97,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "odd.onnx").write_bytes(bytes(range(256)) * 8)
     (folder / "list.yaml").write_text("buy: milk\n")
     (folder / "ekf.yaml").write_text("ekf: {ros__parameters: {frequency: 30.0}}\n")
-    left, right = (wheel(f"w{y}", "base_link", f"0 {y} 0", tyre(0.03)) for y in (-0.1, 0.1))
-    (folder / "two.urdf").write_text(robot(link("base_link"), left, right))
+    (folder / "two.urdf").write_text("<robot/>")
     save(folder / "model.zip")
     return folder
 

@@ -133,7 +133,7 @@ def test_in_simulation_truth_measures_and_the_result_is_a_robot_file(
     assert code == 0
     first, second = out.read_text().splitlines()[:2]
     assert first == "# Mine, with new tyres."
-    assert second.endswith("   # the maker's")
+    assert second.endswith(" # the maker's")
     assert "wheel_separation_multiplier" in said
     found = RobotConfig.load(out)
     assert found.wheel_radius == pytest.approx(0.051, rel=2e-3)
