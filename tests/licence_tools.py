@@ -26,7 +26,7 @@ CUDA = ("cuda-", "nvidia-", "triton")
 KNOWN = {
     "Apache 2.0": "Apache-2.0",
     "Apache Software License": "Apache-2.0",
-    "BSD": "BSD-3-Clause",  # pycollada
+    "BSD": "BSD-3-Clause",  # numba and pyserial
     "BSD License": "BSD-3-Clause",
     "3-Clause BSD License": "BSD-3-Clause",
     "GNU Lesser General Public License v2 or later (LGPLv2+)": "LGPL-2.1-or-later",

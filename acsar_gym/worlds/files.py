@@ -1,4 +1,4 @@
-"""Read and write files of worlds: Gazebo's SDF, ROS maps, and this project's JSON or YAML.
+"""Read and write files of worlds: this project's JSON or YAML, ROS maps, and plain Gazebo worlds.
 
 The project's own format has the fields of `World` [m, rad]:
 
@@ -10,29 +10,29 @@ The project's own format has the fields of `World` [m, rad]:
     path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
     movers: [{points: [[2.0, -2.0], [2.0, 2.0]], speed: 1.0}]    # optional, see `mover_files`
 
-A YAML with an `image` is a ROS map. Neither a map nor a Gazebo world says where to start and where
-to go: `start` and `goal` may be added to a map, or are given beside the file (`Placement`). Only
+A YAML with an `image` is a ROS map. Neither a map nor a Gazebo world contains a start and a goal. A
+map may have them as further keys, and for both they can be given with the file (`Placement`). Only
 BARN's own worlds, known by their corridor, have BARN's start and goal, and the path in `path_N.npy`
-beside `world_N.world`, or in a folder `path_files` there or above, as in BARN's own repository.
+next to `world_N.world`, or in a folder `path_files` there or above, as in BARN's own repository.
 Every file that can't be used raises a WorldError of one line.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import warnings
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from acsar_gym import reading
 from acsar_gym.config.section import Section
-from acsar_gym.errors import AcsarWarning, ConfigError, WorldError, explain_error, show_value
+from acsar_gym.errors import ConfigError, WorldError, explain_error, show_value
 from acsar_gym.worlds import maps, sdf
 from acsar_gym.worlds.generators import (
     BARN_CELL_SIDE,
@@ -42,235 +42,233 @@ from acsar_gym.worlds.generators import (
     place_cylinders,
 )
 from acsar_gym.worlds.mover_files import format_mover, parse_movers
-from acsar_gym.worlds.movers import MAX_MOVERS
-from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
-from acsar_gym.worlds.world import MAX_COORDINATE, MAX_OBSTACLES, Floats, Region, World
+from acsar_gym.worlds.world import Floats, Region, World
 
 MAX_IMPORT_BYTES = sdf.MAX_SDF_BYTES  # most bytes of an SDF file or a picture
-MODEL_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "GAZEBO_MODEL_PATH")
-"""Environment variables in which Gazebo finds folders of models."""
 MAX_TEXT_BYTES = 5_000_000
 """Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
 BARN_CELL = 0.15  # side of a cell of a published path [m]
 BARN_CORNER = (-4.575, 5.075)  # position of cell (0, 0) of a published path [m]
-MISSING_ENDS = {
-    (True, True): "has no start and no goal: add --start X,Y,THETA --goal X,Y",
-    (True, False): "has no start: add --start X,Y,THETA",
-    (False, True): "has no goal: add --goal X,Y",
-}
-"""Whether a file lacks a start and a goal, and what is said then."""
 PLACE_FORM = re.compile(r"\s*[,\s]\s*")  # between the numbers of a place on the command line
 WORLD_SUFFIXES = (".world", ".sdf", ".yaml", ".yml", ".json")
-
-Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Radius = Annotated[float, Field(strict=True, ge=0.0, le=MAX_COORDINATE)]
-Rows: Any = Field(default_factory=list, max_length=MAX_OBSTACLES)
+Rows: Any = Field(default_factory=list)
 
 
 class Goal(Section):
     """A goal in a file [m]."""
 
     section = "goal"
-    x: Coordinate
-    y: Coordinate
-    radius: Radius | None = None
+    x: float
+    y: float
+    radius: float = 0.0
+
+    @property
+    def region(self) -> Region:
+        """The disc in which the goal or the start is drawn."""
+        return Region(**dict(self))
 
 
 class Start(Goal):
     """A start in a file [m, rad]."""
 
     section = "start"
-    theta: Coordinate | None = None
+    theta: float | None = None
 
 
 class WorldFile(Section):
-    """The project's own format; a ROS map has further keys."""
+    """The project's own format."""
 
     name: str = Field(max_length=1000)
-    start: Start
-    goal: Goal
-    circles: list[tuple[Coordinate, Coordinate, Radius]] = Rows
-    segments: list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]] = Rows
-    path: list[tuple[Coordinate, Coordinate]] | None = Field(None, max_length=MAX_OBSTACLES)
-    movers: list[Any] = Field(default_factory=list, max_length=MAX_MOVERS)
-
-
-class MapFile(WorldFile):
-    """A ROS map with a start and a goal; `maps` reads the other keys."""
-
-    model_config = ConfigDict(extra="ignore")
+    start: Start | None = None
+    goal: Goal | None = None
+    circles: list[Any] = Rows
+    segments: list[Any] = Rows
+    path: list[Any] | None = None
+    movers: list[Any] = Rows
 
 
 class Placement(Section):
-    """What files of Gazebo and ROS don't say; `worlds=` takes it as a mapping, with the `path`.
+    """What files of Gazebo and ROS don't contain. `worlds=` takes it as a mapping with the `path`.
 
     Each place is a list of numbers, or text like "1.5,-2,0.7".
     """
 
     section = "worlds"
-    start: tuple[Coordinate, ...] | None = None
-    """x, y [m] and theta [rad]; without theta any heading. None: as the file says."""
-    goal: tuple[Coordinate, ...] | None = None
-    """x, y [m]. None: as the file says."""
-    models: str = Field("", max_length=10_000)
-    """Folders of Gazebo's models, separated as in PATH; those of Gazebo's own environment variables
-    and those around the file come after them."""
-    height: Annotated[float, Field(gt=0.0, le=100.0)] = LIDAR_HEIGHT
-    """Height of the LiDAR above the floor, at which meshes and tilted bodies are cut [m]."""
+    start: Region | None = None
+    """x, y [m] and theta [rad]; without theta any heading. None: the file's."""
+    goal: Region | None = None
+    """x, y [m]. None: the file's."""
+    height: Annotated[float, Field(gt=0.0, le=100.0)] = sdf.LIDAR_HEIGHT
+    """Height of the LiDAR above the floor, which bodies of a Gazebo world may reach [m]."""
 
     @field_validator("start", "goal", mode="before")
     @classmethod
-    def _parse_place(cls, value: Any, info: ValidationInfo) -> Any:
-        """Numbers of a text, and of what else is a sequence of them."""
+    def _parse_place(cls, value: Any, info: ValidationInfo) -> Region | None:
         if value is None:
             return None
+        form = "X,Y or X,Y,THETA [m, rad]" if info.field_name == "start" else "X,Y [m]"
+        words = PLACE_FORM.split(value.strip()) if isinstance(value, str) else value
         try:
-            place = tuple(
-                map(float, PLACE_FORM.split(value.strip()) if isinstance(value, str) else value)
-            )
-        except (TypeError, ValueError):
-            place = ()
-        if info.field_name == "start" and len(place) not in (2, 3):
-            raise ValueError("must be X,Y or X,Y,THETA [m, rad]")
-        if info.field_name == "goal" and len(place) != 2:
-            raise ValueError("must be X,Y [m]")
-        return place
-
-    @property
-    def start_region(self) -> Region | None:
-        """Where robots start; None: as the file says."""
-        if self.start is None:
-            return None
-        x, y, *theta = self.start
+            x, y, *theta = map(float, words)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"must be {form}") from error
+        if len(theta) > form.count("THETA"):
+            raise ValueError(f"must be {form}")
         return Region(x, y, 0.0, *theta)
-
-    @property
-    def goal_region(self) -> Region | None:
-        """Where the goal is; None: as the file says."""
-        return None if self.goal is None else Region(*self.goal)
-
-    def list_model_folders(self, folder: Path) -> list[Path]:
-        """Where a Gazebo world's models are looked for, in this order."""
-        texts = [self.models, *(os.environ.get(name, "") for name in MODEL_VARIABLES)]
-        named = [
-            Path(part).expanduser() for text in texts for part in text.split(os.pathsep) if part
-        ]
-        return [*named, folder, folder / "models", folder.parent, folder.parent / "models"]
 
 
 class FileSource(Placement):
-    """A file or folder of worlds, with what it doesn't say."""
+    """A file or folder of worlds, with what it doesn't contain."""
 
     path: Path
 
 
 def load_world(path: Path | str, placement: Placement | None = None) -> World:
-    """Read a world from a `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
+    """Read a world from a file.
 
-    WorldError where it can't be read, or nobody says where start or goal are; MissingExtraError for
-    a map without Pillow, or meshes without trimesh.
+    Args:
+        path: A `.world`, `.sdf`, `.yaml`, `.yml` or `.json` file.
+        placement: Start and goal, instead of the file's, and the height of the LiDAR.
+
+    Returns:
+        The world.
+
+    Raises:
+        WorldError: The file can't be read, or there is no start or no goal.
+        MissingExtraError: A map's picture needs Pillow, which isn't installed.
     """
-    path, placement = Path(path), placement or Placement()
+    path = Path(path)
+    placement = placement or Placement()
     suffix = path.suffix.lower()
-    if suffix in maps.PICTURE_SUFFIXES:
-        raise WorldError(f"{path}: is a map's picture: pass the YAML that names it")
     if suffix not in WORLD_SUFFIXES:
-        raise WorldError(f"{path}: a world is read from {', '.join(WORLD_SUFFIXES)}")
+        raise WorldError(
+            f"{path}: a world is read from {', '.join(WORLD_SUFFIXES)}; a map from its YAML, not "
+            "from its picture"
+        )
     try:
         if suffix in (".world", ".sdf"):
             return _read_gazebo(path, placement)
+
         content = reading.read_content(path, MAX_TEXT_BYTES, WorldError)
         text = reading.decode_text(content, WorldError)
-        if suffix == ".json":
-            return _parse_world(reading.parse_json(text, WorldError), path, placement)
-        return _parse_world(reading.parse_yaml(text, WorldError), path, placement)
+        parse = reading.parse_json if suffix == ".json" else reading.parse_yaml
+        return _parse_world(parse(text, WorldError), path, placement)
     except WorldError as error:
         raise WorldError(f"{path}: {error}") from error
 
 
 def _read_gazebo(path: Path, placement: Placement) -> World:
-    """Read a Gazebo world; warn of what moves there, but not here."""
     content = reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
-    obstacles = sdf.read_obstacles(
-        content, path.parent, placement.list_model_folders(path.parent), placement.height
+    circles, segments = sdf.read_obstacles(content, placement.height)
+    is_barn = _is_barn(circles)
+    barn_ends = (BARN_START, BARN_GOAL) if is_barn else (None, None)
+    start, goal = _choose_ends(placement, *barn_ends)
+    way = None
+    if is_barn and not (placement.start or placement.goal):
+        way = _read_barn_path(path)
+    return World(circles, segments, start, goal, path=way, name=path.stem)
+
+
+def _choose_ends(
+    placement: Placement, start: Region | None, goal: Region | None
+) -> tuple[Region, Region]:
+    """The start and the goal of a placement, or else of a file; WorldError if there is none."""
+    start = placement.start or start
+    goal = placement.goal or goal
+    if start and goal:
+        return start, goal
+    names = [name for name, end in (("start", start), ("goal", goal)) if end is None]
+    options = " ".join("--start X,Y,THETA" if name == "start" else "--goal X,Y" for name in names)
+    raise WorldError(
+        f"has no {' and no '.join(names)}: add {options} [m, rad] in its frame, or lines like "
+        "'start: {x: 0.0, y: 0.0}' in a YAML"
     )
-    if unmoved := obstacles.describe_unmoved():
-        warnings.warn(
-            f"{path}: what moves in Gazebo doesn't move here: {unmoved}", AcsarWarning, stacklevel=3
-        )
-    start, goal, way = placement.start_region, placement.goal_region, None
-    if is_barn(obstacles.circles):
-        way = _barn_path(path) if start is None and goal is None else None
-        start, goal = start or BARN_START, goal or BARN_GOAL
-    if start is None or goal is None:
-        missing = MISSING_ENDS[start is None, goal is None]
-        raise WorldError(f"{missing} [m, rad] in its frame{_describe_extent(obstacles)}")
-    return World(
-        obstacles.circles, obstacles.segments, start, goal, way, path.stem, obstacles.movers
-    )
 
 
-def _describe_extent(obstacles: sdf.SdfObstacles) -> str:
-    """Where the obstacles are, for who looks for a start; empty without any."""
-    circles, segments = obstacles.circles, obstacles.segments.reshape(-1, 2)
-    centres, radii = circles[:, :2], circles[:, 2:]
-    points = np.concatenate([centres - radii, centres + radii, segments])
-    if not len(points):
-        return ""
-    (left, low), (right, high) = points.min(axis=0), points.max(axis=0)
-    return f", where obstacles are at x {left:.3g} to {right:.3g}, y {low:.3g} to {high:.3g}"
-
-
-def is_barn(circles: Floats) -> bool:
+def _is_barn(circles: Floats) -> bool:
     """Whether circles are those of a BARN world: its corridor's cylinders are there."""
-    cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
     corridor = place_cylinders(np.zeros((0, 0), np.bool_))
-    cells = {tuple(cell) for cell in np.rint(cylinders[:, :2] / BARN_CELL_SIDE * 2.0).tolist()}
-    return all(
-        tuple(cell) in cells for cell in np.rint(corridor[:, :2] / BARN_CELL_SIDE * 2.0).tolist()
-    )
+    cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
+    distances = np.abs(cylinders[:, None, :2] - corridor[:, :2]).max(axis=2)
+    return bool((distances < BARN_CELL_SIDE / 4.0).any(axis=0).all())
+
+
+def _read_barn_path(path: Path) -> Floats | None:
+    """The path from start to goal of a published world, from its cells (row, column)."""
+    name = f"path_{path.stem.removeprefix('world_')}.npy"
+    folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
+    for file in (folder / name for folder in folders):
+        if file.is_file():
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # the file may be of Python 2
+                    # Mapped, because a header may claim more bytes than the file has.
+                    cells = np.lib.format.open_memmap(file, mode="r")
+                points = cells.astype(np.float64, casting="safe") * BARN_CELL + BARN_CORNER
+            except Exception as error:  # NumPy raises all kinds for broken files
+                raise WorldError(f"{name}: isn't a .npy file of cells: replace it") from error
+            return np.array([(BARN_START.x, BARN_START.y), *points, (BARN_GOAL.x, BARN_GOAL.y)])
+    return None
 
 
 def load_folder(folder: Path, placement: Placement | None = None) -> list[World]:
     """Read all worlds of a folder in natural order: world_2 comes before world_10.
 
-    WorldError for a folder without worlds or with too many, and for the first bad file.
+    Args:
+        folder: The folder. Its subfolders aren't searched.
+        placement: As in `load_world`, for all of them.
+
+    Returns:
+        The worlds.
+
+    Raises:
+        WorldError: The folder holds no worlds, or one of them can't be read.
     """
     try:
-        if not folder.is_dir():
-            raise WorldError(f"{folder}: there is no such folder")
-        paths = [path for path in folder.iterdir() if path.suffix.lower() in WORLD_SUFFIXES]
+        files = [path for path in folder.iterdir() if not path.name.startswith(".")]
     except OSError as error:
         raise WorldError(f"{folder}: can't be read: {explain_error(error)}") from error
-    paths = [path for path in paths if not path.name.startswith(".")]
+    paths = [path for path in sorted(files) if path.suffix.lower() in WORLD_SUFFIXES]
     if not paths:
         raise WorldError(f"{folder}: holds no worlds ({', '.join(WORLD_SUFFIXES)})")
 
-    def natural(path: Path) -> tuple[list[str | int], str]:
-        parts = re.split(r"(\d+)", path.name)
-        return [int(part) if part.isdecimal() else part for part in parts], path.name
-
-    return [load_world(path, placement) for path in sorted(paths, key=natural)]
+    # Numbers of equal length, after a character that comes before all others.
+    paths.sort(key=lambda path: re.sub(r"\d+", lambda number: f"\0{number[0]:0>300}", path.name))
+    return [load_world(path, placement) for path in paths]
 
 
 def save_world(world: World, path: Path) -> None:
-    """Write a world in the project's own format: `.json`, `.yaml` or `.yml`."""
-    try:
-        data = format_world(world, path.suffix)
-    except WorldError as error:
-        raise WorldError(f"{path}: {error}") from error
-    reading.write_atomically(path, data, WorldError)
+    """Write a world in the project's own format.
+
+    Args:
+        world: The world.
+        path: A `.json`, `.yaml` or `.yml` file, which is replaced.
+
+    Raises:
+        WorldError: The file has another suffix, or can't be written.
+    """
+    reading.write_atomically(path, format_world(world, path.suffix), WorldError)
 
 
 def format_world(world: World, suffix: str) -> bytes:
-    """Format a world in the project's own format, of a suffix as `save_world`."""
-    start, goal = ({"x": r.x, "y": r.y, "radius": r.radius} for r in (world.start, world.goal))
-    if world.start.theta is not None:
-        start["theta"] = world.start.theta
+    """Format a world in the project's own format.
+
+    Args:
+        world: The world.
+        suffix: As in `save_world`.
+
+    Returns:
+        The content of the file.
+
+    Raises:
+        WorldError: The suffix is another one.
+    """
+    if suffix.lower() not in (".json", ".yaml", ".yml"):
+        raise WorldError("a world is saved as .json, .yaml or .yml")
     fields: dict[str, Any] = {
-        "name": world.name,
-        "start": {key: float(value) for key, value in start.items()},
-        "goal": {key: float(value) for key, value in goal.items()},
+        "name": world.name.encode(errors="replace").decode(),
+        "start": _format_region(world.start),
+        "goal": _format_region(world.goal),
         "circles": world.circles.tolist(),
         "segments": world.segments.tolist(),
     }
@@ -278,20 +276,18 @@ def format_world(world: World, suffix: str) -> bytes:
         fields["path"] = world.path.tolist()
     if world.movers:
         fields["movers"] = list(map(format_mover, world.movers))
-    if suffix.lower() not in (".json", ".yaml", ".yml"):
-        raise WorldError("a world is saved as .json, .yaml or .yml")
-    try:
-        if suffix.lower() == ".json":
-            lines = [f"  {json.dumps(key)}: {_format_json(value)}" for key, value in fields.items()]
-            text = "{\n" + ",\n".join(lines) + "\n}\n"
-        else:
-            dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-            text = yaml.dump(
-                fields, Dumper=dumper, default_flow_style=None, sort_keys=False, width=200
-            )
-        return text.encode()
-    except UnicodeEncodeError as error:
-        raise WorldError("can't be written: the world's name isn't UTF-8 text") from error
+
+    if suffix.lower() == ".json":
+        lines = [f"  {json.dumps(key)}: {_format_json(value)}" for key, value in fields.items()]
+        text = "{\n" + ",\n".join(lines) + "\n}\n"
+    else:
+        dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+        text = yaml.dump(fields, Dumper=dumper, default_flow_style=None, sort_keys=False, width=200)
+    return text.encode()
+
+
+def _format_region(region: Region) -> dict[str, float]:
+    return {key: float(value) for key, value in asdict(region).items() if value is not None}
 
 
 def _format_json(value: object) -> str:
@@ -305,66 +301,33 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
     """Make a world of the content of a JSON or YAML file."""
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(WorldFile.model_fields)}")
-    data = _place_ends(data, placement)
-    model = MapFile if "image" in data else WorldFile
+    is_map = "image" in data
+    fields = {key: data[key] for key in data if key in WorldFile.model_fields or not is_map}
     try:
-        file = model.model_validate({"name": path.stem, **data})
-    except WorldError:
-        raise
+        file = WorldFile.model_validate({"name": path.stem, **fields})
     except ConfigError as error:
         raise WorldError(str(error)) from error
-    start, goal = file.start, file.goal
-    segments = np.array(file.segments, np.float64).reshape(-1, 4)
-    if model is MapFile:
-        config = maps.read_settings(data)
-        try:
-            picture = reading.read_content(path.parent / config.image, MAX_IMPORT_BYTES, WorldError)
-            segments = np.concatenate([segments, maps.map_segments(picture, config)])
-        except WorldError as error:
-            raise WorldError(f"image {show_value(config.image)}: {error}") from error
-    return World(
-        np.array(file.circles, np.float64),
-        segments,
-        Region(start.x, start.y, start.radius or 0.0, start.theta),
-        Region(goal.x, goal.y, goal.radius or 0.0),
-        None if file.path is None else np.array(file.path, np.float64),
-        file.name,
-        parse_movers(file.movers),
+
+    start, goal = _choose_ends(
+        placement,
+        file.start.region if file.start else None,
+        file.goal.region if file.goal else None,
     )
+    rows: dict[str, Any] = {"circles": file.circles, "segments": file.segments}
+    if not (placement.start or placement.goal):  # or else the path leads elsewhere
+        rows["path"] = file.path
+    world = World(**rows, start=start, goal=goal, name=file.name, movers=parse_movers(file.movers))
+    if not is_map:
+        return world
+    outlines = _read_map(data, path.parent)
+    return replace(world, segments=np.concatenate([world.segments, outlines]))
 
 
-def _place_ends(data: dict[str, Any], placement: Placement) -> dict[str, Any]:
-    """The content of a file with the start and goal that are given; WorldError without them."""
-    for end, region in (("start", placement.start_region), ("goal", placement.goal_region)):
-        if region is not None:  # the file's path leads from or to another place
-            theta = {} if region.theta is None else {"theta": region.theta}
-            data = {**data, end: {"x": region.x, "y": region.y, **theta}, "path": None}
-    lacks = data.get("start") is None, data.get("goal") is None
-    if any(lacks):
-        end = "start" if lacks[0] else "goal"
-        raise WorldError(
-            f"{MISSING_ENDS[lacks]} [m, rad], or a line like '{end}: {{x: 0.0, y: 0.0}}'"
-        )
-    return data
-
-
-def _barn_path(path: Path) -> Floats | None:
-    """The path from start to goal of a published world, from its cells (row, column)."""
-    name = path.stem.replace("world_", "path_", 1) + ".npy"
-    folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
-    paths = [folder / name for folder in folders if (folder / name).is_file()]
-    if not path.stem.startswith("world_") or not paths:
-        return None
+def _read_map(data: dict[str, Any], folder: Path) -> Floats:
+    """The outlines of a map's picture."""
+    config = maps.read_settings(data)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the file may be of Python 2
-            # Mapped, because a header may claim more bytes than the file has.
-            cells = np.lib.format.open_memmap(paths[0], mode="r")
-    except Exception as error:  # NumPy raises all kinds for broken files
-        raise WorldError(f"{name}: isn't a sound .npy file: remove or replace it") from error
-    if cells.ndim != 2 or cells.shape[1] != 2 or cells.dtype.kind not in "iuf":
-        raise WorldError(f"{name}: must hold cells (row, column), has shape {cells.shape}")
-    if len(cells) > MAX_OBSTACLES or not (np.abs(cells) <= MAX_COORDINATE).all():
-        raise WorldError(f"{name}: holds too many cells or cells too far away")
-    start, goal = ([[region.x, region.y]] for region in (BARN_START, BARN_GOAL))
-    return np.concatenate([start, cells.astype(np.float64) * BARN_CELL + BARN_CORNER, goal])
+        picture = reading.read_content(folder / config.image, MAX_IMPORT_BYTES, WorldError)
+        return maps.map_segments(picture, config)
+    except WorldError as error:
+        raise WorldError(f"image {show_value(config.image)}: {error}") from error

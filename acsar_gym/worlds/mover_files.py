@@ -11,78 +11,61 @@ A mover walks along points at a speed, is at points at some times, or has the pi
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from functools import partial
+from typing import Any, Literal
 
 from pydantic import Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.worlds.movers import (
-    MAX_PIECES,
-    PERSON_RADIUS,
-    PIECE_NUMBERS,
-    WALKING_SPEED,
-    Mover,
-    Repeat,
-    follow_keys,
-    walk,
-)
-from acsar_gym.worlds.world import MAX_COORDINATE
+from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
 
-Number = Annotated[float, Field(strict=True)]
-Coordinate = Annotated[float, Field(strict=True, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-Row = Annotated[list[Number], Field(min_length=PIECE_NUMBERS, max_length=PIECE_NUMBERS)]
-FORMS = "needs points and a speed, points and times, or pieces and a duration"
+FORMS: tuple[tuple[Any, set[str], set[str]], ...] = (
+    (walk, {"points"}, {"speed", "pauses"}),
+    (follow_keys, {"points", "times"}, {"smooth", "tension"}),
+    (partial(Mover, repeat=Repeat.LOOP), {"pieces", "duration"}, set()),
+)
+"""What makes a mover, the fields that it needs, and those that it may have."""
+MOTION_FIELDS = {field for _, needed, optional in FORMS for field in needed | optional}
 
 
 class MoverFile(Section):
-    """A mover of a file [m, s, m/s]."""
+    """A mover of a file [m, s, m/s]. A field that is left out has the default of its function."""
 
     name: str = Field("", max_length=200)
-    points: list[tuple[Coordinate, Coordinate]] | None = Field(None, max_length=MAX_PIECES)
-    speed: Number | list[Number] | None = None
-    """Of all lines between points, or of each."""
-    pauses: Number | list[Number] = 0.0
-    """At all points, or at each."""
-    times: list[Number] | None = Field(None, max_length=MAX_PIECES)
-    smooth: bool = False
-    """Whether the points at these times lie on a spline, as those of Gazebo."""
-    tension: Number = 0.0
-    """Of that spline, 0 to 1."""
-    pieces: list[Row] | None = Field(None, max_length=MAX_PIECES)
-    duration: Number | None = None
+    points: Any = None
+    speed: Any = None
+    pauses: Any = None
+    times: Any = None
+    smooth: bool | None = None
+    tension: float | None = None
+    pieces: Any = None
+    duration: float | None = None
     repeat: Literal["stop", "back", "loop"] | None = None
-    """At the end: where points are walked along, it is "back" if nothing is said, else "loop"."""
-    radius: Number = PERSON_RADIUS
-    phase: Number = 0.0
-    spread: Number = 0.0
-    reacts: bool = False
-    sees_robot: bool = True
+    radius: float | None = None
+    phase: float | None = None
+    spread: float | None = None
+    reacts: bool | None = None
+    sees_robot: bool | None = None
 
     def make(self) -> Mover:
-        """Make the mover; WorldError for what can't be used."""
-        walks = self.points is not None and self.times is None and self.pieces is None
-        default = Repeat.BACK if walks else Repeat.LOOP
-        common: dict[str, Any] = {
-            "name": self.name,
-            "radius": self.radius,
-            "repeat": default if self.repeat is None else Repeat[self.repeat.upper()],
-            "phase": self.phase,
-            "spread": self.spread,
-            "reacts": self.reacts,
-            "sees_robot": self.sees_robot,
-        }
-        given = {field for field in self.model_fields_set if getattr(self, field) is not None}
-        given &= {"points", "speed", "pauses", "times", "smooth", "tension", "pieces", "duration"}
-        if walks and given <= {"points", "speed", "pauses"}:
-            speed = WALKING_SPEED if self.speed is None else self.speed
-            return walk(self.points or [], speed, pauses=self.pauses, **common)
-        if {"points", "times"} <= given <= {"points", "times", "smooth", "tension"}:
-            common |= {"smooth": self.smooth, "tension": self.tension}
-            return follow_keys(self.times or [], self.points or [], **common)
-        if given == {"pieces", "duration"}:
-            return Mover(self.pieces, self.duration, **common)  # type: ignore[arg-type]
-        raise WorldError(f"{FORMS}; has {', '.join(sorted(given)) or 'none of these'}")
+        """Make the mover.
+
+        Raises:
+            WorldError: The fields contradict each other, or can't be used.
+        """
+        options = self.model_dump(exclude_none=True)
+        if self.repeat is not None:
+            options["repeat"] = Repeat[self.repeat.upper()]
+        motion = options.keys() & MOTION_FIELDS
+        for maker, needed, optional in FORMS:
+            if needed <= motion <= needed | optional:
+                mover: Mover = maker(**options)
+                return mover
+        raise WorldError(
+            "needs points and a speed, points and times, or pieces and a duration; has "
+            f"{', '.join(sorted(motion)) or 'none of these'}"
+        )
 
 
 def parse_movers(entries: list[Any]) -> tuple[Mover, ...]:
@@ -91,14 +74,14 @@ def parse_movers(entries: list[Any]) -> tuple[Mover, ...]:
     for number, entry in enumerate(entries):
         try:
             movers.append(MoverFile.model_validate(entry).make())
-        except (ConfigError, WorldError) as error:
+        except ConfigError as error:
             raise WorldError(f"movers.{number}: {error}") from error
     return tuple(movers)
 
 
 def format_mover(mover: Mover) -> dict[str, Any]:
     """Format a mover for a file, to the bit."""
-    fields: dict[str, Any] = {
+    return {
         "name": mover.name,
         "radius": float(mover.radius),
         "repeat": mover.repeat.name.lower(),
@@ -109,4 +92,3 @@ def format_mover(mover: Mover) -> dict[str, Any]:
         "duration": float(mover.duration),
         "pieces": mover.pieces.tolist(),
     }
-    return fields

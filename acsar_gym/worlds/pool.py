@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from acsar_gym.errors import ConfigError, WorldError, explain_error, show_value
 from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.generators import Level
-from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT
+from acsar_gym.worlds.sdf import LIDAR_HEIGHT
 from acsar_gym.worlds.search import check_region, shortest_path
 from acsar_gym.worlds.world import World
 
@@ -80,7 +80,7 @@ class Pool:
         "clutter+6:test" six people walk in the worlds of "clutter:test".
         "clutter:train,barn:train" are the worlds of both, numbered from 0.
         {"path": "hall.world", "start": (0, 0, 1.57), "goal": (3, 1)} is a file with what it doesn't
-        say; "models" names folders of Gazebo's models.
+        say.
 
         Args:
             source: of the worlds, as above.
@@ -233,7 +233,7 @@ def read_worlds(
         if registry.parse_known_name(str(source)):
             raise WorldError(
                 f"worlds = {show_value(str(source))}: generated worlds have a start and a goal of "
-                "their own: leave out --start, --goal and --models"
+                "their own: leave out --start and --goal"
             )
     if isinstance(source, str) and (not source or registry.parse_known_name(source)):
         return None
@@ -249,13 +249,13 @@ def read_worlds(
 
 
 def place_worlds(
-    worlds: str | None, start: str | None, goal: str | None, models: str | None
+    worlds: str | None, start: str | None, goal: str | None
 ) -> str | dict[str, str] | None:
     """Join the name of worlds with what their file doesn't say, for `Pool.of`.
 
     Places are texts like "X,Y,THETA" [m, rad]. ConfigError where something is given, but no name.
     """
-    options = {"start": start, "goal": goal, "models": models}
+    options = {"start": start, "goal": goal}
     given = {name: value for name, value in options.items() if value is not None}
     if given and worlds is None:
         raise ConfigError(f"--{next(iter(given))} is for a world of a file: name the file, too")

@@ -28,7 +28,7 @@ from acsar_gym.worlds.grid import (
     may_leave,
     search_cells,
 )
-from acsar_gym.worlds.sdf_shapes import LIDAR_HEIGHT, STEP_HEIGHT
+from acsar_gym.worlds.sdf import LIDAR_HEIGHT, STEP_HEIGHT
 from acsar_gym.worlds.world import Floats, Region, World
 
 LEAST_REACH = 10.0

@@ -87,8 +87,8 @@ def test_a_file_is_passed_with_what_it_does_not_say(tmp_path: Path) -> None:
     path = tmp_path / "hall.sdf"
     path.write_text(
         "<sdf version='1.9'><world name='w'><model name='m'><pose>3 0 0.4 0 0 0</pose>"
-        "<link name='l'><collision name='c'><geometry><capsule><radius>0.2</radius>"
-        "<length>0.01</length></capsule></geometry></collision></link></model></world></sdf>",
+        "<link name='l'><collision name='c'><geometry><cylinder><radius>0.2</radius>"
+        "<length>1</length></cylinder></geometry></collision></link></model></world></sdf>",
         encoding="utf-8",
     )
     with pytest.raises(WorldError, match="has no start and no goal"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import sys
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -129,13 +128,12 @@ def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"resolution": None}, "resolution: is missing: add it"),
-        ({"origin": [0.0, 0.0, math.nan]}, "origin.2 = nan: must"),
+        ({"resolution": None}, "'resolution' is missing"),
         ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
         (
             {"start": None},
-            "has no start: add --start X,Y,THETA [m, rad], or a line like 'start: {x: 0.0",
+            "has no start: add --start X,Y,THETA [m, rad] in its frame, or lines like 'start: {x",
         ),
     ],
 )
@@ -150,16 +148,6 @@ def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_pat
     assert "\n" not in str(caught.value)
 
 
-def chunk(kind: bytes, data: bytes) -> bytes:
-    return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
-
-
-def png(width: int, height: int, data: bytes = b"") -> bytes:
-    """A grey PNG that promises a size."""
-    header = width.to_bytes(4) + height.to_bytes(4) + b"\x08\x00\x00\x00\x00"
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data))
-
-
 UNSOUND = "isn't a sound PGM"
 
 
@@ -167,10 +155,7 @@ UNSOUND = "isn't a sound PGM"
     ("data", "problem"),
     [
         *((data, "pixels") for data in (b"P5 5000 5000 255\n", b"P5 99999999 99999999 255\n")),
-        *((png(side, side), "pixels") for side in (5_000, 60_000)),
-        *((data, UNSOUND) for data in (b"", b"\x00" * 100, b"P5 2 2 255\n\x00", b"P5 2 2 0\n1234")),
-        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 1 1\n", UNSOUND),
-        *((png(2, 2, data), UNSOUND) for data in (b"", b"\x00\x01\x02\x00")),
+        *((data, UNSOUND) for data in (b"", b"P5 2 2 255\n\x00", b"%!PS-Adobe-3.0 EPSF-3.0\n")),
     ],
     ids=lambda value: str(value[:20]),
 )
@@ -179,6 +164,13 @@ def test_broken_and_hostile_pictures_are_refused(data: bytes, problem: str, tmp_
         loaded(tmp_path, data)
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_raw_maps_ignore_negate(tmp_path: Path) -> None:
+    levels = pgm([[255, 255, 255, 255], [0, 100, 100, 0]])
+    plain, negated = (loaded(tmp_path, levels, mode="raw", negate=negate) for negate in (0, 1))
+    assert negated.segments.tolist() == plain.segments.tolist()
+    assert as_set(plain.segments) == square(0.5, 0.0, 1.5, 0.5)
 
 
 def test_without_pillow_it_says_what_to_install(

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.files import format_world, load_world, save_world
 from acsar_gym.worlds.generators import generate_world
-from acsar_gym.worlds.mover_files import format_mover, parse_movers
-from acsar_gym.worlds.movers import WALKING_SPEED, Mover, Repeat, walk
+from acsar_gym.worlds.mover_files import parse_movers
+from acsar_gym.worlds.movers import WALKING_SPEED, Mover, Repeat
 from acsar_gym.worlds.world import World
 
 
@@ -38,29 +36,6 @@ def test_what_is_saved_is_loaded_bit_for_bit(kind: str, suffix: str, tmp_path: P
     save_world(world, tmp_path / f"round{suffix}")
     again = load_world(tmp_path / f"round{suffix}")
     assert list(map(content, again.movers)) == list(map(content, world.movers))
-
-
-numbers = st.floats(-50.0, 50.0)
-
-
-@settings(deadline=None)
-@given(
-    points=st.lists(st.tuples(numbers, numbers), min_size=1, max_size=5),
-    speed=st.floats(0.01, 5.0),
-    repeat=st.sampled_from(Repeat),
-    phase=numbers,
-    name=st.text(max_size=20).filter(lambda text: text.encode(errors="ignore").decode() == text),
-)
-def test_any_walk_survives_a_file(
-    points: list[tuple[float, float]], speed: float, repeat: Repeat, phase: float, name: str
-) -> None:
-    try:
-        mover = walk(points, speed, repeat=repeat, phase=phase, name=name, reacts=True)
-    except WorldError:
-        return
-    (again,) = parse_movers(json.loads(json.dumps([format_mover(mover)])))
-    assert content(again) == content(mover)
-    assert again.name == name
 
 
 def test_what_people_write() -> None:
@@ -92,19 +67,12 @@ def test_what_people_write() -> None:
     [
         ({"point": [[0, 0]]}, "unknown field 'point'; did you mean 'points'?"),
         ({}, "needs points and a speed, points and times, or pieces and a duration; has none"),
-        ({"speed": 1.0}, "needs points and a speed"),
-        ({"times": [0, 1]}, "has times"),
         ({"points": [[0, 0], [1, 0]], "times": [0, 1], "speed": 1.0}, "has points, speed, times"),
         ({"points": [[0, 0], [1, 0]], "times": [1, 0]}, "needs two times or more, growing"),
-        ({"points": [[0, 0], [1, 0]], "speed": -1.0}, "speeds above 0"),
         ({"points": [[0, 0], [1, 0]], "speed": 99.0}, "moves at 99.0 m/s, at most 20"),
-        ({"points": [[0, 0, 0]]}, "points.0 = [0, 0, 0]"),
-        ({"points": [[0, 1e9]]}, "points.0.1 = 1000000000.0"),
-        ({"points": [[0, 0]], "radius": 0.0}, "radius must be above 0"),
-        ({"points": [[0, 0]], "repeat": "round"}, "repeat = 'round'"),
-        ({"points": [[0, 0]], "reacts": "perhaps"}, "reacts = 'perhaps'"),
-        ({"duration": 1.0, "pieces": [[0, 1]]}, "pieces.0 = [0, 1]"),
-        ("nurse", "= 'nurse'"),
+        ({"points": [[0, 10**400]]}, "needs points (x, y)"),
+        ({"points": [[0, 1e9]]}, "its places must be at most 10000 m"),
+        ({"duration": 1.0, "pieces": [[0, 1]]}, "pieces must be rows of 9 finite numbers"),
     ],
 )
 def test_bad_movers_are_one_line_that_names_them(mover: Any, problem: str, tmp_path: Path) -> None:

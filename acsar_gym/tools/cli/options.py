@@ -56,15 +56,12 @@ class WorldFileOptions:
     it faces any way."""
     goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
     """Where the goal is in a world of a file [m]."""
-    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder of the models that a Gazebo world includes; several as in PATH. Those in
-    GZ_SIM_RESOURCE_PATH and GAZEBO_MODEL_PATH come next, then those beside the world."""
 
     def place(self, worlds: str | None) -> Any:
         """Return what an env takes as `worlds=`: the name alone, or with these options."""
         from acsar_gym.worlds.pool import place_worlds  # noqa: PLC0415
 
-        return place_worlds(worlds, self.start, self.goal, self.models)
+        return place_worlds(worlds, self.start, self.goal)
 
 
 def say(text: str) -> None:

@@ -89,8 +89,6 @@ class TrainingOptions(Section):
     """Where the robot starts in a world of a file [m, rad]."""
     goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
     """Where the goal is in a world of a file [m]."""
-    models: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
-    """Folder of the models that a Gazebo world includes."""
     robot: str | None = None
     """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
     randomize: bool = True
@@ -244,7 +242,7 @@ class TrainingPlan:
     def _arguments(self) -> dict[str, Any]:
         """Arguments of the env: the recipe's, and the worlds if the user gave some."""
         options = self.options
-        worlds = place_worlds(options.worlds, options.start, options.goal, options.models)
+        worlds = place_worlds(options.worlds, options.start, options.goal)
         given = {
             key: each for key, each in self.recipe.env_kwargs.items() if key != RANDOMIZATION_KEY
         }

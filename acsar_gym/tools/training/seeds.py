@@ -158,10 +158,10 @@ def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
         given = getattr(options, name)
         path = Path(given or "")
         if name == "worlds" and path.is_file():  # the files that it names aren't there
-            source = place_worlds(given, options.start, options.goal, options.models)
+            source = place_worlds(given, options.start, options.goal)
             robot = make_fleet(options.robot, 1).robots[0]
             for world in read_worlds(source or path, lidar_height(robot)) or ():
-                alone = alone.model_copy(update={"start": None, "goal": None, "models": None})
+                alone = alone.model_copy(update={"start": None, "goal": None})
                 sent.append((name, f"{path.stem}.json", format_world(world, ".json")))
         elif given is not None and path.is_file():
             sent.append((name, path.name, reading.read_file(path, MAX_SENT_BYTES)))

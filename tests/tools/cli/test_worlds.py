@@ -1,4 +1,4 @@
-"""Worlds of files that do not say where to start: commands take --start, --goal and --models."""
+"""Worlds of files without a start and a goal: commands take --start and --goal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PLACED = ("--start", "-1,-1,0.5", "--goal", "1.2,1")
 
 
 def write_room(folder: Path, kind: str) -> Path:
-    """A closed room of 4 x 4 m around the origin, as a Gazebo world with a model, or as a map."""
+    """A closed room of 4 x 4 m around the origin, as a Gazebo world, or as a map."""
     if kind == "map":
         rows = [
             bytes(0 if {row, column} & {0, 79} else 254 for column in range(80))
@@ -34,79 +34,71 @@ def write_room(folder: Path, kind: str) -> Path:
         f"<size>{length} {width} 1</size></box></geometry></collision>"
         for number, (x, y, length, width) in enumerate(WALLS)
     )
-    (folder / "own" / "room").mkdir(parents=True)
-    (folder / "own" / "room" / "model.sdf").write_text(
-        f"<sdf version='1.9'><model name='room'><link name='l'>{walls}</link></model></sdf>",
-        encoding="utf-8",
-    )
     path = folder / "hall.sdf"
     path.write_text(
-        "<sdf version='1.9'><world name='w'><include><uri>model://room</uri></include></world></sdf>",
+        "<sdf version='1.9'><world name='w'><model name='room'>"
+        f"<link name='l'>{walls}</link></model></world></sdf>",
         encoding="utf-8",
     )
     return path
 
 
 @pytest.fixture(params=["gazebo", "map"])
-def room(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, ...]:
-    """Options that name a world without start and goal."""
-    path = str(write_room(tmp_path, request.param))
-    return (path, "--models", str(tmp_path / "own")) if request.param == "gazebo" else (path,)
+def room(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """The file of a world without start and goal."""
+    return str(write_room(tmp_path, request.param))
 
 
 def test_a_world_without_start_and_goal_is_refused_by_every_command(
-    room: tuple[str, ...], call: Call, tmp_path: Path
+    room: str, call: Call, tmp_path: Path
 ) -> None:
-    file, *models = room
     out = str(tmp_path / "out.json")
     for command in (
-        ("worlds", "check", file),
-        ("worlds", "show", file, "--out", str(tmp_path / "out.png")),
-        ("worlds", "convert", file, out),
-        ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--worlds", file),
-        ("emulate", "--duration", "0.1", "--world", file),
+        ("worlds", "check", room),
+        ("worlds", "show", room, "--out", str(tmp_path / "out.png")),
+        ("worlds", "convert", room, out),
+        ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--worlds", room),
+        ("emulate", "--duration", "0.1", "--world", room),
     ):
-        code, _, error = call(*command, *models)
+        code, _, error = call(*command)
         assert code == 2, command
         assert_one_line(error, "has no start")
         assert "--start X,Y,THETA" in error
-        code, _, error = call(*command, *models, "--start", "-1,0")
+        code, _, error = call(*command, "--start", "-1,0")
         assert code == 2, command
         assert_one_line(error, "has no goal")
 
 
-def test_start_and_goal_of_options_are_the_worlds(
-    room: tuple[str, ...], call: Call, tmp_path: Path
-) -> None:
-    code, output, error = call("worlds", "check", *room, *PLACED)
+def test_start_and_goal_of_options_are_the_worlds(room: str, call: Call, tmp_path: Path) -> None:
+    code, output, error = call("worlds", "check", room, *PLACED)
     assert (code, error) == (0, "")
     assert "2.97" in output, "the straight line between them"
-    code, output, _ = call("worlds", "check", *room, "--start", "-1,-1", "--goal", "3,0")
+    code, output, _ = call("worlds", "check", room, "--start", "-1,-1", "--goal", "3,0")
     assert code == 1
     assert "no way from start to goal" in " ".join(output.split())
     for name in ("room.yaml", "room.json"):
         out = tmp_path / name
-        assert call("worlds", "convert", *room, out, *PLACED)[0] == 0
+        assert call("worlds", "convert", room, out, *PLACED)[0] == 0
         world = load_world(out)
         assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
         assert world.obstacles >= 8
     picture = tmp_path / "room.png"
-    assert call("worlds", "show", *room, "--out", picture, *PLACED)[0] == 0
+    assert call("worlds", "show", room, "--out", picture, *PLACED)[0] == 0
     assert picture.stat().st_size > 1000
 
 
-def test_a_policy_drives_from_that_start(room: tuple[str, ...], call: Call, tmp_path: Path) -> None:
+def test_a_policy_drives_from_that_start(room: str, call: Call, tmp_path: Path) -> None:
     out = tmp_path / "figures.json"
     evaluate = ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--episodes", "1")
-    code, output, error = call(*evaluate, "--worlds", *room, *PLACED, "--json", out)
+    code, output, error = call(*evaluate, "--worlds", room, *PLACED, "--json", out)
     assert (code, error) == (0, "")
-    assert Path(room[0]).name.partition(".")[0] in output
+    assert Path(room).name.partition(".")[0] in output
     header = json.loads(out.read_text())["header"]
     assert header["env"]["kwargs"]["worlds"]["start"] == PLACED[1]
-    assert header["worlds"]["kind"] == room[0]
+    assert header["worlds"]["kind"] == room
 
 
-@pytest.mark.parametrize("option", ["--start", "--goal", "--models"])
+@pytest.mark.parametrize("option", ["--start", "--goal"])
 def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
     for command in (("worlds", "check", "clutter:2"), ("worlds", "show", "barn:1")):
         code, _, error = call(*command, option, "1,2")
@@ -117,14 +109,12 @@ def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
     assert_one_line(error, f"{option} is for a world of a file: name the file, too")
 
 
-def test_a_training_takes_them_too(room: tuple[str, ...], tmp_path: Path) -> None:
-    file, *models = room
+def test_a_training_takes_them_too(room: str, tmp_path: Path) -> None:
     options = TrainingOptions(
         env="obstacle_goal",
-        worlds=file,
+        worlds=room,
         start="-1,-1,0.5",
         goal="1.2,1",
-        models=models[1] if models else None,
         robots=2,
         threads=1,
         out=tmp_path / "out",
@@ -138,8 +128,8 @@ def test_a_training_takes_them_too(room: tuple[str, ...], tmp_path: Path) -> Non
     assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
     job = seeds.make_job(options, 1, tmp_path / "out")
     ((name, sent, content),) = job.sent or ()
-    assert name == "worlds", "another machine has neither the models nor the map's picture"
-    assert job.options.start is job.options.goal is job.options.models is None
+    assert name == "worlds", "another machine has no picture of the map"
+    assert job.options.start is job.options.goal is None
     (tmp_path / sent).write_bytes(content)
     there = load_world(tmp_path / sent)
     assert (there.start, there.segments.tolist()) == (world.start, world.segments.tolist())
