@@ -39,7 +39,7 @@ from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.threads import usable_cores
 from acsar_gym.worlds import Region, Scene, World
-from acsar_gym.worlds.geometry import Obstacles, cast_rays, make_surroundings
+from acsar_gym.worlds.geometry import cast_lines, make_surroundings
 from acsar_gym.worlds.movers import Mover, walk
 
 ENV_BLOCKS = 25
@@ -261,17 +261,18 @@ def _measure_planar() -> list[Figure]:
 def _measure_rays() -> list[Figure]:
     """Compare 64 rays among 100 obstacles with PyBullet's."""
     config, world = RobotConfig.of(None), crowd_world(80, 20)
-    around = make_surroundings(
-        Obstacles(world.circles, world.segments), ray_spec(config), 1, config
-    )
+    around = make_surroundings(world, ray_spec(config), config)
     body, ranges = BulletBody(config), np.empty(config.lidar.rays)
+    origins = np.zeros((config.lidar.rays, 2))
     body.reset(Scene(world=world))
     angles, reach = ray_spec(config).angles(), config.lidar.max_range
     height = config.lidar_z_offset
     starts = [(0.0, 0.0, height)] * len(angles)
     ends = [(reach * math.cos(angle), reach * math.sin(angle), height) for angle in angles]
     ours, theirs, ratio = measure_alternating(
-        lambda: mean_duration(lambda: cast_rays(0.0, 0.0, 1.0, 0.0, 0, around, ranges), 200),
+        lambda: mean_duration(
+            lambda: cast_lines(0.0, 0.0, 1.0, 0.0, 0, around, origins, ranges), 200
+        ),
         lambda: mean_duration(lambda: body._engine.rayTestBatch(starts, ends), 20),
         ENV_BLOCKS,
     )

@@ -37,7 +37,6 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import CLOCK, SPEED_SHARE, VX, VY, X, Y
 from acsar_gym.worlds.geometry import (
-    Obstacles,
     Surroundings,
     cast_lines,
     make_surroundings,
@@ -413,9 +412,7 @@ class SimulatedLidar:
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Take over the scene's obstacles and physics; draw the phase and the key of the errors."""
         config = self._config
-        world = scene.world
-        obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
-        self._around = make_surroundings(obstacles, ray_spec(config), 1, config)
+        self._around = make_surroundings(scene.world, ray_spec(config), config)
 
         physics = scene.physics or compute_physics(config)
         phase, key = draw_episode(rng)

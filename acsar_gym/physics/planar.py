@@ -12,7 +12,7 @@ from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.crowd import Crowd
-from acsar_gym.worlds.geometry import Obstacles, footprint_collides, make_surroundings
+from acsar_gym.worlds.geometry import footprint_collides, make_surroundings
 
 
 class PlanarBody:
@@ -35,8 +35,7 @@ class PlanarBody:
 
         world = scene.world
         self._crowded = world is not None and world.obstacles > 0
-        obstacles = Obstacles() if world is None else Obstacles(world.circles, world.segments)
-        self._around = make_surroundings(obstacles, None, 1, self._config)
+        self._around = make_surroundings(world, None, self._config)
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""

@@ -22,7 +22,6 @@ from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.tile import draw_tile
 from acsar_gym.worlds import World, files, registry
 from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
-from acsar_gym.worlds.moving import can_be_crossed
 from acsar_gym.worlds.pool import Pool, read_worlds
 from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
 
@@ -124,8 +123,6 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, A
         try:
             path = shortest_path(world, radius)
             shortest, difficulty = path_length(path), measure_difficulty(world, path)
-            if world.movers and not can_be_crossed(replace(world, path=path), radius):
-                fault = "nobody can cross it, even knowing all motions"
         except WorldError as error:
             fault = str(error).removeprefix(f"{world.name}: ")
         lengths = {"path": world.length, "shortest": shortest}

@@ -392,17 +392,18 @@ def make_scans(
     if not (setup.sees or any(world.obstacles or world.movers for world in worlds)):
         return None
     fleet, far = [config for _, config in kinds], PADDING_PLACE
-    obstacles = geometry.Obstacles(
-        geometry.pad_rows([world.circles for world in worlds], (far, far, 0.0)),
-        geometry.pad_rows([world.segments for world in worlds], (far, far, far, far)),
-    )
     specs = [ray_spec(config) if setup.sees else None for config in fleet]
     slots = 0
     for drawn, config in kinds if setup.sees else ():  # two revolutions of the slowest LiDAR
         rates = drawn.lidar_rate or (config.lidar.rate,)
         slots = max(slots, count_trail_rows(2.0 / rates[0], config.period))
     return layout.Scans(
-        around=geometry.surround_kinds(obstacles, specs, max(len(worlds), 1), fleet),
+        around=geometry.surround_kinds(
+            geometry.pad_rows([world.circles for world in worlds], (far, far, 0.0)),
+            geometry.pad_rows([world.segments for world in worlds], (far, far, far, far)),
+            specs,
+            fleet,
+        ),
         rays=stack_records([make_rays(config) for config in fleet]),
         trails=np.zeros((2, robots, slots, 4)),
     )

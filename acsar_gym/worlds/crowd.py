@@ -4,12 +4,13 @@ Once a control period `advance_crowd` puts those that follow their motion where 
 people who react walk on. These are driven by the social force model of D. Helbing and P. Molnar,
 "Social force model for pedestrian dynamics", Physical Review E 51 (1995): each adapts its velocity
 to the way that it wants to go, and is pushed away from others by an exponential potential, whose
-equipotential lines are ellipses along the other's next steps. These steps are relative to one's
-own, as in A. Johansson, D. Helbing and P. Shukla, "Specification of the social force pedestrian
-model by evolutionary adjustment to video tracking data", Advances in Complex Systems 10 (2007), so
-that people begin to walk around what stands before they are there. Walls push as in D. Helbing,
-I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407 (2000), whose
-range lets people through doors. A person decides anew every REACTION_TIME, and walks on in between.
+equipotential lines are ellipses along the other's next steps. These steps are relative to the
+person's steps, as in A. Johansson, D. Helbing and P. Shukla, "Specification of the social force
+pedestrian model by evolutionary adjustment to video tracking data", Advances in Complex Systems 10
+(2007), so that people start to walk around an obstacle before they are there. Walls push as in D.
+Helbing, I. Farkas and T. Vicsek, "Simulating dynamical features of escape panic", Nature 407
+(2000), whose range lets people through doors. A person decides again every REACTION_TIME, and walks
+on in between.
 
 One robot (`Crowd`) and a batch call the same functions.
 """
@@ -26,17 +27,20 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.worlds.geometry import (
-    Obstacles,
     Surroundings,
+    circle_at,
     footprint_gap,
     make_surroundings,
+    outer_radius,
+    segment_at,
+    share_along,
+    turn_back,
 )
 from acsar_gym.worlds.movers import (
     RADIUS,
     REACTS,
     SEES_ROBOT,
     SPEED,
-    Motions,
     draw_offset,
     locate_mover,
     make_motions,
@@ -45,17 +49,17 @@ from acsar_gym.worlds.movers import (
 from acsar_gym.worlds.world import World
 
 Floats = NDArray[np.float64]
-REACTION_TIME = 0.1  # a person who reacts decides so often [s]
+REACTION_TIME = 0.1  # interval between two decisions of a person who reacts [s]
 RELAXATION_TIMES = (0.4, 0.6)
 """In about this time a person's velocity becomes the wanted one, drawn for each [s]; published:
 0.5."""
 STRENGTHS = (1.5, 2.7)
 """Strength of the push of others, drawn for each [m^2/s^2]; published: 2.1."""
 PUSH_RANGE = 0.3  # range of that push [m]
-STRIDE_TIME = 1.0  # the push's ellipse reaches along the other's relative way of so long [s]
+STRIDE_TIME = 1.0  # the push's ellipse reaches along the other's relative way of this time [s]
 SIDESTEP = 0.2
-"""People turn the push of others so much to their right: two who meet head-on would stop, or walk
-through each other [rad]."""
+"""People turn the push of others by this angle to their right [rad]: two who meet head-on would
+stop, or walk through each other."""
 WALL_PUSH = 25.0  # push of a wall that a person touches [m/s^2]
 WALL_RANGE = 0.08  # range of that push [m]
 FARTHEST_WALL = 8.0 * WALL_RANGE  # walls that are farther away don't push [m]
@@ -63,7 +67,7 @@ SIGHT_COSINE = math.cos(math.radians(100.0))  # others beyond this bearing are b
 BEHIND_SHARE = 0.5  # share of the push of others that are behind
 SPEED_SHARE = 1.3  # greatest speed, in parts of that of the motion
 MOST_PUSH = 10.0  # greatest acceleration [m/s^2]
-LONGEST_LOOK = 1.0  # a mover that is far away is looked at so often, at least [s]
+LONGEST_LOOK = 1.0  # a mover that is far away is looked at with at most this interval [s]
 FARTHEST_PUSH = 6.0  # others that are farther away don't push [m]
 SIGHT_RESOLUTION = 2.0**-20
 """People see where the robot is and how it moves to this, a micrometre [m, m/s].
@@ -71,7 +75,7 @@ SIGHT_RESOLUTION = 2.0**-20
 Crowds are chaotic: without it the last bit of a pose, in which one robot and a batch differ,
 changes them in 20 s."""
 LOOKAHEAD_TIME = 0.5  # a person walks to where the motion will be in this time [s]
-LEASH = 1.0  # the motion waits for a person who is so far behind [m]
+LEASH = 1.0  # the motion waits for a person who is this far behind [m]
 PERSONAL_SPACE = 0.45
 """Distance between two hulls within which a person feels intruded upon [m]: the farther limit of
 the intimate distance in E. T. Hall, "The Hidden Dimension" (1966)."""
@@ -79,23 +83,45 @@ STANDING_SPEED = 0.05
 """A robot that comes nearer to a person by no more than this hasn't run into it [m/s]."""
 FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
-
-X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(10)
-STATE_NUMBERS = 10
-"""Columns of the state of a mover: place [m], velocity [m/s], the time of its motion, at the
-episode's begin or, of a person who reacts, now [s], that person's acceleration [m/s^2], how fast
-the motion's time passes for that person, whether the robot is within its personal space, and the
-next tick in which that can change."""
-SEEN_NUMBERS = 5
-"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 TRAITS, TRAIT_NUMBERS = 1000, 2
-"""Samples of a person's own numbers begin there, so many for each."""
+"""First sample of people's traits, and how many traits each has."""
 NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
-"""What `advance_crowd` says of contacts: none, the robot ran into a mover, or a mover into it."""
-
+"""What `advance_crowd` reports of contacts: none, the robot ran into a mover, or a mover into
+it."""
 
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
 Twist = tuple[float, float]  # forward speed [m/s], yaw rate [rad/s]
+
+
+class StateRow(NamedTuple):
+    """The columns of the state of a mover."""
+
+    x: float
+    """Place [m]."""
+    y: float
+    """Place [m]."""
+    vx: float
+    """Velocity [m/s]."""
+    vy: float
+    """Velocity [m/s]."""
+    clock: float
+    """The time of its motion [s]: at the start of the episode, or now for a person who reacts."""
+    ax: float
+    """Acceleration of a person who reacts [m/s^2]."""
+    ay: float
+    """Acceleration of a person who reacts [m/s^2]."""
+    pace: float
+    """How fast the motion's time passes for a person who reacts."""
+    near: float
+    """Whether the robot is within its personal space."""
+    look: float
+    """The next tick in which that can change."""
+
+
+X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(len(StateRow._fields))
+STATE_NUMBERS = len(StateRow._fields)
+SEEN_NUMBERS = 5
+"""Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 
 
 class RobotMotion(NamedTuple):
@@ -109,6 +135,16 @@ class RobotMotion(NamedTuple):
     rate: float
 
 
+class Disc(NamedTuple):
+    """A disc that pushes people away [m, m/s]."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    radius: float
+
+
 class Hall(NamedTuple):
     """What surrounds the movers of an episode."""
 
@@ -117,53 +153,48 @@ class Hall(NamedTuple):
     pieces: Floats
     """(pieces, 9): of the world."""
     is_reacting: bool
-    """Whether anybody reacts."""
+    """Whether a mover reacts."""
     key: float
     """The episode's draw, 0 to 1."""
     period: float
-    """Of a tick [s]."""
+    """Duration of a tick [s]."""
     which: int
     """The world's place in `around`."""
     around: Surroundings
     """Obstacles, and footprints."""
     kind: int
-    """Of the robot, whose footprint it is."""
-
-
-@jit
-def disc_radius(hall: Hall) -> float:
-    """Radius of the disc around the robot's footprint [m]."""
-    kinds, kind = hall.around.kinds, hall.kind
-    return math.sqrt(kinds[kind, 5] * kinds[kind, 5] + kinds[kind, 6] * kinds[kind, 6])
+    """Kind of the robot, which selects the footprint."""
 
 
 @subroutine
-def begin_crowd(movers: Floats, pieces: Floats, states: Floats, key: float) -> None:
-    """Put all movers where an episode begins."""
-    for m in range(len(movers)):
-        if movers[m, RADIUS] < 0.0:
+def begin_crowd(hall: Hall, states: Floats) -> None:
+    """Put all movers where they are when an episode starts."""
+    for m in range(len(hall.movers)):
+        if hall.movers[m, RADIUS] < 0.0:
             break
-        for k in range(STATE_NUMBERS):
-            states[m, k] = 0.0
-        states[m, CLOCK] = draw_offset(movers, m, key)
-        place_mover(movers, m, pieces, states, 0.0)
+        states[m, :] = 0.0
+        states[m, CLOCK] = draw_offset(hall.movers, m, hall.key)
+        place_mover(hall, states, m, time=0.0)
 
 
 @jit
-def place_mover(movers: Floats, m: int, pieces: Floats, states: Floats, time: float) -> None:
-    """Put a mover that doesn't react where its motion is at a time since the episode's begin."""
-    x, y, vx, vy = locate_mover(movers, m, pieces, time + states[m, CLOCK])
-    states[m, X], states[m, Y], states[m, VX], states[m, VY] = x, y, vx, vy
+def place_mover(hall: Hall, states: Floats, m: int, time: float) -> None:
+    """Put a mover where its motion is at a time since the start of the episode."""
+    x, y, vx, vy = locate_mover(hall.movers, m, hall.pieces, time + states[m, CLOCK])
+    states[m, X] = x
+    states[m, Y] = y
+    states[m, VX] = vx
+    states[m, VY] = vy
 
 
 @subroutine
-def place_crowd(movers: Floats, pieces: Floats, states: Floats, time: float) -> None:
-    """Put all movers that don't react where they are at a time since the episode's begin [s]."""
-    for m in range(len(movers)):
-        if movers[m, RADIUS] < 0.0:
+def place_crowd(hall: Hall, states: Floats, time: float) -> None:
+    """Put all movers that don't react where they are at a time since the start of the episode."""
+    for m in range(len(hall.movers)):
+        if hall.movers[m, RADIUS] < 0.0:
             break
-        if movers[m, REACTS] == 0.0:
-            place_mover(movers, m, pieces, states, time)
+        if hall.movers[m, REACTS] == 0.0:
+            place_mover(hall, states, m, time=time)
 
 
 @subroutine
@@ -173,36 +204,41 @@ def advance_crowd(
     """Advance all movers of a robot's world to the end of a tick, and look for contacts.
 
     Args:
-        hall: of the episode.
-        states: (movers, STATE_NUMBERS): they change.
-        tick: its number since the episode's begin, from 1.
-        robot: at the end of the tick.
-        top_speed: no part of the robot will move faster [m/s]. Movers that follow their motion and
+        hall: What surrounds them.
+        states: (movers, STATE_NUMBERS): their states, which change.
+        tick: Number of the tick since the start of the episode, from 1.
+        robot: The robot at the end of the tick.
+        top_speed: No part of the robot will move faster [m/s]. Movers that follow their motion and
             can't touch it, or come near, in the next ticks stay where they are until
-            `place_crowd`. inf: all are moved.
+            `place_crowd`. With infinity all are moved.
 
     Returns:
-        Whether somebody ran into somebody, such as ROBOT_HIT, how often the robot has entered
-        somebody's personal space, and the next tick in which this has to be called.
+        A contact, such as ROBOT_HIT, how often the robot has entered a mover's personal space, and
+        the next tick in which this has to be called.
     """
     if hall.is_reacting:
         walk_crowd(hall, states, tick, robot)
-    outer, longest = disc_radius(hall), LONGEST_LOOK / hall.period
-    hit, entered, next_look = NO_HIT, 0.0, tick + 1.0 if hall.is_reacting else np.inf
+
+    hit = NO_HIT
+    entered = 0.0
+    next_look = tick + 1.0 if hall.is_reacting else np.inf
+    outer = outer_radius(hall.around, hall.kind)
     for m in range(len(hall.movers)):
         if hall.movers[m, RADIUS] < 0.0:
             break
         if tick >= states[m, LOOK]:
             if hall.movers[m, REACTS] == 0.0:
-                place_mover(hall.movers, m, hall.pieces, states, tick * hall.period)
+                place_mover(hall, states, m, time=tick * hall.period)
             was_near = states[m, NEAR]
-            free, touches = look_at_mover(hall, states, m, robot, outer)
+            free, contact = look_at_mover(hall, states, m, robot, outer)
             entered += 1.0 if states[m, NEAR] > was_near else 0.0
-            hit = touches if hit == NO_HIT else hit
+            hit = contact if hit == NO_HIT else hit
+
+            # Neither a contact nor an intrusion can change until both have come this far.
             fastest = (top_speed + SPEED_SHARE * hall.movers[m, SPEED]) * hall.period
             now = tick * hall.period + states[m, CLOCK]
             jumps = may_jump(hall.movers, m, now, LONGEST_LOOK)
-            ticks = 1.0 if jumps else min(np.floor(free / fastest), longest)
+            ticks = 1.0 if jumps else min(np.floor(free / fastest), LONGEST_LOOK / hall.period)
             states[m, LOOK] = tick + max(ticks, 1.0)
         next_look = min(next_look, states[m, LOOK])
     return hit, entered, next_look
@@ -215,184 +251,253 @@ def look_at_mover(
     """Set whether the robot is in a mover's personal space.
 
     Returns:
-        By how much the two hulls can change their distance until that, or a contact, begins or ends
+        By how much the two hulls can change their distance until that, or a contact, starts or ends
         [m], and whether they touch, such as ROBOT_HIT.
     """
-    dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
-    near, square = outer + hall.movers[m, RADIUS] + PERSONAL_SPACE, dx * dx + dy * dy
+    radius = hall.movers[m, RADIUS]
+    dx = states[m, X] - robot.x
+    dy = states[m, Y] - robot.y
+    near = outer + radius + PERSONAL_SPACE
+    square = dx * dx + dy * dy
     if square > near * near:
         states[m, NEAR] = 0.0
         return math.sqrt(square) - near, NO_HIT
-    ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
-    gap, at_x, at_y = footprint_gap(ahead, left, hall.around, hall.kind)
-    gap -= hall.movers[m, RADIUS]
+
+    ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
+    gap, at_x, at_y = footprint_gap(ahead, aside, hall.around, hall.kind)
+    gap -= radius
     states[m, NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
     if gap > 0.0:
         return min(gap, abs(gap - PERSONAL_SPACE)), NO_HIT
-    return 0.0, ROBOT_HIT if comes_nearer(ahead, left, at_x, at_y, robot) else PERSON_HIT
+    return 0.0, ROBOT_HIT if comes_nearer(ahead, aside, at_x, at_y, robot=robot) else PERSON_HIT
 
 
 @jit
-def comes_nearer(ahead: float, left: float, at_x: float, at_y: float, robot: RobotMotion) -> bool:
+def comes_nearer(ahead: float, aside: float, at_x: float, at_y: float, robot: RobotMotion) -> bool:
     """Whether the place (at_x, at_y) of a robot's hull moves towards a mover, in the base frame."""
-    forward, sideways = robot.forward - robot.rate * at_y, robot.rate * at_x
-    dx, dy = ahead - at_x, left - at_y
-    apart = math.sqrt(dx * dx + dy * dy)
-    if apart < 1e-9:  # the mover's middle is within the hull: seen from the robot's middle
-        dx, dy = ahead, left
-        apart = math.sqrt(dx * dx + dy * dy) + 1e-12
-    nearer: bool = forward * dx + sideways * dy > STANDING_SPEED * apart
+    forward = robot.forward - robot.rate * at_y
+    sideways = robot.rate * at_x
+    dx = ahead - at_x
+    dy = aside - at_y
+    distance = math.sqrt(dx * dx + dy * dy)
+    if distance < 1e-9:  # the mover's middle is within the hull: seen from the robot's middle
+        dx = ahead
+        dy = aside
+        distance = math.sqrt(dx * dx + dy * dy) + 1e-12
+    nearer: bool = forward * dx + sideways * dy > STANDING_SPEED * distance
     return nearer
 
 
-@jit
-def draw_trait(key: float, mover: int, number: int, low: float, high: float) -> float:
-    """Draw a person's own number, the same in the whole episode."""
-    return low + (high - low) * hash_sample(key, TRAITS + mover * TRAIT_NUMBERS + number)
+# People who react
 
 
 @subroutine
 def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> None:
-    """Let people who react walk for a tick; every REACTION_TIME all decide anew how."""
-    every = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
-    if (tick - 1) % every == 0:
-        place_crowd(hall.movers, hall.pieces, states, tick * hall.period)
-        seen = RobotMotion(
-            round_seen(robot.x),
-            round_seen(robot.y),
-            round_seen(robot.cos),
-            round_seen(robot.sin),
-            round_seen(robot.forward),
-            round_seen(robot.rate),
+    """Let people who react walk for a tick, and decide how every REACTION_TIME."""
+    interval = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
+    if (tick - 1) % interval == 0:
+        place_crowd(hall, states, tick * hall.period)
+        visible = RobotMotion(
+            x=round_seen(robot.x),
+            y=round_seen(robot.y),
+            cos=round_seen(robot.cos),
+            sin=round_seen(robot.sin),
+            forward=round_seen(robot.forward),
+            rate=round_seen(robot.rate),
         )
         for m in range(len(hall.movers)):
             if hall.movers[m, REACTS] > 0.0:
-                decide_step(hall, states, m, seen)
+                decide_step(hall, states, m, visible)
     for m in range(len(hall.movers)):
         if hall.movers[m, REACTS] > 0.0:
-            walk_on(hall.movers, m, states, hall.period)
+            walk_on(hall, states, m)
 
 
 @jit
 def round_seen(number: float) -> float:
     """A number as people see it, see `SIGHT_RESOLUTION`."""
-    seen: float = np.rint(number / SIGHT_RESOLUTION) * SIGHT_RESOLUTION
-    return seen
+    rounded: float = np.rint(number / SIGHT_RESOLUTION) * SIGHT_RESOLUTION
+    return rounded
+
+
+@jit
+def draw_trait(key: float, mover: int, number: int, limits: tuple[float, float]) -> float:
+    """Draw a trait of a person, the same in the whole episode, between two limits."""
+    sample = hash_sample(key, TRAITS + mover * TRAIT_NUMBERS + number)
+    return limits[0] + (limits[1] - limits[0]) * sample
+
+
+@jit
+def limit_length(x: float, y: float, longest: float) -> tuple[float, float]:
+    """Shorten a vector that is longer than a limit."""
+    length = math.sqrt(x * x + y * y)
+    share = longest / length if length > longest else 1.0
+    return share * x, share * y
 
 
 @subroutine
 def decide_step(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> None:
     """Set the acceleration of person m, and the pace of its motion, until the next decision."""
-    movers, x, y = hall.movers, states[m, X], states[m, Y]
-    now_x, now_y, now_vx, now_vy = locate_mover(movers, m, hall.pieces, states[m, CLOCK])
-    off_x, off_y = now_x - x, now_y - y
-    is_behind = off_x * now_vx + off_y * now_vy > 0.0
+    x = states[m, X]
+    y = states[m, Y]
+
+    # The motion waits for a person who is behind.
+    goal_x, goal_y, goal_vx, goal_vy = locate_mover(hall.movers, m, hall.pieces, states[m, CLOCK])
+    off_x = goal_x - x
+    off_y = goal_y - y
+    is_behind = off_x * goal_vx + off_y * goal_vy > 0.0
     behind = math.sqrt(off_x * off_x + off_y * off_y) if is_behind else 0.0
     states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
+
+    # The wanted velocity leads to where the motion will be.
     clock = states[m, CLOCK] + LOOKAHEAD_TIME
-    to_x, to_y, _, _ = locate_mover(movers, m, hall.pieces, clock)
-    want_x, want_y = (to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME
-    speed, most = math.sqrt(want_x * want_x + want_y * want_y), SPEED_SHARE * movers[m, SPEED]
-    share = most / speed if speed > most else 1.0
-    want_x, want_y = share * want_x, share * want_y
-    relaxation = draw_trait(hall.key, m, 0, RELAXATION_TIMES[0], RELAXATION_TIMES[1])
-    others_x, others_y = push_from_others(hall, states, m, robot, want_x, want_y)
-    walls_x, walls_y = push_from_walls(hall, x, y, movers[m, RADIUS])
+    to_x, to_y, _, _ = locate_mover(hall.movers, m, hall.pieces, clock)
+    fastest = SPEED_SHARE * hall.movers[m, SPEED]
+    want_x, want_y = limit_length((to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME, fastest)
+
+    relaxation = draw_trait(hall.key, m, 0, limits=RELAXATION_TIMES)
+    others_x, others_y = push_from_others(hall, states, m, robot, want=(want_x, want_y))
+    walls_x, walls_y = push_from_walls(hall, x, y, hall.movers[m, RADIUS])
     ax = (want_x - states[m, VX]) / relaxation + others_x + walls_x
     ay = (want_y - states[m, VY]) / relaxation + others_y + walls_y
-    push = math.sqrt(ax * ax + ay * ay)
-    share = MOST_PUSH / push if push > MOST_PUSH else 1.0
-    states[m, AX], states[m, AY] = share * ax, share * ay
+    states[m, AX], states[m, AY] = limit_length(ax, ay, MOST_PUSH)
 
 
 @jit
 def push_from_others(
-    hall: Hall, states: Floats, m: int, robot: RobotMotion, want_x: float, want_y: float
+    hall: Hall, states: Floats, m: int, robot: RobotMotion, want: tuple[float, float]
 ) -> tuple[float, float]:
-    """Push on person m from other movers, and from the robot where it is seen [m/s^2].
+    """Push on person m from other movers, and from the robot if the person sees it [m/s^2].
 
-    `want_x`, `want_y` is the velocity that the person wants [m/s], and the direction of its look.
+    `want` is the velocity that the person wants [m/s], and the direction of its look.
     """
-    movers, count = hall.movers, len(hall.movers)
-    speed = math.sqrt(want_x * want_x + want_y * want_y)
-    strength = draw_trait(hall.key, m, 1, STRENGTHS[0], STRENGTHS[1])
-    total_x = total_y = 0.0
-    for n in range(count + 1):
-        if n == count:
-            is_pushing, x, y = movers[m, SEES_ROBOT] > 0.0, robot.x, robot.y
-            vx, vy, radius = robot.forward * robot.cos, robot.forward * robot.sin, disc_radius(hall)
-        else:
-            is_pushing, x, y = n != m and movers[n, RADIUS] > 0.0, states[n, X], states[n, Y]
-            vx, vy, radius = states[n, VX], states[n, VY], movers[n, RADIUS]
-        dx, dy = states[m, X] - x, states[m, Y] - y
-        square = dx * dx + dy * dy
-        if not is_pushing or square > FARTHEST_PUSH * FARTHEST_PUSH:
-            continue
-        vx, vy = vx - states[m, VX], vy - states[m, VY]
-        push_x, push_y = push_away(dx, dy, vx, vy, movers[m, RADIUS] + radius, strength)
-        seen = -(want_x * dx + want_y * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
-        share = 1.0 if seen else BEHIND_SHARE
-        total_x, total_y = total_x + share * push_x, total_y + share * push_y
-    cos, sin = math.cos(SIDESTEP), math.sin(SIDESTEP)
+    movers = hall.movers
+    person = disc_at(movers, states, m)
+    strength = draw_trait(hall.key, m, 1, limits=STRENGTHS)
+    total_x = 0.0
+    total_y = 0.0
+    for n in range(len(movers)):
+        if n != m and movers[n, RADIUS] > 0.0:
+            push_x, push_y = push_from(disc_at(movers, states, n), person, want, strength)
+            total_x += push_x
+            total_y += push_y
+    if movers[m, SEES_ROBOT] > 0.0:
+        disc = Disc(
+            x=robot.x,
+            y=robot.y,
+            vx=robot.forward * robot.cos,
+            vy=robot.forward * robot.sin,
+            radius=outer_radius(hall.around, hall.kind),
+        )
+        push_x, push_y = push_from(disc, person, want, strength)
+        total_x += push_x
+        total_y += push_y
+
+    cos = math.cos(SIDESTEP)
+    sin = math.sin(SIDESTEP)
     return cos * total_x - sin * total_y, sin * total_x + cos * total_y
+
+
+@jit
+def disc_at(movers: Floats, states: Floats, m: int) -> Disc:
+    """The disc of a mover."""
+    return Disc(
+        x=states[m, X],
+        y=states[m, Y],
+        vx=states[m, VX],
+        vy=states[m, VY],
+        radius=movers[m, RADIUS],
+    )
+
+
+@subroutine
+def push_from(
+    disc: Disc, person: Disc, want: tuple[float, float], strength: float
+) -> tuple[float, float]:
+    """Push on a person from another disc [m/s^2].
+
+    The potential is strength * exp(-(b - radii) / PUSH_RANGE), b being the semi-minor axis of the
+    ellipse, and `radii` those of the two, which the published potential leaves out.
+    """
+    dx = person.x - disc.x
+    dy = person.y - disc.y
+    square = dx * dx + dy * dy
+    if square > FARTHEST_PUSH * FARTHEST_PUSH:
+        return 0.0, 0.0
+
+    stride_x = STRIDE_TIME * (disc.vx - person.vx)
+    stride_y = STRIDE_TIME * (disc.vy - person.vy)
+    later_x = dx - stride_x
+    later_y = dy - stride_y
+    distance = math.sqrt(square) + 1e-9
+    later = math.sqrt(later_x * later_x + later_y * later_y) + 1e-9
+    total = distance + later
+    stride = stride_x * stride_x + stride_y * stride_y
+    axis = 0.5 * math.sqrt(max(total * total - stride, 1e-6))
+    radii = person.radius + disc.radius
+    push = strength / PUSH_RANGE * math.exp(min((radii - axis) / PUSH_RANGE, 2.0))
+    push *= total / (4.0 * axis)
+
+    speed = math.sqrt(want[0] * want[0] + want[1] * want[1])
+    is_ahead = -(want[0] * dx + want[1] * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
+    share = 1.0 if is_ahead else BEHIND_SHARE
+    push_x = share * (push * (dx / distance + later_x / later))
+    push_y = share * (push * (dy / distance + later_y / later))
+    return push_x, push_y
 
 
 @jit
 def push_from_walls(hall: Hall, x: float, y: float, radius: float) -> tuple[float, float]:
     """Push on a person at (x, y) from standing obstacles [m/s^2]."""
-    circles, segments, which = hall.around.circles, hall.around.segments, hall.which
-    far, total_x, total_y = radius + FARTHEST_WALL, 0.0, 0.0
-    for n in range(circles.shape[1]):
-        dx, dy = x - circles[which, n, 0], y - circles[which, n, 1]
-        reach, square = far + circles[which, n, 2], dx * dx + dy * dy
-        if square < reach * reach:
-            apart = math.sqrt(square) + 1e-9
-            push = WALL_PUSH * math.exp((radius + circles[which, n, 2] - apart) / WALL_RANGE)
-            total_x, total_y = total_x + push * dx / apart, total_y + push * dy / apart
-    for n in range(segments.shape[1]):
-        from_x, from_y = segments[which, n, 0], segments[which, n, 1]
-        ex, ey = segments[which, n, 2] - from_x, segments[which, n, 3] - from_y
-        share = ((x - from_x) * ex + (y - from_y) * ey) / (ex * ex + ey * ey + 1e-300)
-        share = min(max(share, 0.0), 1.0)
-        dx, dy = x - from_x - share * ex, y - from_y - share * ey
-        square = dx * dx + dy * dy
-        if square < far * far:
-            apart = math.sqrt(square) + 1e-9
-            push = WALL_PUSH * math.exp((radius - apart) / WALL_RANGE)
-            total_x, total_y = total_x + push * dx / apart, total_y + push * dy / apart
+    total_x = 0.0
+    total_y = 0.0
+    circles = hall.around.circles[hall.which]
+    for n in range(len(circles)):
+        circle = circle_at(circles, n)
+        push_x, push_y = push_from_wall(x - circle.x, y - circle.y, radius, circle.radius)
+        total_x += push_x
+        total_y += push_y
+    segments = hall.around.segments[hall.which]
+    for n in range(len(segments)):
+        wall = segment_at(segments, n)
+        share = share_along(x, y, wall)
+        dx = x - wall.ax - share * (wall.bx - wall.ax)
+        dy = y - wall.ay - share * (wall.by - wall.ay)
+        push_x, push_y = push_from_wall(dx, dy, radius, 0.0)
+        total_x += push_x
+        total_y += push_y
     return total_x, total_y
 
 
 @jit
-def push_away(
-    dx: float, dy: float, vx: float, vy: float, both: float, strength: float
-) -> tuple[float, float]:
-    """Push [m/s^2] on a person at (dx, dy) from another one, whose relative velocity is (vx, vy).
-
-    The potential is strength * exp(-(b - both) / PUSH_RANGE), b being the semi-minor axis of the
-    ellipse, and `both` the radii of the two, which the published one leaves out.
-    """
-    stride_x, stride_y = STRIDE_TIME * vx, STRIDE_TIME * vy
-    apart = math.sqrt(dx * dx + dy * dy) + 1e-9
-    later_x, later_y = dx - stride_x, dy - stride_y
-    later = math.sqrt(later_x * later_x + later_y * later_y) + 1e-9
-    around, stride = apart + later, stride_x * stride_x + stride_y * stride_y
-    axis = 0.5 * math.sqrt(max(around * around - stride, 1e-6))
-    push = strength / PUSH_RANGE * math.exp(min((both - axis) / PUSH_RANGE, 2.0))
-    push *= around / (4.0 * axis)
-    return push * (dx / apart + later_x / later), push * (dy / apart + later_y / later)
+def push_from_wall(dx: float, dy: float, radius: float, extent: float) -> tuple[float, float]:
+    """Push on a person from the place of a wall, or from the centre of a circle of that extent."""
+    reach = radius + FARTHEST_WALL + extent
+    square = dx * dx + dy * dy
+    if square >= reach * reach:
+        return 0.0, 0.0
+    distance = math.sqrt(square) + 1e-9
+    push = WALL_PUSH * math.exp((radius + extent - distance) / WALL_RANGE)
+    return push * dx / distance, push * dy / distance
 
 
 @subroutine
-def walk_on(movers: Floats, m: int, states: Floats, period: float) -> None:
+def walk_on(hall: Hall, states: Floats, m: int) -> None:
     """Let a person who reacts walk for a tick as decided."""
-    vx, vy = states[m, VX] + states[m, AX] * period, states[m, VY] + states[m, AY] * period
-    speed, most = math.sqrt(vx * vx + vy * vy), SPEED_SHARE * movers[m, SPEED]
-    share = most / speed if speed > most else 1.0
-    states[m, VX], states[m, VY] = share * vx, share * vy
-    states[m, X] += states[m, VX] * period
-    states[m, Y] += states[m, VY] * period
+    period = hall.period
+    vx, vy = limit_length(
+        states[m, VX] + states[m, AX] * period,
+        states[m, VY] + states[m, AY] * period,
+        SPEED_SHARE * hall.movers[m, SPEED],
+    )
+    states[m, VX] = vx
+    states[m, VY] = vy
+    states[m, X] += vx * period
+    states[m, Y] += vy * period
     states[m, CLOCK] += states[m, PACE] * period
+
+
+# What is measured
 
 
 @subroutine
@@ -400,117 +505,139 @@ def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> tuple[float,
     """Measure how near the robot is to movers.
 
     Returns:
-        Distance from its hull to the nearest one's [m], 0 to FARTHEST_PERSON, and the time until
-        its disc would touch one if all kept their velocities [s], at most FARTHEST_COLLISION.
+        Distance from its hull to that of the nearest mover [m], 0 to FARTHEST_PERSON, and the time
+        until its disc would touch a mover if all kept their velocities [s], at most
+        FARTHEST_COLLISION.
     """
-    nearest, soonest = FARTHEST_PERSON, FARTHEST_COLLISION
-    outer = disc_radius(hall)
+    nearest = FARTHEST_PERSON
+    soonest = FARTHEST_COLLISION
+    outer = outer_radius(hall.around, hall.kind)
     for m in range(len(hall.movers)):
         radius = hall.movers[m, RADIUS]
         if radius < 0.0:
             break
-        dx, dy = states[m, X] - robot.x, states[m, Y] - robot.y
+        dx = states[m, X] - robot.x
+        dy = states[m, Y] - robot.y
         reach = nearest + outer + radius
         if dx * dx + dy * dy < reach * reach:
-            ahead, left = robot.cos * dx + robot.sin * dy, robot.cos * dy - robot.sin * dx
-            gap, _, _ = footprint_gap(ahead, left, hall.around, hall.kind)
+            ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
+            gap, _, _ = footprint_gap(ahead, aside, hall.around, hall.kind)
             nearest = min(nearest, max(gap - radius, 0.0))
         vx = states[m, VX] - robot.forward * robot.cos
         vy = states[m, VY] - robot.forward * robot.sin
-        soonest = min(soonest, time_to_touch(dx, dy, vx, vy, outer + radius))
+        soonest = min(soonest, time_to_touch(dx, dy, vx, vy, radii=outer + radius))
     return nearest, soonest
 
 
 @jit
-def time_to_touch(dx: float, dy: float, vx: float, vy: float, both: float) -> float:
-    """Time until two discs touch that keep their velocities [s]; inf where they never do.
+def time_to_touch(dx: float, dy: float, vx: float, vy: float, radii: float) -> float:
+    """Time until two discs touch that keep their velocities [s]; infinity if they never do.
 
-    `dx`, `dy` is the place and `vx`, `vy` the velocity of one from the other, `both` the sum of
-    their radii [m, m/s].
+    `dx`, `dy` is the place and `vx`, `vy` the velocity of a disc from the other disc, `radii` the
+    sum of their radii [m, m/s].
     """
-    square, along, apart = vx * vx + vy * vy, dx * vx + dy * vy, dx * dx + dy * dy - both * both
-    if apart <= 0.0:
+    square = vx * vx + vy * vy
+    along = dx * vx + dy * vy
+    outside = dx * dx + dy * dy - radii * radii
+    if outside <= 0.0:
         return 0.0
-    inside = along * along - square * apart
+    inside = along * along - square * outside
     if along >= 0.0 or inside < 0.0:
         return np.inf
-    return apart / (math.sqrt(inside) - along)
+    return outside / (math.sqrt(inside) - along)
+
+
+# The crowd of one robot
 
 
 @loop
-def begin_alone(motions: Motions, states: Floats, key: float) -> None:
-    """`begin_crowd` for one robot."""
-    begin_crowd(motions.movers[0], motions.pieces[0], states, key)
-
-
-@jit
-def hall_alone(motions: Motions, key: float, period: float, around: Surroundings) -> Hall:
-    """The hall of one robot."""
-    world = motions.movers[0], motions.pieces[0], motions.reacting[0]
-    return Hall(world[0], world[1], world[2], key, period, 0, around, 0)
+def begin_alone(hall: Hall, states: Floats) -> None:
+    """Run `begin_crowd` for one robot."""
+    begin_crowd(hall, states)
 
 
 @loop
 def advance_alone(
-    motions: Motions,
-    around: Surroundings,
-    key: float,
-    period: float,
-    states: Floats,
-    tick: int,
-    pose: Pose,
-    twist: Twist,
+    hall: Hall, states: Floats, tick: int, pose: Pose, twist: Twist
 ) -> tuple[float, float, float]:
-    """`advance_crowd` for one robot."""
-    robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
-    hall = hall_alone(motions, key, period, around)
-    return advance_crowd(hall, states, tick, robot, np.inf)
+    """Run `advance_crowd` for one robot."""
+    return advance_crowd(hall, states, tick, motion_of(pose, twist), np.inf)
 
 
 @loop
-def survey_alone(
-    motions: Motions, around: Surroundings, states: Floats, pose: Pose, twist: Twist
-) -> tuple[float, float]:
-    """`survey_crowd` for one robot."""
-    robot = RobotMotion(pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2]), *twist)
-    return survey_crowd(hall_alone(motions, 0.0, 0.0, around), states, robot)
+def survey_alone(hall: Hall, states: Floats, pose: Pose, twist: Twist) -> tuple[float, float]:
+    """Run `survey_crowd` for one robot."""
+    return survey_crowd(hall, states, motion_of(pose, twist))
+
+
+@jit
+def motion_of(pose: Pose, twist: Twist) -> RobotMotion:
+    """The motion of a robot."""
+    x, y, theta = pose
+    return RobotMotion(x, y, math.cos(theta), sin=math.sin(theta), forward=twist[0], rate=twist[1])
 
 
 class Crowd:
     """The movers around one simulated robot, in one episode.
 
-    Attributes: `motions`, of this world alone; `radii`, (movers,) [m]; `states`, (movers,
-    STATE_NUMBERS); `hit`, the first contact, such as ROBOT_HIT; `intrusions`, how often the robot
-    has entered somebody's personal space.
+    Args:
+        world: World with the movers.
+        config: Configuration of the robot.
+        key: The episode's draw, 0 to 1, see `Scene.key`.
+
+    Attributes:
+        motions: Motions of the movers of this world.
+        hall: What surrounds them.
+        radii: (movers,): their radii [m].
+        states: (movers, STATE_NUMBERS): their states, see `StateRow`.
+        hit: The first contact, such as ROBOT_HIT.
+        intrusions: How often the robot has entered a mover's personal space.
     """
 
     def __init__(self, world: World, config: RobotConfig, key: float) -> None:
         self.motions = make_motions([world.movers])
-        self._period = config.period
-        self._key = key
-        obstacles = Obstacles(world.circles, world.segments)
-        self._around = make_surroundings(obstacles, None, 1, config)
-        self.radii = self.motions.movers[0, :, RADIUS].copy()
+        self.hall = Hall(
+            movers=self.motions.movers[0],
+            pieces=self.motions.pieces[0],
+            is_reacting=bool(self.motions.reacting[0]),
+            key=key,
+            period=config.period,
+            which=0,
+            around=make_surroundings(world, None, config),
+            kind=0,
+        )
+        self.radii = self.hall.movers[:, RADIUS].copy()
         self.states = np.zeros((len(self.radii), STATE_NUMBERS))
-        self.hit, self.intrusions, self._tick = NO_HIT, 0.0, 0
-        begin_alone(self.motions, self.states, key)
+        self.hit = NO_HIT
+        self.intrusions = 0.0
+        self._tick = 0
+        begin_alone(self.hall, self.states)
 
     @property
     def now(self) -> float:
-        """Time since the episode's begin [s]."""
-        return self._tick * self._period
+        """Time since the start of the episode [s]."""
+        return self._tick * self.hall.period
 
     def advance(self, pose: Pose, twist: Twist) -> None:
-        """Advance by a control period, at whose end the robot is there and moves so."""
+        """Advance by a control period.
+
+        Args:
+            pose: Pose of the robot at its end, in the frame of the world.
+            twist: Twist of the robot at its end.
+        """
         self._tick += 1
-        episode = self.motions, self._around, self._key, self._period, self.states
-        hit, entered, _ = advance_alone(*episode, self._tick, pose, twist)
+        hit, entered, _ = advance_alone(self.hall, self.states, self._tick, pose, twist)
         self.hit = self.hit or hit
         self.intrusions += entered
 
     def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
-        """Distance of the nearest mover [m] and time to collision [s], see `survey_crowd`."""
-        return survey_alone(self.motions, self._around, self.states, pose, twist)
+        """Return the distance of the nearest mover [m] and the time to collision [s].
+
+        Args:
+            pose: Pose of the robot, in the frame of the world.
+            twist: Twist of the robot.
+        """
+        return survey_alone(self.hall, self.states, pose, twist)
 
     def copy_states(self) -> Floats:
         """Copy what is seen of the movers now, (movers, SEEN_NUMBERS), in the world's frame."""

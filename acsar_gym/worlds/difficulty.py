@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.geometry import Surroundings, cast_rays, point_clearance
+from acsar_gym.worlds.geometry import Surroundings, cast_lines, point_clearance
 from acsar_gym.worlds.world import Floats, World
 
 PLACE_SPACING = 0.15  # distance between two points of the path that are measured, at most [m]
@@ -69,12 +69,13 @@ def measure_difficulty(world: World, path: Floats | None = None) -> Difficulty:
         np.array([world.circles]),  # not read-only, as those that the compiled code knows
         np.array([world.segments]),
         np.stack([np.cos(angles), np.sin(angles)], axis=1)[None],
-        kinds=np.array([[0.0, step, VISIBILITY_REACH, 0.0, 0.0, 0.0, 0.0, 0.0]]),
-        sides=np.zeros((1, 0, 4)),
+        kinds=np.array([[0.0, step, VISIBILITY_REACH, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]]),
+        sides=np.zeros((1, 0, 7)),
     )
     ranges = np.empty((count, VISIBILITY_RAYS))
+    origins = np.zeros((VISIBILITY_RAYS, 2))
     for (x, y), row in zip(places.tolist(), ranges, strict=True):
-        cast_rays(x, y, 1.0, 0.0, 0, around, row)
+        cast_lines(x, y, 1.0, 0.0, 0, around, origins, row)
     nearest = np.clip(point_clearance(places, world), 0.0, VISIBILITY_REACH)
     near = ranges <= DISPERSION_RADIUS
     across = ranges + np.roll(ranges, VISIBILITY_RAYS // 2, axis=1)

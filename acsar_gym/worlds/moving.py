@@ -1,16 +1,19 @@
-"""Generated worlds that move: crowds in halls, DynaBARN, and walkers in standing worlds.
+"""Generated worlds that move: crowds in halls, and DynaBARN.
 
 Walkers go there and back, or around, along ways that are free for them. They don't see each other,
-as Gazebo's actors don't; people who react do, see `crowd`. Where a motion begins is drawn anew in
-each episode, within its `spread`.
+as Gazebo's actors don't. People who react do, see `crowd`. Where a motion starts is drawn for each
+episode, within its `spread`.
 """
 
 from __future__ import annotations
 
-import contextlib
+import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from functools import cache
+from itertools import pairwise, product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -27,16 +30,18 @@ from acsar_gym.worlds.movers import (
     walk,
 )
 from acsar_gym.worlds.search import path_length, shortest_path
-from acsar_gym.worlds.time_search import search_time
 from acsar_gym.worlds.world import Floats, Region, World, make_box, make_rectangle, make_wall
 
 WALKER_MARGIN = 0.05
-"""Distance that walkers keep from what stands, on top of their radius [m]."""
+"""Distance that walkers keep from obstacles, on top of their radius [m]."""
 START_DISTANCE = 1.0
-"""Least distance from a robot that starts to where movers begin, between their discs [m]."""
+"""Least distance from a robot that starts to where movers start, between their discs [m]."""
 BEGIN_SPACING = 0.25  # of the places that are looked at for this [m]
 PHASE_SPREAD = 6.0
-"""A walker's begin varies by so much from episode to episode [s]."""
+"""A walker's start varies by this time from episode to episode [s]."""
+REACTING_SPREAD = 1.5
+"""The same in halls with people who react, none of whom may start in another [s]: with a longer
+spread there isn't room enough for 20 people."""
 WALKER_SPEEDS = (0.3, 1.8)  # slowest of all, fastest at difficulty 1 [m/s]
 EASY_SPEED = 0.6  # fastest at difficulty 0 [m/s]
 LONGEST_PAUSE = 2.0  # where a walker turns back [s]
@@ -45,20 +50,12 @@ SHORTEST_WAY = 2.0  # between two places where a walker stops [m]
 DENSITIES = (0.06, 0.25)  # walkers a square metre, at difficulty 0 and 1
 WALKER_COUNTS = (2, 20)  # least and most walkers of a hall
 REACTING_SHARES = (0.3, 0.9)
-"""Share of people who react at difficulty 0 and 1, in worlds whose name says so."""
+"""Share of people who react at difficulty 0 and 1, in worlds with people who react."""
 BLIND_SHARES = (0.0, 0.5)
 """Of those, the share who don't see the robot is drawn from this range for each world."""
 DRAWS = 50  # ways that are drawn for one mover before the world counts as too crowded
 POINT_DRAWS = 16  # places that are drawn for one stop of a way
-
-OPEN_MARGIN = 2.0
-"""Walkers who are added to a world without obstacles may go so far beyond its path [m]."""
-
-CHECK_SPEED = 0.4
-"""Top speed of the robot with which every world can be crossed [m/s]."""
-CHECK_MARGIN = 0.1  # margin that this robot keeps from movers [m]
-CHECK_KEYS = (0.1, 0.4, 0.7)
-"""Episodes in which this is checked, see `Scene.key`."""
+PHASE_DRAWS = 10  # starts on a way that are drawn, if people may not start in others
 
 DYNABARN_HALF = 10.0  # half the side of DynaBARN's field [m]
 DYNABARN_WALL = 0.5  # thickness of its three walls [m]
@@ -82,15 +79,23 @@ JUMP_DISTANCE = 3.0
 """Least distance from the robot's start and goal to where a cylinder appears [m]."""
 
 Box = tuple[float, float, float, float]  # least x and y, largest x and y [m]
+Place = tuple[float, float]  # x, y [m]
+SIGNS = tuple(product((-1.0, 1.0), repeat=2))  # of the four corners of a crossing
 
 
-class Hall(NamedTuple):
+REDRAWN = Path(__file__).with_name("redrawn.json")
+"""How many draws of a world with this number were refused by the generator's first version, because
+a search in space and time found no way through: by generator and radius of the robot [m]. They are
+still left out, so that the benchmark's sets stay the same."""
+
+
+class HallLayout(NamedTuple):
     """Walls around people and a robot."""
 
     walls: Floats
     """(segments, 4) [m]."""
     areas: list[Box]
-    """A walker goes from one of these to another one."""
+    """A walker goes from one of these to another."""
     start: Box
     """Where the robot starts."""
     goal: Box
@@ -99,21 +104,39 @@ class Hall(NamedTuple):
     """The floor, in parts that don't overlap."""
 
 
+def blend(limits: tuple[float, float], difficulty: float) -> float:
+    """Interpolate between the values at difficulty 0 and 1."""
+    low, high = limits
+    return low + difficulty * (high - low)
+
+
+def count_redraws(kind: str, number: int, radius: float) -> int:
+    """Return how many draws of a world of any difficulty are left out, see `REDRAWN`."""
+    worlds: dict[str, int] = _read_redrawn().get(kind, {}).get(f"{radius:.6f}", {})
+    return worlds.get(str(number), 0)
+
+
+@cache
+def _read_redrawn() -> dict[str, dict[str, dict[str, int]]]:
+    tables: dict[str, dict[str, dict[str, int]]] = json.loads(REDRAWN.read_text())
+    return tables
+
+
 def make_crowd(rng: np.random.Generator, difficulty: float, radius: float) -> World:
     """Make a corridor, a crossing, rooms with doors or an open floor, full of walkers.
 
-    Their number and speeds grow with difficulty. Nobody reacts to the robot or to others.
+    Their number and speeds grow with difficulty. None of them reacts to the robot or to others.
     """
     return _make_hall(rng, difficulty, radius, reacting=0.0)
 
 
 def make_reacting_crowd(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """As `make_crowd`, but a share of the people, which grows with difficulty, reacts.
+    """Make a world as `make_crowd`, but a share of the people, which grows with difficulty, reacts.
 
-    A part of them, drawn for each world, sees other people, but not the robot.
+    A part of them, drawn for each world, sees other people, but not the robot. No two people
+    overlap when an episode starts.
     """
-    low, high = REACTING_SHARES
-    return _make_hall(rng, difficulty, radius, reacting=low + difficulty * (high - low))
+    return _make_hall(rng, difficulty, radius, reacting=blend(REACTING_SHARES, difficulty))
 
 
 def _make_hall(
@@ -124,68 +147,62 @@ def _make_hall(
     hall = draw_hall(rng, radius)
     ends = [_draw_point(rng, box, radius + WALKER_MARGIN) for box in (hall.start, hall.goal)]
     start = Region(*ends[0], 0.0, rng.uniform(-math.pi, math.pi))
-    round_ones, boxes = _draw_furniture(rng, hall)
-    world = World(round_ones, np.concatenate([hall.walls, *boxes]), start, Region(*ends[1]))
-    low, high = DENSITIES
-    area = sum((right - left) * (top - bottom) for left, bottom, right, top in hall.floors)
-    count = round(area * (low + difficulty * (high - low)))
+    pillars, boxes = _draw_furniture(rng, hall)
+    world = World(pillars, np.concatenate([hall.walls, *boxes]), start, Region(*ends[1]))
+
+    area = sum((max_x - min_x) * (max_y - min_y) for min_x, min_y, max_x, max_y in hall.floors)
+    count = round(area * blend(DENSITIES, difficulty))
     count = min(max(count, WALKER_COUNTS[0]), WALKER_COUNTS[1])
     blind = rng.uniform(*BLIND_SHARES)
     movers = []
+    taken: list[Place] | None = [] if reacting else None
     for _ in range(count):
-        mover = draw_walker(rng, world, hall.areas, difficulty, radius)
-        reacts, sees_robot = bool(rng.random() < reacting), bool(rng.random() >= blind)
+        mover = draw_walker(rng, world, hall.areas, difficulty, radius, taken=taken)
+        if taken is not None:
+            taken += list_starts(mover)
+        reacts = bool(rng.random() < reacting)
+        sees_robot = bool(rng.random() >= blind)
         movers.append(replace(mover, reacts=reacts, sees_robot=sees_robot or not reacts))
     return replace(world, movers=tuple(movers))
 
 
-def draw_corridor(rng: np.random.Generator, radius: float) -> Hall:
+def draw_corridor(rng: np.random.Generator, radius: float) -> HallLayout:
     """Draw a corridor of 9 to 12 m along x, through which the robot goes from end to end."""
-    length, half = rng.uniform(9.0, 12.0), rng.uniform(1.2, 1.8)
-    low, high = -half, half
-    return Hall(
-        make_rectangle(0.0, low, length, high),
-        [(2.0, low, 3.5, high), (length - 3.5, low, length - 0.3, high)],
-        (0.2, low, 1.0, high),
-        (length - 1.0, low, length - 0.2, high),
-        [(0.0, low, length, high)],
+    length = rng.uniform(9.0, 12.0)
+    half = rng.uniform(1.2, 1.8)
+    return HallLayout(
+        make_rectangle(0.0, -half, length, half),
+        areas=[(2.0, -half, 3.5, half), (length - 3.5, -half, length - 0.3, half)],
+        start=(0.2, -half, 1.0, half),
+        goal=(length - 1.0, -half, length - 0.2, half),
+        floors=[(0.0, -half, length, half)],
     )
 
 
-def draw_crossing(rng: np.random.Generator, radius: float) -> Hall:
-    """Draw two corridors that cross; the robot comes from one arm, and leaves by another."""
+def draw_crossing(rng: np.random.Generator, radius: float) -> HallLayout:
+    """Draw two corridors that cross. The robot comes from an arm, and leaves by another."""
     reach = rng.uniform(4.0, 5.5)
     half_x, half_y = rng.uniform(1.1, 1.7, 2).tolist()  # of the corridors along y and along x
-    corners = [
-        np.array([[sx * half_x, sy * reach, sx * half_x, sy * half_y]])
-        for sx in (-1.0, 1.0)
-        for sy in (-1.0, 1.0)
+    walls = [
+        *([x * half_x, y * reach, x * half_x, y * half_y] for x, y in SIGNS),
+        *([x * half_x, y * half_y, x * reach, y * half_y] for x, y in SIGNS),
+        [-half_x, -reach, half_x, -reach],
+        [-half_x, reach, half_x, reach],
+        [-reach, -half_y, -reach, half_y],
+        [reach, -half_y, reach, half_y],
     ]
-    corners += [
-        np.array([[sx * half_x, sy * half_y, sx * reach, sy * half_y]])
-        for sx in (-1.0, 1.0)
-        for sy in (-1.0, 1.0)
-    ]
-    ends = np.array(
-        [
-            [-half_x, -reach, half_x, -reach],
-            [-half_x, reach, half_x, reach],
-            [-reach, -half_y, -reach, half_y],
-            [reach, -half_y, reach, half_y],
-        ]
-    )
     arms = [
         (-reach, -half_y, 1.3 - reach, half_y),
         (reach - 1.3, -half_y, reach, half_y),
         (-half_x, -reach, half_x, 1.3 - reach),
         (-half_x, reach - 1.3, half_x, reach),
     ]
-    return Hall(
-        np.concatenate([*corners, ends]),
-        arms[1:],
-        arms[0],
-        arms[int(rng.integers(1, 4))],
-        [
+    return HallLayout(
+        np.array(walls),
+        areas=arms[1:],
+        start=arms[0],
+        goal=arms[int(rng.integers(1, 4))],
+        floors=[
             (-reach, -half_y, reach, half_y),
             (-half_x, -reach, half_x, -half_y),
             (-half_x, half_y, half_x, reach),
@@ -193,77 +210,97 @@ def draw_crossing(rng: np.random.Generator, radius: float) -> Hall:
     )
 
 
-def draw_doors(rng: np.random.Generator, radius: float) -> Hall:
+def draw_doors(rng: np.random.Generator, radius: float) -> HallLayout:
     """Draw two or three rooms side by side, with a door or two between them."""
-    count, height = int(rng.integers(2, 4)), rng.uniform(4.0, 6.0)
+    count = int(rng.integers(2, 4))
+    height = rng.uniform(4.0, 6.0)
     edges = np.concatenate([[0.0], np.cumsum(rng.uniform(3.0, 4.5, count))]).tolist()
-    walls = [make_rectangle(0.0, 0.0, edges[-1], height)]
+    end = edges[-1]
+    walls = [make_rectangle(0.0, 0.0, end, height)]
     for x in edges[1:-1]:
         width = max(rng.uniform(1.0, 1.5), 2.0 * radius + 0.5)
-        doors = [rng.uniform(0.3, height / 2.0 - width)] if height / 2.0 - width > 0.4 else []
-        doors = [*doors, rng.uniform(height / 2.0, height - 0.3 - width)]
+        space = height / 2.0 - width
+        doors = [rng.uniform(0.3, space)] if space > 0.4 else []
+        doors.append(rng.uniform(height / 2.0, height - 0.3 - width))
         if len(doors) > 1 and rng.random() < 0.5:
             doors.pop(int(rng.integers(2)))
         gaps = np.array([[at, at + width] for at in doors])
         walls.append(make_wall((x, 0.0), (x, height), gaps))
-    rooms = [(left, 0.0, right, height) for left, right in pairwise(edges)]
-    return Hall(
+
+    rooms = [(start, 0.0, stop, height) for start, stop in pairwise(edges)]
+    return HallLayout(
         np.concatenate(walls),
-        rooms,
-        (0.2, 0.0, 1.2, height),
-        (edges[-1] - 1.2, 0.0, edges[-1] - 0.2, height),
-        rooms,
+        areas=rooms,
+        start=(0.2, 0.0, 1.2, height),
+        goal=(end - 1.2, 0.0, end - 0.2, height),
+        floors=rooms,
     )
 
 
-def draw_open_hall(rng: np.random.Generator, radius: float) -> Hall:
+def draw_open_hall(rng: np.random.Generator, radius: float) -> HallLayout:
     """Draw a floor of 7 to 10 m, which people cross in all directions."""
     width, height = rng.uniform(7.0, 10.0, 2).tolist()
-    third_x, third_y = width / 3.0, height / 3.0
-    return Hall(
+    dx = width / 3.0
+    dy = height / 3.0
+    border = [(i, j) for i, j in product(range(3), repeat=2) if (i, j) != (1, 1)]
+    return HallLayout(
         make_rectangle(0.0, 0.0, width, height),
-        [
-            (i * third_x, j * third_y, (i + 1) * third_x, (j + 1) * third_y)
-            for i in range(3)
-            for j in range(3)
-            if (i, j) != (1, 1)
-        ],
-        (0.2, 0.2, 1.2, height - 0.2),
-        (width - 1.2, 0.2, width - 0.2, height - 0.2),
-        [(0.0, 0.0, width, height)],
+        areas=[(i * dx, j * dy, (i + 1) * dx, (j + 1) * dy) for i, j in border],
+        start=(0.2, 0.2, 1.2, height - 0.2),
+        goal=(width - 1.2, 0.2, width - 0.2, height - 0.2),
+        floors=[(0.0, 0.0, width, height)],
     )
 
 
 def _draw_point(rng: np.random.Generator, box: Box, margin: float) -> tuple[float, float]:
     """A point of a box, away from its sides."""
-    low, high = np.array(box[:2]) + margin, np.array(box[2:]) - margin
+    low = np.array(box[:2]) + margin
+    high = np.array(box[2:]) - margin
     middle = (low + high) / 2.0
     x, y = rng.uniform(np.minimum(low, middle), np.maximum(high, middle)).tolist()
     return x, y
 
 
-def _draw_furniture(rng: np.random.Generator, hall: Hall) -> tuple[Floats, list[Floats]]:
+def _draw_furniture(rng: np.random.Generator, hall: HallLayout) -> tuple[Floats, list[Floats]]:
     """Up to four pillars and boxes: circles, and the sides of boxes."""
-    circles, boxes = [], []
+    circles = []
+    boxes = []
     for _ in range(int(rng.integers(0, 5))):
         x, y = _draw_point(rng, hall.floors[int(rng.integers(len(hall.floors)))], 0.0)
         if rng.random() < 0.5:
             circles.append([x, y, rng.uniform(0.1, 0.25)])
         else:
             length, width = rng.uniform(0.2, 0.6, 2).tolist()
-            boxes.append(make_box(x, y, length, width, rng.uniform(0.0, math.pi)))
+            boxes.append(make_box(x, y, length, width, theta=rng.uniform(0.0, math.pi)))
     return np.array(circles).reshape(-1, 3), boxes
 
 
 def draw_walker(
-    rng: np.random.Generator, world: World, areas: list[Box], difficulty: float, radius: float
+    rng: np.random.Generator,
+    world: World,
+    areas: list[Box],
+    difficulty: float,
+    radius: float,
+    *,
+    taken: Sequence[Place] | None = None,
 ) -> Mover:
-    """Draw somebody who walks between areas of a world, but doesn't begin near the robot's start.
+    """Draw a person who walks between areas of a world.
 
-    WorldError where no way was found.
+    Args:
+        rng: Random numbers.
+        world: Obstacles and the robot's start, near which the person doesn't start.
+        areas: Boxes in which the person stops.
+        difficulty: From 0 to 1.
+        radius: Radius of the robot [m].
+        taken: Places where others may start, whom the person overlaps at the start of no episode;
+            None if they may overlap.
+
+    Raises:
+        WorldError: No way was found.
     """
-    low, high = WALKER_SPEEDS
-    speed = rng.uniform(low, EASY_SPEED + difficulty * (high - EASY_SPEED))
+    spread = PHASE_SPREAD if taken is None else REACTING_SPREAD
+    from_robot = START_DISTANCE + radius + world.start.radius + PERSON_RADIUS
+    speed = rng.uniform(WALKER_SPEEDS[0], blend((EASY_SPEED, WALKER_SPEEDS[1]), difficulty))
     for _ in range(DRAWS):
         goes_around = bool(rng.random() < SHARE_AROUND)
         picks = rng.choice(len(areas), 3 if goes_around else 2, replace=len(areas) < 3).tolist()
@@ -271,27 +308,33 @@ def draw_walker(
             stops = [_draw_stop(rng, world, areas[pick]) for pick in picks]
             ends = [*stops, stops[0]] if goes_around else stops
             ways = [
-                shortest_path(world, PERSON_RADIUS + WALKER_MARGIN, here, there, cuts=0)
-                for here, there in pairwise(ends)
+                shortest_path(world, PERSON_RADIUS + WALKER_MARGIN, start, goal, cuts=0)
+                for start, goal in pairwise(ends)
             ]
         except WorldError:
             continue
         if min(map(path_length, ways)) < SHORTEST_WAY:
             continue
+
         points = np.concatenate([*(way[:-1] for way in ways), ways[-1][-1:]])
         pauses = np.zeros(len(points))
         pauses[np.cumsum([0, *(len(way) - 1 for way in ways)])] = rng.uniform(0.0, LONGEST_PAUSE)
-        mover = walk(points, speed, pauses=pauses.tolist(), repeat=Repeat.BACK)
         if goes_around:
             mover = walk(points[:-1], speed, pauses=pauses[:-1].tolist(), repeat=Repeat.LOOP)
-        mover = replace(mover, phase=rng.uniform(0.0, mover.cycle), spread=PHASE_SPREAD)
-        if begins_away(mover, world.start, radius):
-            return mover
+        else:
+            mover = walk(points, speed, pauses=pauses.tolist(), repeat=Repeat.BACK)
+        for _ in range(1 if taken is None else PHASE_DRAWS):
+            phase = rng.uniform(0.0, mover.cycle)
+            mover = replace(mover, phase=phase, spread=spread)
+            if starts_away(mover, [(world.start.x, world.start.y)], from_robot) and starts_away(
+                mover, taken or (), 2.0 * PERSON_RADIUS + BEGIN_SPACING
+            ):
+                return mover
     raise WorldError("is too crowded for one more walker")
 
 
 def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
-    """A place of an area where a walker can stand; WorldError where none was found."""
+    """A place of an area in which a walker can stand; WorldError if none was found."""
     clear = PERSON_RADIUS + WALKER_MARGIN
     places = [_draw_point(rng, area, clear) for _ in range(POINT_DRAWS)]
     free = np.flatnonzero(point_clearance(places, world) >= clear)
@@ -300,69 +343,18 @@ def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
     return Region(*places[free[0]])
 
 
-def begins_away(mover: Mover, start: Region, radius: float) -> bool:
-    """Whether a mover never begins within START_DISTANCE of a robot's start."""
+def list_starts(mover: Mover) -> list[Place]:
+    """List places at which a mover may start, at most BEGIN_SPACING apart [m]."""
     count = 2 + math.ceil(mover.spread * mover.top_speed / BEGIN_SPACING)
     (movers,), (pieces,), _ = make_motions([[mover]])
     shares = np.linspace(0.0, 1.0, count).tolist()
-    places = [locate_alone(movers, pieces, 0.0, share)[:2] for share in shares]
-    least = START_DISTANCE + radius + start.radius + mover.radius
-    return min(math.dist(place, (start.x, start.y)) for place in places) >= least
+    return [locate_alone(movers, pieces, 0.0, share)[:2] for share in shares]
 
 
-def add_walkers(
-    world: World, count: int, rng: np.random.Generator, difficulty: float, radius: float
-) -> World:
-    """Add people who walk there and back, or around, to a world, and react to nobody.
-
-    WorldError where the robot couldn't cross it any more.
-    """
-    left, low, right, high = world.standing_bounds
-    if not world.obstacles:
-        left, low = left - OPEN_MARGIN, low - OPEN_MARGIN
-        right, high = right + OPEN_MARGIN, high + OPEN_MARGIN
-    for number in range(count):
-        crowded = _add_walker(world, (left, low, right, high), rng, difficulty, radius)
-        if crowded is None:
-            fewer = f"at most {number}" if number else "none, or another kind of world"
-            raise WorldError(
-                f"{world.name}: nobody can cross it among so many walkers: use {fewer}"
-            )
-        world = crowded
-    return world
-
-
-def _add_walker(
-    world: World, area: Box, rng: np.random.Generator, difficulty: float, radius: float
-) -> World | None:
-    """A world with one more walker; None where it couldn't be crossed any more."""
-    with contextlib.suppress(WorldError):
-        for _ in range(DRAWS):
-            walker = draw_walker(rng, world, [area], difficulty, radius)
-            crowded = replace(world, movers=(*world.movers, walker))
-            if can_be_crossed(crowded, radius):
-                return crowded
-    return None
-
-
-def can_be_crossed(world: World, radius: float) -> bool:
-    """Whether a slow robot that knows all motions comes to the goal, in some episodes."""
-    start, goal = (world.start.x, world.start.y), (world.goal.x, world.goal.y)
-    longest = 20.0 + 2.0 * world.length / CHECK_SPEED
-    return all(
-        search_time(
-            world,
-            radius,
-            CHECK_SPEED,
-            start,
-            goal,
-            margin=CHECK_MARGIN,
-            key=key,
-            horizon=longest,
-        )
-        is not None
-        for key in CHECK_KEYS
-    )
+def starts_away(mover: Mover, places: Sequence[Place], distance: float) -> bool:
+    """Return whether all `list_starts` of a mover are at least a distance away from places [m]."""
+    starts = list_starts(mover)
+    return all(math.dist(start, place) >= distance for start in starts for place in places)
 
 
 def make_dynabarn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
@@ -370,41 +362,44 @@ def make_dynabarn(rng: np.random.Generator, difficulty: float, radius: float) ->
 
     A. Nair, M. Saeed, X. Xiao et al.: DynaBARN: Benchmarking Metric Ground Navigation in Dynamic
     Environments, SSRR 2022. Cylinders cross a field of 20 x 20 m, which has walls on three sides,
-    from border to border along polynomials, and appear again where they began. Between two points
-    of its way each has a speed of its own. Number, order and speeds grow with difficulty.
+    from border to border along polynomials, and appear again where they started. Between two points
+    of its way each has another speed. Number, order and speeds grow with difficulty.
     """
-    half, thick = DYNABARN_HALF, DYNABARN_WALL
+    half = DYNABARN_HALF
+    thick = DYNABARN_WALL
     walls = [
         make_box(-half, 0.0, thick, 2.0 * half),
         make_box(0.0, half, 2.0 * half, thick),
         make_box(0.0, -half, 2.0 * half, thick),
     ]
-    world = World(segments=np.concatenate(walls), start=DYNABARN_START, goal=DYNABARN_GOAL)
-    low, high = DYNABARN_COUNTS
-    count = round(low + difficulty * (high - low))
-    movers = [draw_cylinder(rng, difficulty, radius) for _ in range(count)]
-    return replace(world, movers=tuple(movers))
+    count = round(blend(DYNABARN_COUNTS, difficulty))
+    return World(
+        segments=np.concatenate(walls),
+        start=DYNABARN_START,
+        goal=DYNABARN_GOAL,
+        movers=[draw_cylinder(rng, difficulty, radius) for _ in range(count)],
+    )
 
 
 def draw_cylinder(rng: np.random.Generator, difficulty: float, radius: float) -> Mover:
-    """Draw one of DynaBARN's cylinders, which doesn't begin near the robot's start or goal."""
-    fastest = DYNABARN_EASY_SPEED + difficulty * (DYNABARN_SPEEDS[1] - DYNABARN_EASY_SPEED)
-    low, high = DYNABARN_SPREADS
-    deviation = low + difficulty * (high - low)
-    lowest, highest = DYNABARN_ORDERS
-    highest = round(lowest + difficulty * (highest - lowest))
+    """Draw one of DynaBARN's cylinders, which doesn't start near the robot's start or goal."""
+    fastest = blend((DYNABARN_EASY_SPEED, DYNABARN_SPEEDS[1]), difficulty)
+    deviation = blend(DYNABARN_SPREADS, difficulty)
+    highest = round(blend(DYNABARN_ORDERS, difficulty))
     while True:
-        keys = draw_polynomial(rng, int(rng.integers(lowest, highest + 1)))
+        keys = draw_polynomial(rng, int(rng.integers(DYNABARN_ORDERS[0], highest + 1)))
         mean = rng.uniform(DYNABARN_SPEEDS[0], fastest)
         ends = [(end.x, end.y) for end in (DYNABARN_START, DYNABARN_GOAL)]
         if min(math.dist(keys[0], end) for end in ends) < JUMP_DISTANCE or len(keys) < 3:
             continue
+
         speeds = np.clip(rng.normal(mean, deviation, len(keys) - 1), DYNABARN_SLOWEST, fastest)
         lengths = np.hypot(*np.diff(keys, axis=0).T)
         times = np.concatenate([[0.0], np.cumsum(lengths / np.round(speeds, 1))])
-        whole = float(times[-1])
-        mover = follow_keys(times, keys, smooth=True, radius=DYNABARN_RADIUS, spread=whole)
-        if mover.top_speed <= OVERSHOOT * fastest and begins_away(mover, DYNABARN_START, radius):
+        duration = float(times[-1])
+        mover = follow_keys(times, keys, smooth=True, radius=DYNABARN_RADIUS, spread=duration)
+        distance = START_DISTANCE + radius + DYNABARN_START.radius + mover.radius
+        if mover.top_speed <= OVERSHOOT * fastest and starts_away(mover, ends[:1], distance):
             return mover
 
 

@@ -1,4 +1,4 @@
-"""A world: circles and segments around a robot, start and goal; the scene that a link builds."""
+"""A world: circles and segments around a robot, start and goal. The scene that a link builds."""
 
 from __future__ import annotations
 
@@ -19,11 +19,19 @@ Floats = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
 MAX_OBSTACLES = 20_000  # a world with more circles and segments than this is refused
 MAX_COORDINATE = 1e4  # coordinates beyond this are refused [m]
+X, Y, RADIUS = range(3)
+"""Columns of circles [m]."""
+AX, AY, BX, BY = range(4)
+"""Columns of segments from a to b [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A disc in which a start or a goal is drawn; a point where its radius is zero."""
+    """A disc in which a start or a goal is drawn, or a point if its radius is zero.
+
+    Raises:
+        WorldError: A value isn't a number, is too large, or the radius is negative.
+    """
 
     x: float
     """Centre [m]."""
@@ -36,9 +44,11 @@ class Region:
 
     def __post_init__(self) -> None:
         numbers = (self.x, self.y, self.radius, 0.0 if self.theta is None else self.theta)
-        real = all(isinstance(number, SupportsFloat) for number in numbers)
         try:
-            sound = real and all(abs(float(number)) <= MAX_COORDINATE for number in numbers)
+            sound = all(
+                isinstance(number, SupportsFloat) and abs(float(number)) <= MAX_COORDINATE
+                for number in numbers
+            )
         except (TypeError, ValueError, OverflowError):
             sound = False
         if not sound or self.radius < 0.0:
@@ -52,7 +62,13 @@ class Region:
 class World:
     """Obstacles, start and goal in the frame of the world (x, y [m], theta [rad]). Immutable.
 
-    Raises WorldError for wrong shapes, NaN, negative radii, or more than 20,000 obstacles.
+    Raises:
+        WorldError: For wrong shapes, NaN, negative radii, or more than 20,000 obstacles.
+
+    Example:
+        >>> world = World(circles=[[2.0, 0.0, 0.5]], goal=Region(4.0, 0.0))
+        >>> world.obstacles, world.bounds
+        (1, (0.0, -0.5, 4.0, 0.5))
     """
 
     circles: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -69,13 +85,13 @@ class World:
     name: str = ""
     """For pictures and reports."""
     movers: Sequence[Mover] = ()
-    """What moves, see `movers`; its times are those since an episode's begin."""
+    """Movers, see `movers`; their times are those since the start of an episode."""
 
     def __post_init__(self) -> None:
         for name, width in (("circles", 3), ("segments", 4), ("path", 2)):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _validate_rows(name, getattr(self, name), width))
-        if (self.circles[:, 2] < 0.0).any():
+        if (self.circles[:, RADIUS] < 0.0).any():
             raise WorldError("circles: a radius must not be negative")
         if self.obstacles > MAX_OBSTACLES:
             raise WorldError(
@@ -86,38 +102,41 @@ class World:
 
     @property
     def obstacles(self) -> int:
-        """Number of circles and segments, which stand."""
+        """Number of circles and segments."""
         return len(self.circles) + len(self.segments)
 
     @cached_property
     def length(self) -> float:
-        """Length of `path` [m]; NaN where there is none."""
+        """Length of `path` [m]; NaN without a path."""
         if self.path is None:
             return math.nan
         return float(np.hypot(*np.diff(self.path, axis=0).T).sum())
 
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
-        """Least x and y, largest x and y of everything, where movers go included [m].
+        """Least x and y, largest x and y of everything, the ways of movers included [m].
 
         People who react may leave their motions, and so these bounds.
         """
         boxes = np.array([self.standing_bounds, *(mover.bounds for mover in self.movers)])
-        left, low = boxes[:, :2].min(axis=0).tolist()
-        right, high = boxes[:, 2:].max(axis=0).tolist()
-        return left, low, right, high
+        min_x, min_y = boxes[:, :2].min(axis=0).tolist()
+        max_x, max_y = boxes[:, 2:].max(axis=0).tolist()
+        return min_x, min_y, max_x, max_y
 
     @cached_property
     def standing_bounds(self) -> tuple[float, float, float, float]:
         """Least x and y, largest x and y of obstacles, start, goal and path [m]."""
-        ends = np.array([[end.x, end.y, end.radius] for end in (self.start, self.goal)])
+        ends = [[end.x, end.y, end.radius] for end in (self.start, self.goal)]
         discs = np.concatenate([self.circles, ends])
-        points = [discs[:, :2] - discs[:, 2:], discs[:, :2] + discs[:, 2:]]
-        points += [self.segments[:, :2], self.segments[:, 2:]]
-        points += [] if self.path is None else [self.path]
-        every = np.concatenate(points)
-        (left, low), (right, high) = every.min(axis=0), every.max(axis=0)
-        return float(left), float(low), float(right), float(high)
+        centres = discs[:, [X, Y]]
+        radii = discs[:, [RADIUS]]
+        points = [centres - radii, centres + radii, self.segments.reshape(-1, 2)]
+        if self.path is not None:
+            points.append(self.path)
+        corners = np.concatenate(points)
+        min_x, min_y = corners.min(axis=0).tolist()
+        max_x, max_y = corners.max(axis=0).tolist()
+        return min_x, min_y, max_x, max_y
 
 
 def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
@@ -140,7 +159,8 @@ def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Float
 
 def make_box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> Floats:
     """Sides of a box around (x, y), (4, 4), rotated by theta [rad]; lengths in m."""
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (length / 2.0, width / 2.0)
     corners = half @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
     return np.column_stack([corners, np.roll(corners, -1, axis=0)])
@@ -154,7 +174,10 @@ def make_rectangle(left: float, low: float, right: float, high: float) -> Floats
 def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Floats) -> Floats:
     """Make a straight wall with gaps, (segments, 4) [m].
 
-    `doors` (gaps, 2): where each gap begins and ends, as distances from `start` [m], sorted.
+    Args:
+        start: First end of the wall [m].
+        end: Second end of the wall [m].
+        doors: (gaps, 2): where each gap starts and ends, as distances from `start` [m], sorted.
     """
     length = math.dist(start, end)
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)
@@ -169,26 +192,27 @@ def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Float
 class Scene:
     """A robot at rest at `start`, a world around it, and a goal, which only pictures show.
 
-    Everything is in the frame of the world, as is a simulator's ground truth. The odometry frame
-    begins at `start`.
+    Everything is in the frame of the world, as is a simulator's ground truth. The origin of the
+    odometry frame is `start`.
     """
 
     start: Pose = (0.0, 0.0, 0.0)
     """x [m], y [m], theta [rad]."""
     goal: tuple[float, float] | None = None
-    """x, y [m]; None: no goal."""
+    """x, y [m]; None without a goal."""
     world: World | None = None
     """Obstacles; None on an open floor."""
     physics: Physics | None = None
-    """The simulated robot's physics in this episode; None: as configured."""
+    """The simulated robot's physics in this episode; None for the configured physics."""
     key: float = 0.0
     """The episode's draw, 0 to 1, on which its movers' phases and people's traits depend."""
 
 
 def to_world(start: Pose, pose: Pose) -> Pose:
-    """Transform a pose from the odometry frame that begins at `start` into the world's frame."""
+    """Transform a pose from the odometry frame whose origin is `start` into the world's frame."""
     x, y, theta = start
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     return (
         x + cos * pose[0] - sin * pose[1],
         y + sin * pose[0] + cos * pose[1],
@@ -197,14 +221,17 @@ def to_world(start: Pose, pose: Pose) -> Pose:
 
 
 def to_odometry(start: Pose, pose: Pose) -> Pose:
-    """Transform a pose from the world's frame into the odometry frame that begins at `start`."""
-    dx, dy = pose[0] - start[0], pose[1] - start[1]
-    cos, sin = math.cos(start[2]), math.sin(start[2])
-    theta = math.remainder(pose[2] - start[2], math.tau)
-    return cos * dx + sin * dy, cos * dy - sin * dx, theta
+    """Transform a pose from the world's frame into the odometry frame whose origin is `start`."""
+    x, y, theta = pose
+    dx = x - start[0]
+    dy = y - start[1]
+    cos = math.cos(start[2])
+    sin = math.sin(start[2])
+    turned = math.remainder(theta - start[2], math.tau)
+    return cos * dx + sin * dy, cos * dy - sin * dx, turned
 
 
 def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
-    """Transform a point [m] from the odometry frame that begins at `start` to the world's."""
+    """Transform a point [m] from the odometry frame whose origin is `start` to the world's."""
     x, y, _ = to_world(start, (*point, 0.0))
     return x, y

@@ -25,7 +25,6 @@ from acsar_gym.tools import atlas
 from acsar_gym.worlds import Region, World, files, generators
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.search import footprint_radius
-from acsar_gym.worlds.world import make_rectangle
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
 
@@ -57,15 +56,6 @@ def test_what_moves_is_told(tmp_path: Path) -> None:
         "movers: 0 to 2 in a world, top speeds 0.50 to 0.50 m/s; 2 of 2 react, 1 of these don't "
         "see the robot"
     )
-
-
-def test_a_check_says_where_even_who_knows_all_motions_cannot_cross() -> None:
-    door = np.array([[1.0, -9.0, 1.0, -0.4], [1.0, 0.4, 1.0, 9.0]])
-    walls = np.concatenate([door, make_rectangle(-1.0, -2.0, 3.0, 2.0)])
-    guard, passer = walk([[1.0, 0.0]]), walk([[1.0, -1.2], [1.0, 1.2]], 1.0, pauses=5.0)
-    worlds = [World(segments=walls, goal=Region(2.0, 0.0), movers=(m,)) for m in (guard, passer)]
-    faults = [finding["fault"] for finding in atlas.check_worlds(worlds, None)]
-    assert faults == ["nobody can cross it, even knowing all motions", ""]
 
 
 def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:

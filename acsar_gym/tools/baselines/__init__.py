@@ -15,7 +15,7 @@ from acsar_gym.tools.baselines.base import BaselinePolicy
 __all__ = [
     "AMONG_MOVERS",
     "BASELINES",
-    "CEILINGS",
+    "PRIVILEGED_BASELINES",
     "BaselinePolicy",
     "is_baseline",
     "load_baseline",
@@ -28,11 +28,9 @@ BASELINES = {
     "dwa_movers": "dwa:DwaMovers",
     "orca": "orca:Orca",
     "orca_true": "orca:OrcaTrue",
-    "search_true": "time_search:SearchTrue",
-    "time_search": "time_search:TimeSearch",
 }
 """What `--policy` calls each, and its module in this package and class."""
-CEILINGS = ("orca_true", "search_true", "time_search")
+PRIVILEGED_BASELINES = ("orca_true",)
 """Those that know what only a simulator does."""
 AMONG_MOVERS = ("dwa_movers", "orca")
 """Those that are made for worlds with movers, and decide by their tracks."""

@@ -102,7 +102,7 @@ def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, 
 
 
 class Privileged(FilePolicy):
-    """Mixed into baselines that know what only a simulator does: ceilings that no robot reaches."""
+    """Mixed into baselines that know what only a simulator does."""
 
     privileged = True
     env: RobotEnv

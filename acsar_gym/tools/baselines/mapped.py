@@ -17,7 +17,6 @@ from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds.geometry import is_inside
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
@@ -28,8 +27,9 @@ TRACK_MARGIN = 0.15
 
 @loop
 def polygon_distance(x: float, y: float, sides: Floats) -> float:
-    """Distance of a point from a polygon, (sides, 4); 0 inside [m]."""
+    """Distance of a point from a convex polygon, (sides, 4); 0 inside [m]."""
     best = np.inf
+    is_inside = True
     for n in range(len(sides)):
         ax, ay = sides[n, 0], sides[n, 1]
         ex, ey = sides[n, 2] - ax, sides[n, 3] - ay
@@ -37,7 +37,8 @@ def polygon_distance(x: float, y: float, sides: Floats) -> float:
         share = min(max(share, 0.0), 1.0)
         dx, dy = x - ax - share * ex, y - ay - share * ey
         best = min(best, dx * dx + dy * dy)
-    return 0.0 if is_inside(x, y, sides) else math.sqrt(best)
+        is_inside = is_inside and ex * (y - ay) >= ey * (x - ax)
+    return 0.0 if is_inside else math.sqrt(best)
 
 
 @loop

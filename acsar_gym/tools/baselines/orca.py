@@ -27,7 +27,7 @@ from acsar_gym.tools.baselines.base import Privileged
 from acsar_gym.tools.baselines.half_planes import BOX, make_box, solve_programme
 from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base, true_tracks
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
-from acsar_gym.worlds.geometry import Obstacles, Surroundings, footprint_gap, make_surroundings
+from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings
 
 LAG_STEPS = 4
 """Steps in which the robot's motion until a command takes effect is predicted."""
@@ -87,7 +87,7 @@ class Orca(MappedPolicy):
             share=k.share,
             period=units.period,
         )
-        self._footprint = make_surroundings(Obstacles(), None, 1, setting.config)
+        self._footprint = make_surroundings(None, None, setting.config)
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""

@@ -20,7 +20,7 @@ from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS, snake_case
 from acsar_gym.resources import AGENTS
 from acsar_gym.sensors import MOVERS
-from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, CEILINGS
+from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, PRIVILEGED_BASELINES
 from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
 from acsar_gym.tools.benchmark.scenes import (
     GIVEN,
@@ -34,8 +34,8 @@ from acsar_gym.tools.evaluation.runs import PortablePolicy
 from acsar_gym.tools.policies import CallablePolicy, is_callable
 
 PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
-LEARNED, BASELINE, CEILING = "learned", "baseline", "ceiling"
-"""Kinds of agents; a ceiling is a baseline that knows what only a simulator does."""
+LEARNED, BASELINE, PRIVILEGED = "learned", "baseline", "privileged"
+"""Kinds of agents. A privileged agent is a baseline that knows what only a simulator does."""
 MAX_NAME_LENGTH = 60  # most characters of an agent's name
 
 
@@ -44,7 +44,7 @@ class Agent:
     """A policy that drives on one id: one training seed of a named agent."""
 
     name: str
-    kind: str  # "learned", "baseline" or "ceiling"
+    kind: str  # "learned", "baseline" or "privileged"
     env: str  # id of the env, with the module that registers it where there is one
     policy: str  # file, function, class or name of a baseline, as `evaluate --policy` takes it
     training_seed: int | None = None
@@ -107,7 +107,7 @@ def choose_agents(
     ]
     agents += [] if trained is None else trained_agents(trained, seeds, ids)
     for name in BASELINES:
-        kind = CEILING if name in CEILINGS else BASELINE
+        kind = PRIVILEGED if name in PRIVILEGED_BASELINES else BASELINE
         agents += [Agent(name, kind, env_id, name) for env_id in ids]
     known = list(dict.fromkeys(agent.name for agent in agents))
     check_names("--agents", [name for name in names if name not in given], known)
@@ -131,11 +131,11 @@ def choose_agents(
 def drives_unnamed(agent: Agent) -> bool:
     """Whether an agent drives where `--agents` names none.
 
-    Ceilings don't, and what is made for worlds with movers only where the robot senses them.
+    Privileged agents don't, and those made for worlds with movers only if the robot senses them.
     """
     if agent.kind == BASELINE and agent.name in AMONG_MOVERS:
         return has_sensor(agent.env, MOVERS)
-    return agent.kind != CEILING
+    return agent.kind != PRIVILEGED
 
 
 def given_agents(policy: str, ids: Sequence[str]) -> list[Agent]:

@@ -87,7 +87,7 @@ def _format_difference(figure: str) -> Callable[[Row], str]:
 
 MAIN_COLUMNS: dict[str, Callable[[Row], str]] = {
     "agent": lambda row: (
-        f"{row['agent']} (knows all)" if row["kind"] == "ceiling" else row["agent"]
+        f"{row['agent']} (knows all)" if row["kind"] == "privileged" else row["agent"]
     ),
     "link": lambda row: LINK_NAMES[row["link"]],
     "condition": lambda row: "" if row["condition"] == NOMINAL else row["condition"],

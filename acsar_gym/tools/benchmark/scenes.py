@@ -12,9 +12,9 @@ begins there. The published worlds of BARN are sets of their own, read from a fo
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path where there is nothing else). Where the generator, or the footprint of the robot that
 worlds are made for, has changed, the hashes differ and the set is refused: results from it couldn't
-be compared. A change that is wanted has to count SCENES_VERSION up and write the hashes anew:
-`record_hashes()`. Sets of other packages have the hash of their first 100 scenes, which is part of
-each result, and nothing to compare it with.
+be compared. After a change that is wanted, count up the generator's version in CHANGED_VERSIONS and
+write the hashes again: `record_hashes()`. Sets of other packages have the hash of their first 100
+scenes, which is part of each result, and nothing to compare it with.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
 
-SCENES_VERSION = 1  # version of all sets; counts up where any scene changes
+SCENES_VERSION = 1  # version of sets whose scenes have never changed
+CHANGED_VERSIONS = {"crowd_reacting": 2}
+"""Versions of sets by generator: since version 2 no two people overlap when an episode starts."""
 SCENES_PER_HASH = 100  # scenes that share a hash
 TRAIN, VALIDATION, TEST, GIVEN = "train", "validation", "test", "given"
 """Splits of generated scenes; given ones are read from a folder."""
@@ -276,7 +278,10 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
         for robot in dict.fromkeys(robots or choice.robots):
             label = Path(robot).stem if Path(robot).suffix else robot
             full = name if choice.robots == (robot,) else f"{name}/{label}"
-            found.append(SceneSet(cell_id(env_id), full, source, numbers, split, robot, score))
+            version = CHANGED_VERSIONS.get(source, SCENES_VERSION)
+            found.append(
+                SceneSet(cell_id(env_id), full, source, numbers, split, robot, score, version)
+            )
     names = [some.name for some in found]
     if twice := next((one for one in names if names.count(one) > 1), None):
         raise ConfigError(f"--robots: two of them are {twice.partition('/')[2]}: rename a file")

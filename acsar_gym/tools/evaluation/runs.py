@@ -94,7 +94,7 @@ class EvaluationRun:
         """Faults, and an end before the last episode, as lines for people."""
         notes = []
         if self.header["policy"]["privileged"]:
-            notes.append("It knows what only a simulator does: a ceiling that no robot reaches.")
+            notes.append("It knows what only a simulator does: no robot can do the same.")
         if self.faults:
             notes.append(f"Faults: {len(self.faults)} of {len(self.results)}: {self.faults[0]}")
         if self.ended is not None:

@@ -89,7 +89,7 @@ class FilePolicy(ABC):
     act_many: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None = None
     """Maps observations (n, numbers) to actions (n, 2), where the policy has no memory."""
     privileged: bool = False
-    """Whether it knows what only a simulator does: a ceiling that no robot reaches; see `watch`."""
+    """Whether it knows what only a simulator does, see `watch`."""
 
     @property
     def about(self) -> dict[str, str | None]:

@@ -13,10 +13,10 @@ from acsar_gym.worlds.crowd import (
     Y,
     advance_crowd,
     begin_crowd,
-    disc_radius,
     place_crowd,
     survey_crowd,
 )
+from acsar_gym.worlds.geometry import outer_radius
 
 
 @jit
@@ -51,7 +51,7 @@ def begin_movers(
 ) -> None:
     """Begin the episode of robot i's movers, to the end of the ticks in which its reset waits."""
     hall = hall_of(robots, i, crowds, scans, setup)
-    begin_crowd(hall.movers, hall.pieces, crowds.states[robot], hall.key)
+    begin_crowd(hall, crowds.states[robot])
     for tick in range(1, int(robots.loops[i] / setup.loops) + 1):
         advance_movers(robots, i, robot, tick, crowds, scans, setup)
     survey_movers(robots, i, robot, crowds, scans, setup)
@@ -78,7 +78,7 @@ def advance_movers(
     """Advance robot i's movers to the end of a tick, counted from the reset; look for contacts."""
     hall = hall_of(robots, i, crowds, scans, setup)
     # A corner of the hull moves fastest where the two sides' wheels turn against each other.
-    corner = max(disc_radius(hall) / robots.physics.half_track[i], 1.0)
+    corner = max(outer_radius(hall.around, hall.kind) / robots.physics.half_track[i], 1.0)
     hit, entered, look = advance_crowd(
         hall,
         crowds.states[robot],
@@ -100,7 +100,7 @@ def survey_movers(
 ) -> None:
     """Place robot i's movers at the end of a step, and compute what info says of them."""
     hall, now = hall_of(robots, i, crowds, scans, setup), robots.loops[i] / setup.loops
-    place_crowd(hall.movers, hall.pieces, crowds.states[robot], now * setup.period)
+    place_crowd(hall, crowds.states[robot], now * setup.period)
     near = survey_crowd(hall, crowds.states[robot], motion_in_world(robots, i))
     robots.closest_person[i], robots.time_to_collision[i] = near
 

@@ -13,7 +13,7 @@ from acsar_gym.tools.baselines.mapped import true_tracks
 from acsar_gym.tools.baselines.orca import VelocityModel, forbid_meeting, list_planes, predict_pose
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.crowd import Crowd
-from acsar_gym.worlds.geometry import Obstacles, make_surroundings
+from acsar_gym.worlds.geometry import make_surroundings
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import World
 
@@ -66,7 +66,7 @@ def test_a_mover_that_is_touched_is_left_within_a_period() -> None:
 
 def test_what_stands_is_reached_by_the_footprint_no_sooner_than_the_horizon() -> None:
     """The bumper is 0.17 m ahead: a wall at 0.52 m leaves 0.3 m with the margin."""
-    footprint = make_surroundings(Obstacles(), None, 1, CONFIG)
+    footprint = make_surroundings(None, None, CONFIG)
     points = np.array([[0.52, 0.0], [0.52, 0.1], [-0.2, 0.0]])
     planes, walls = list_planes(0.0, points, np.zeros((0, 5)), MODEL, footprint)
     assert walls == 3

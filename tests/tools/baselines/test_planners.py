@@ -130,49 +130,13 @@ def cross(name: str) -> Any:
     return info
 
 
-@pytest.mark.parametrize("name", ["dwa_movers", "orca", *baselines.CEILINGS])
+@pytest.mark.parametrize("name", ["dwa_movers", "orca", *baselines.PRIVILEGED_BASELINES])
 def test_walkers_who_cross_are_let_pass(name: str) -> None:
     assert cross(name)["is_success"] == 1.0
 
 
-@pytest.mark.slow
-def test_people_who_react_are_foreseen() -> None:
-    """They step aside for where the robot has planned to be."""
-    policy: Any = runs.load_policy("time_search", trust=False, env="obstacle_goal")
-    movers = (walk([[3.0, 0.05], [-3.0, 0.05]], 1.0, reacts=True),)
-    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
-    env = runs.make_env(policy, "planar", None, {"worlds": world})
-    seen, _ = env.reset(seed=0)
-    policy.reset()
-    policy(seen)
-    foreseen, begin = policy._foresee(policy.env.robot.link.now()), policy.truth.crowd.states.copy()
-    assert foreseen[0] == pytest.approx(begin[:, :2])
-    for _ in range(10):
-        env.step(np.zeros(2, np.float32))
-    there = policy.truth.crowd.states[0, :2]
-    assert abs(there - begin[0, :2]).max() > 0.5
-    assert foreseen[10, 0] == pytest.approx(there, abs=0.3)
-    env.close()
-
-
-def test_who_searches_by_what_is_true_now_foresees_straight_ways() -> None:
-    """Who turns in 1 s is foreseen as going on, for 4 s, and then is nowhere near."""
-    policy: Any = runs.load_policy("search_true", trust=False, env="obstacle_goal")
-    movers = (walk([[3.0, -1.0], [3.0, 0.0], [5.0, 0.0]], 1.0),)
-    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
-    env = runs.make_env(policy, "planar", None, {"worlds": world})
-    seen, _ = env.reset(seed=0)
-    policy.reset()
-    policy(seen)
-    foreseen = policy._foresee(policy.env.robot.link.now())
-    x, y, vx, vy = policy.truth.crowd.states[0, :4]
-    assert foreseen[40, 0] == pytest.approx((x + 4.0 * vx, y + 4.0 * vy))
-    assert abs(foreseen[41, 0]).min() > 1000.0
-    env.close()
-
-
-@pytest.mark.parametrize("name", baselines.CEILINGS)
-def test_a_ceiling_needs_a_simulator_and_says_what_it_is(name: str) -> None:
+@pytest.mark.parametrize("name", baselines.PRIVILEGED_BASELINES)
+def test_what_knows_the_truth_needs_a_simulator_and_says_so(name: str) -> None:
     policy: Any = runs.load_policy(name, trust=False, env="obstacle_goal")
     real = SimpleNamespace(robot=SimpleNamespace(link=SimpleNamespace(truth=None)))
     with pytest.raises(PolicyError, match="knows what only a simulator does"):
@@ -181,12 +145,15 @@ def test_a_ceiling_needs_a_simulator_and_says_what_it_is(name: str) -> None:
         policy, "planar", None, range(1), worlds="clutter:1", difficulty=0.0
     )
     assert done.header["policy"]["privileged"]
-    assert "ceiling" in done.notes[0]
+    assert "knows what only a simulator does" in done.notes[0]
 
 
-def test_ceilings_are_those_that_know_the_truth() -> None:
+def test_privileged_baselines_are_those_that_know_the_truth() -> None:
     loaded = [baselines.load_baseline(name, "x/Y-v0") for name in baselines.BASELINES]
-    assert tuple(policy.name for policy in loaded if policy.privileged) == baselines.CEILINGS
+    assert (
+        tuple(policy.name for policy in loaded if policy.privileged)
+        == baselines.PRIVILEGED_BASELINES
+    )
 
 
 def test_those_made_for_movers_use_their_tracks() -> None:

@@ -113,14 +113,14 @@ def test_the_best_are_compared_and_a_refused_agent_has_no_figures(result: dict[s
 
 
 def test_each_figure_has_its_own_best_baseline() -> None:
-    """One succeeds always but slowly, one is fast but fails once; a ceiling is none."""
+    """One succeeds always but slowly, one is fast but fails once; a privileged agent is none."""
     cells = [
         driven(cell("ours"), (0.8, 0.8, 0.8, 0.0)),
         driven(cell("slow"), (0.2, 0.2, 0.2, 0.2)),
         driven(cell("fast"), (0.7, 0.7, 0.7, 0.0)),
     ]
     cells.append(driven(cell("seer"), (1.0, 1.0, 1.0, 1.0)))
-    kinds = {"ours": "learned", "slow": "baseline", "fast": "baseline", "seer": "ceiling"}
+    kinds = {"ours": "learned", "slow": "baseline", "fast": "baseline", "seer": "privileged"}
     made = figures.make_result(plan(**kinds), cells)
     ours = {pair["figure"]: pair for pair in made["paired"] if pair["agent"] == "ours"}
     assert (ours["success"]["over"], ours["success"]["difference"]) == ("slow", -0.25)

@@ -136,19 +136,19 @@ def test_over_an_emulated_port(scenes: str, name: str) -> None:
     assert 0.0 < episode.spl <= 1.0
 
 
-def test_what_knows_the_truth_is_a_ceiling_and_drives_where_it_is_named() -> None:
-    assert plan.CEILING not in {agent.kind for agent in AGENTS_OF_ID.values()}
-    found = plan.choose_agents(["time_search", "dwa"], [ID], None, 1)
+def test_what_knows_the_truth_is_privileged_and_drives_where_it_is_named() -> None:
+    assert plan.PRIVILEGED not in {agent.kind for agent in AGENTS_OF_ID.values()}
+    found = plan.choose_agents(["orca_true", "dwa"], [ID], None, 1)
     assert {agent.name: agent.kind for agent in found} == {
-        "time_search": "ceiling",
+        "orca_true": "privileged",
         "dwa": "baseline",
     }
 
 
-def test_a_ceiling_is_refused_behind_the_port() -> None:
-    agents = plan.choose_agents(["time_search"], [ID], None, 1)
+def test_what_knows_the_truth_is_refused_behind_the_port() -> None:
+    agents = plan.choose_agents(["orca_true"], [ID], None, 1)
     (job,) = BenchmarkPlan(tuple(agents), (SET,), ("port",), port_count=1).jobs()
-    assert runner.run_job(job).refused.startswith("time_search: knows what only a simulator does")
+    assert runner.run_job(job).refused.startswith("orca_true: knows what only a simulator does")
 
 
 def test_what_is_made_for_movers_drives_unnamed_only_where_the_robot_senses_them() -> None:

@@ -32,7 +32,7 @@ class BenchmarkChoice:
     agents: Names = ()
     """Agents: packaged, baselines such as dwa, names in --trained, and policies of your own:
     mine.onnx, mine.py:act, mine.planner:Planner; default: all but your own, and those that know
-    what only a simulator does (orca_true, search_true, time_search)."""
+    what only a simulator does (orca_true)."""
     trained: Folder = None
     """Trained policies, NAME/SEED/policy.onnx."""
     seeds: int = 5
