@@ -1,9 +1,12 @@
-"""Folders of the package and of the user, and the hash of sources."""
+"""Folders of the package and of the user, and hashes of sources."""
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import importlib.util
 import os
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -39,3 +42,64 @@ def hash_sources(folder: Path, *excluded: Path) -> str:
             content = source.read_bytes()
             digest.update(f"{source.relative_to(folder)} {len(content)}\n".encode() + content)
     return digest.hexdigest()
+
+
+def hash_modules(*modules: str) -> str:
+    """Hash the sources of modules, and of the user's own modules that they import.
+
+    Args:
+        *modules: their names.
+
+    Returns:
+        The hash; empty where a module has no source file.
+    """
+    digest = hashlib.sha256()
+    try:
+        for module in modules:
+            for name, content in sorted(_read_sources(module).items()):
+                digest.update(f"{name} {len(content)} ".encode() + content)
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return digest.hexdigest()
+
+
+def _read_sources(first: str) -> dict[str, bytes]:
+    """Contents of a module and of all that it imports, directly or indirectly, by their names.
+
+    Python's own modules and this package's don't count; of installed ones only their version.
+    """
+    contents: dict[str, bytes] = {}
+    waiting = [first]
+    while waiting:
+        name = waiting.pop()
+        file = _source_file(name)
+        if file is None and name == first:
+            raise OSError(name)
+        if file is None or name in contents:
+            continue
+        installed = {"site-packages", "dist-packages"} & {*file.parts}
+        if installed and name.partition(".")[0] != first.partition(".")[0]:
+            contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
+            continue
+        contents[name] = file.read_bytes()
+        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+        imported: list[str] = []
+        for node in ast.walk(ast.parse(contents[name])):
+            if isinstance(node, ast.Import):
+                imported += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        ours = {*sys.stdlib_module_names, "acsar_gym"}
+        waiting += [module for module in imported if module.partition(".")[0] not in ours]
+    return contents
+
+
+def _source_file(name: str) -> Path | None:
+    """The source file of a module; None where there is none."""
+    module = sys.modules.get(name)
+    try:
+        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
+    except (ImportError, AttributeError, ValueError):
+        return None
+    return Path(file) if file and file.endswith(".py") else None

@@ -51,7 +51,7 @@ def read_devices(emulated: Emulated) -> tuple[str, str]:
 
 def simulated(config: RobotConfig, pose: Pose) -> Any:
     """Ranges in the same world from a pose [m]."""
-    world = Pool.of(WORLD, None, footprint_radius(config), 1)[3]
+    world = Pool.of(WORLD, None, footprint_radius(config))[3]
     scene = Scene(start=pose, world=world)
     link = open_link("planar", config)
     link.open()

@@ -196,7 +196,9 @@ class ObstacleGoalEnv(RobotEnv):
       with these numbers, "clutter" alone the training split; so with the other kinds ("open",
       "rooms", "barn"), and with those that `acsar_gym.worlds.register` adds. Or a file (.world,
       .sdf, ROS map, .json, .yaml), a folder of them, a World, or a list of World; or a file with
-      what it doesn't say, {"path": "hall.sdf", "start": (0, 0, 1.57), "goal": (4, 0)}.
+      what it doesn't say, {"path": "hall.sdf", "start": (0, 0, 1.57), "goal": (4, 0)}. A list
+      such as ["clutter:train", "barn:train"] has the worlds of several sets: `info` has no number
+      then, and `options={"world": "clutter 1017"}` chooses a world by its name.
     - `difficulty` of generated worlds, 0 to 1; None or a range (low, high) varies it.
     - `lidar`: None for the simulated one, model and device like "rplidar:///dev/ttyUSB1" on
       hardware, "module:Class", or a Lidar.
@@ -346,9 +348,8 @@ class CrowdEnv(RobotEnv):
       `lidar` as in `acsar_gym/ObstacleGoal-v1`.
     - `worlds`: "crowd:train" by default, the 400 worlds to train in, where people walk as if nobody
       else were there; "crowd:test" are the 200 that `acsar-gym evaluate` tests in. In
-      "crowd_reacting" some people keep a distance from others, and most of these see the robot. In
-      "clutter+6:train" six walk through the worlds of clutter. More as in
-      `acsar_gym/ObstacleGoal-v1`.
+      "crowd_reacting" some people keep a distance from others, and most of these see the robot.
+      More as in `acsar_gym/ObstacleGoal-v1`.
 
     ## Info
 

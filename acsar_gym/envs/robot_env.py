@@ -307,7 +307,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             "seed": seed,
             "goal": list(assignment.goal),
             "start": list(assignment.start),
-            "world": None if assignment.world is None else assignment.number,
+            "world": None if assignment.world is None else assignment.world_key,
         }
         self._recorder.describe(
             episode,

@@ -36,7 +36,7 @@ def find_scene(name: str, start: Sequence[float], config: RobotConfig) -> Scene:
 
     match = _ONE_WORLD.fullmatch(name)
     source = f"{name}-{match[2]}" if match and match[1] else name
-    pool = Pool.of(source, None, footprint_radius(config), count=1, height=lidar_height(config))
+    pool = Pool.of(source, None, footprint_radius(config), alone="1", height=lidar_height(config))
     world = next(iter(pool))
     return Scene(_make_pose(start, world.start), (world.goal.x, world.goal.y), world)
 

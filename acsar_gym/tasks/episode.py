@@ -27,7 +27,7 @@ from acsar_gym.tasks.task import (
 )
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.generators import Level
-from acsar_gym.worlds.pool import Pool, Source, check_world
+from acsar_gym.worlds.pool import Key, Pool, check_world
 from acsar_gym.worlds.search import (
     align_with_path,
     footprint_radius,
@@ -35,6 +35,7 @@ from acsar_gym.worlds.search import (
     sample_path,
     world_along,
 )
+from acsar_gym.worlds.sets import Source
 from acsar_gym.worlds.world import Floats
 
 WORLD_DRAWS = 6
@@ -54,9 +55,9 @@ class Assignment:
     frame."""
     length: float = math.nan
     """Length of the world's own path from start to goal [m]; NaN where there is none."""
-    number: int = -1
-    """Number of the world: its generator's number, or its place in a list or folder; -1 for
-    none."""
+    world_key: Key = -1
+    """Number of the world: its generator's number, or its place in a list or folder. Among several
+    sets of worlds its name, such as "clutter 17". -1 for a world that a user gave the reset."""
     start: Pose = (0.0, 0.0, 0.0)
     """Where the robot starts: x [m], y [m], theta [rad] in the frame of the world."""
     key: float = 0.0
@@ -64,8 +65,10 @@ class Assignment:
 
     @property
     def info(self) -> Info:
-        """What it adds to info: the world's number; nothing on an open floor."""
-        return {} if self.world is None else {"world": float(self.number)}
+        """What it adds to info: the world's number; nothing on an open floor or for a name."""
+        if self.world is None or isinstance(self.world_key, str):
+            return {}
+        return {"world": float(self.world_key)}
 
 
 class Spawn:
@@ -99,8 +102,9 @@ class Spawn:
         Args:
             rng: the env's generator.
             options: of the reset: "goal", (x, y) in the odometry frame [m]; in worlds "world", a
-                number or a World, and "difficulty", (low, high) of the worlds to draw from; for
-                tasks that follow "path", points (x, y) [m], instead of "goal".
+                number, a World, or among several sets a name such as "clutter 17", and
+                "difficulty", (low, high) of the worlds to draw from; for tasks that follow "path",
+                points (x, y) [m], instead of "goal".
 
         Raises:
             ConfigError, WorldError: for unknown options, options that contradict each other, or
@@ -156,29 +160,32 @@ def goal_at(distance: float, bearing: float) -> Goal:
     return (distance * math.cos(bearing), distance * math.sin(bearing))
 
 
-def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[int, World]:
-    """Choose the world of an episode, and return its number, -1 for a World object, and the world.
+def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tuple[Key, World]:
+    """Choose the world of an episode, and return its key, -1 for a World object, and the world.
 
-    `share` is a uniform sample of [0, 1), used where the options name no world.
+    `share` is a uniform sample of [0, 1), used if the options name no world.
     """
     wanted, difficulty = options.get("world"), options.get("difficulty")
     if isinstance(wanted, World):
         return -1, check_world(wanted, worlds.radius)
     if wanted is None and difficulty is None:
-        number = worlds.numbers[min(int(share * len(worlds)), len(worlds) - 1)]
+        key = worlds.key(min(int(share * len(worlds)), len(worlds) - 1))
     elif wanted is None:
         ranks = worlds.ranks(difficulty)
         rank = ranks[min(int(share * len(ranks)), len(ranks) - 1)]
-        number = worlds.numbers[int(worlds.by_difficulty[0][rank])]
+        key = worlds.key(int(worlds.by_difficulty[0][rank]))
+    elif isinstance(wanted, str):
+        key = wanted
     elif isinstance(wanted, int | np.integer) or (
         isinstance(wanted, float | np.floating) and float(wanted).is_integer()  # as in info
     ):
-        number = int(wanted)
+        key = int(wanted)
     else:
         raise ConfigError(
-            f"world = {show_value(wanted)}: must be a number of the env's worlds, or a World"
+            f"world = {show_value(wanted)}: must be a number or a name of the env's worlds, or a "
+            "World"
         )
-    return number, worlds[number]
+    return key, worlds[key]
 
 
 def draw_in_world(
@@ -186,7 +193,7 @@ def draw_in_world(
 ) -> Assignment:
     """Draw a world, the start in it and the goal; takes WORLD_DRAWS numbers, and one for movers."""
     u = rng.random(WORLD_DRAWS).tolist()
-    number, world = choose_world(worlds, u[0], options)
+    world_key, world = choose_world(worlds, u[0], options)
     key = float(rng.random()) if world.movers else 0.0
     ends = align_with_path(world) if follow else world
     x, y = point_in_disc(ends.start.x, ends.start.y, ends.start.radius, u[1], u[2])
@@ -195,11 +202,11 @@ def draw_in_world(
     start: Pose = (x, y, theta)
     if options.get("goal") is not None:  # without the world's path, which leads elsewhere
         goal = _check_point(options["goal"])
-        return Assignment(goal, world, number=number, start=start, key=key)
+        return Assignment(goal, world, world_key=world_key, start=start, key=key)
     goal_x, goal_y = point_in_disc(ends.goal.x, ends.goal.y, ends.goal.radius, u[4], u[5])
     goal = relative_point(x, y, math.cos(theta), math.sin(theta), goal_x, goal_y)
     path = path_from_start(ends) if follow else None
-    return Assignment(goal, world, path, ends.length, number, start, key)
+    return Assignment(goal, world, path, ends.length, world_key=world_key, start=start, key=key)
 
 
 def assign_path(path: Any) -> Assignment:

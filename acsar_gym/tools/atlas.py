@@ -6,7 +6,6 @@ import filecmp
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,10 @@ from acsar_gym.render import top_view
 from acsar_gym.render.canvas import check_picture_size
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.tile import draw_tile
-from acsar_gym.worlds import World, files, registry
-from acsar_gym.worlds.difficulty import Difficulty, measure_difficulty
-from acsar_gym.worlds.pool import Pool, read_worlds
+from acsar_gym.worlds import World, files
+from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
+from acsar_gym.worlds.sets import WorldSet
 
 MAX_DRAWN = 100
 """Most worlds on one sheet."""
@@ -39,30 +38,22 @@ def collect_worlds(
     robot: str | None,
     count: int,
     most: int = MAX_AT_ONCE,
-) -> list[World]:
-    """Read or generate worlds."""
+) -> tuple[WorldSet, list[World]]:
+    """Read or generate a set of worlds; a generator's name alone stands for its first `count`."""
     config = RobotConfig.of(robot)
-    worlds: list[World] | Pool | None = read_worlds(source, lidar_height(config))
-    if worlds is None:
-        worlds = Pool.of(source, level, footprint_radius(config), count)
-    if len(worlds) > most:
-        source = source["path"] if isinstance(source, Mapping) else source
+    worlds = WorldSet.parse(source, level, alone=str(count), height=lidar_height(config))
+    size = len(worlds.numbers)
+    if size > most:
+        name = source["path"] if isinstance(source, Mapping) else source
         raise ConfigError(
-            f"{source} holds {len(worlds):,} worlds: name one file, or one like barn:7-7"
+            f"{name} holds {size:,} worlds: name one file, or one like barn:7-7"
             if most == 1
-            else f"{source}: {len(worlds):,} worlds are too many, at most {most:,} at once"
+            else f"{name}: {size:,} worlds are too many, at most {most:,} at once"
         )
-    if isinstance(worlds, Pool):
-        return list(report.watch_progress("making worlds", worlds, len(worlds)))
-    return worlds
-
-
-def describe_source(source: str, count: int) -> dict[str, str | None]:
-    """Describe where worlds come from, for a title and for JSON."""
-    if registry.parse_known_name(source) is None:
-        return {"source": source, "split": None}
-    pool = Pool.of(source, count=count)
-    return {"source": str(pool), "split": pool.split or None}
+    if worlds.worlds:  # unchecked, as a check reports what is wrong
+        return worlds, list(worlds.worlds)
+    pool = Pool([worlds], footprint_radius(config))
+    return worlds, list(report.watch_progress("making worlds", pool, size))
 
 
 def max_drawn(columns: int, size: int, out: Path) -> int:
@@ -78,7 +69,7 @@ def max_drawn(columns: int, size: int, out: Path) -> int:
 def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> None:
     """Draw worlds side by side as maps, x right and y up, and save them as a PNG file."""
     columns = min(columns, len(worlds))
-    rows = -(-len(worlds) // columns)
+    rows = math.ceil(len(worlds) / columns)
     if rows * columns * size**2 > MAX_SHEET_PIXELS:
         raise ConfigError(
             f"{len(worlds):,} worlds of {size} pixels are too many for a sheet in {columns} "
@@ -86,7 +77,8 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
         )
     image = np.full((rows * size, columns * size, 3), top_view.FLOOR_COLOUR, np.uint8)
     for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):
-        top, left = size * (index // columns), size * (index % columns)
+        top = size * (index // columns)
+        left = size * (index % columns)
         image[top : top + size, left : left + size] = draw_tile(world, size)
     top_view.save_picture(image, out)
 
@@ -109,25 +101,33 @@ def describe_movers(worlds: Sequence[World]) -> str:
 
 
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, Any]]:
-    """Check whether a robot can cross each world; measure path lengths and BARN's difficulty.
+    """Check whether a robot can cross each world, and measure path lengths.
 
     Returns:
-        For each world: `name`; number of `obstacles`; length of the `path` that comes with it, and
-        of the `shortest` one for the robot's footprint [m]; the fields of `Difficulty`; `fault`,
-        why it can't be used, empty if it can. NaN for what couldn't be computed.
+        For each world: `name`; number of `obstacles`; length of the `path` that is part of it, and
+        of the `shortest` path for the robot's footprint [m]; `fault`, why it can't be used, empty
+        if it can. NaN for what couldn't be computed.
     """
     radius = footprint_radius(RobotConfig.of(robot))
     findings = []
     for world in report.watch_progress("checking worlds", worlds, len(worlds)):
-        shortest, difficulty, fault = math.nan, Difficulty(*[math.nan] * 5), ""
+        shortest = math.nan
+        fault = ""
         try:
             path = shortest_path(world, radius)
-            shortest, difficulty = path_length(path), measure_difficulty(world, path)
+            shortest = path_length(path)
         except WorldError as error:
             fault = str(error).removeprefix(f"{world.name}: ")
-        lengths = {"path": world.length, "shortest": shortest}
-        about = {"name": world.name, "obstacles": world.obstacles}
-        findings.append({**about, **lengths, **asdict(difficulty), "fault": fault})
+
+        findings.append(
+            {
+                "name": world.name,
+                "obstacles": world.obstacles,
+                "path": world.length,
+                "shortest": shortest,
+                "fault": fault,
+            }
+        )
     return findings
 
 
@@ -144,7 +144,7 @@ def convert_world(
     A file that has just this world is left as it is.
     """
     report.check_writable(out)
-    world = collect_worlds(source, level, robot, 1, 1)[0]
+    _, (world,) = collect_worlds(source, level, robot, count=1, most=1)
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / out.name
         files.save_world(world, copy)
@@ -156,16 +156,18 @@ def convert_world(
 
 def findings_table(source: str, findings: Sequence[Mapping[str, Any]]) -> Table:
     """Format findings as a table with one row per world."""
-    title = f"worlds: {source}; lengths in m, difficulty along the shortest way"
-    table = Table(title=report.escape_text(title), title_justify="left")
+    table = Table(title=report.escape_text(f"worlds: {source}"), title_justify="left")
     table.add_column("world")
-    columns = ("obstacles", "path", "shortest", "closest", "visibility", "dispersion", "width")
-    for column in (*columns, "tortuosity"):
-        table.add_column(column, justify="right")
+    for column in ("obstacles", "path [m]", "shortest [m]"):
+        table.add_column(report.escape_text(column), justify="right")
     for finding in findings:
-        name, obstacles, path, *others, fault = finding.values()
-        cells = [f"[red]{report.escape_text(fault)}"] if fault else map(_format_length, others)
-        table.add_row(report.escape_text(name), str(obstacles), _format_length(path), *cells)
+        fault = finding["fault"]
+        table.add_row(
+            report.escape_text(finding["name"]),
+            str(finding["obstacles"]),
+            _format_length(finding["path"]),
+            f"[red]{report.escape_text(fault)}" if fault else _format_length(finding["shortest"]),
+        )
     return table
 
 

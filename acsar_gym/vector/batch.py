@@ -88,6 +88,7 @@ class Batch:
         self._drawn = {f"drawn_{name}": PLACES[name] for name in names}
         pools = [spawn.pool for spawn in spawns]
         self._pool = pools[0]
+        self._numbers = None if self._pool is None else self._pool.numbers
         self.worlds, self.places = make_worlds(pools, follow=task.follows)
         self._spawns = spawn_arrays(task, self.worlds, pools, self.places)
         sees = LIDAR in sensors
@@ -145,7 +146,7 @@ class Batch:
         self._together = self._loops.compiled and not len(self.python)
         """Whether a robot's task can run right after its physics, on the same thread."""
         optional = {
-            "world": self._pool is not None,
+            "world": self._numbers is not None,
             "scan_age": sees,
             "scan_stale": sees,
             "fault": faults.possible,
@@ -283,8 +284,8 @@ class Batch:
     def info(self) -> dict[str, NDArray[np.float64]]:
         """Info with the keys of the single env, each an array with a row for each robot."""
         info = dict(zip(self._info, self.read(*self._info.values()), strict=True))
-        if self._pool is not None:
-            info["world"] += self._pool.numbers[0] - self.read("first_world")[0]
+        if self._numbers is not None:
+            info["world"] += self._numbers[0] - self.read("first_world")[0]
         info |= self._loops.info()
         for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
             numbers = self._draws.drawn[:, places]
@@ -489,8 +490,8 @@ def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[Wor
             continue
         if len(pool) > MAX_WORLDS:
             raise WorldError(
-                f"worlds: {len(pool):,} of {pool.kind} are too many for a batch, which makes "
-                f"them all when it begins: at most {MAX_WORLDS:,}"
+                f"worlds: {len(pool):,} ({pool}) are too many for a batch, which makes them all "
+                f"when it begins: at most {MAX_WORLDS:,}"
             )
         made = [align_with_path(world) if follow else world for world in pool]
         places[id(pool)] = range(len(worlds), len(worlds) + len(made))

@@ -14,6 +14,7 @@ from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.links.faults import WIRE_BUFFER, Faults
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.options import SharedOptions, check_reset_options
+from acsar_gym.worlds.pool import Pool
 
 Array = NDArray[Any]
 ResetOptions = dict[str, Array]  # a field of `layout.Options` -> (robots,). Missing ones are zero
@@ -76,17 +77,7 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
         fields = dict(zip(("wished_x", "wished_y"), wanted, strict=True))
         fields["wished_goal"] = is_given.astype(np.float64)
     if spawn.pool is not None and given.get("world") is not None:
-        numbers = _spread_option("world", given["world"], robots, 1)[:, 0]
-        is_given = ~np.isnan(numbers)
-        first, last = spawn.pool.numbers[0], spawn.pool.numbers[-1]
-        sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
-        if (is_given & ~sound).any():
-            bad = int(np.argmax(is_given & ~sound))
-            raise ConfigError(
-                f"world of robot {bad} = {numbers[bad]:g}: must be {first} to {last} "
-                f"({spawn.pool.kind})"
-            )
-        fields["wished_world"] = np.where(is_given, numbers - first + 1.0, 0.0)
+        fields["wished_world"] = _place_worlds(spawn.pool, given["world"], robots)
     if spawn.pool is not None and given.get("difficulty") is not None:
         ranks, ranges = np.zeros((robots, 2)), given["difficulty"]
         ranges = _spread_option("difficulty", ranges, robots, 2)
@@ -98,6 +89,24 @@ def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) ->
         fields |= {"first_rank": ranks[:, 0], "last_rank": ranks[:, 1]}
         _refuse_contradictions(fields)
     return fields
+
+
+def _place_worlds(pool: Pool, value: Any, robots: int) -> Array:
+    """Places of the worlds that are asked for, from 1; 0 for a robot without a wish."""
+    if pool.numbers is None:
+        raise ConfigError(
+            "world: a number names no world of several sets: draw with 'difficulty', or make a "
+            "batch of one set"
+        )
+    numbers = _spread_option("world", value, robots, 1)[:, 0]
+    is_given = ~np.isnan(numbers)
+    first, last = pool.numbers[0], pool.numbers[-1]
+    sound = (numbers >= first) & (numbers <= last) & (numbers == np.floor(numbers))
+    if (is_given & ~sound).any():
+        bad = int(np.argmax(is_given & ~sound))
+        raise ConfigError(f"world of robot {bad} = {numbers[bad]:g}: must be of {pool}")
+    places: Array = np.where(is_given, numbers - first + 1.0, 0.0)
+    return places
 
 
 def _refuse_contradictions(fields: ResetOptions) -> None:

@@ -17,7 +17,7 @@ CELL_SIDE = 0.05
 MAX_CELLS = 1_000_000
 """Most cells of a search: 2,500 m^2. Larger areas get larger cells."""
 MAX_DISTANCES = 200_000_000
-"""Most distances from cells to obstacles; where long obstacles need more, cells are larger."""
+"""Most distances from cells to obstacles. If long obstacles need more, cells are larger."""
 PATH_SLACK = 1e-3
 """How much nearer than the clearance a path may be to an obstacle between two cells [m]."""
 WALL_SHARE = 0.75
@@ -39,19 +39,44 @@ class Grid:
 
     def cell(self, x: float, y: float) -> int:
         """Number of the cell that contains a point."""
-        i, j = round((x - self.x) / self.side), round((y - self.y) / self.side)
-        return i * int(self.free.shape[1]) + j
+        row = round((x - self.x) / self.side)
+        column = round((y - self.y) / self.side)
+        return row * int(self.free.shape[1]) + column
 
     def centres(self, cells: NDArray[np.int64]) -> Floats:
         """(cells, 2): centres of cells [m]."""
-        i, j = np.divmod(cells, self.free.shape[1])
-        return np.column_stack([self.x + i * self.side, self.y + j * self.side])
+        rows, columns = np.divmod(cells, self.free.shape[1])
+        return np.column_stack([self.x + rows * self.side, self.y + columns * self.side])
+
+    def block(self, line: list[float], reach: float) -> None:
+        """Mark the cells whose centres are nearer than `reach` to a line x1, y1, x2, y2 [m]."""
+        x1, y1, x2, y2 = line
+        rows = _span(min(x1, x2) - reach, max(x1, x2) + reach, self.x, self.side)
+        columns = _span(min(y1, y2) - reach, max(y1, y2) + reach, self.y, self.side)
+        box = self.free[rows, columns]
+
+        row, column = np.ogrid[: box.shape[0], : box.shape[1]]
+        dx = self.x + self.side * (row + rows.start) - x1
+        dy = self.y + self.side * (column + columns.start) - y1
+        length_x = x2 - x1
+        length_y = y2 - y1
+        square = length_x * length_x + length_y * length_y
+        along = dx * length_x + dy * length_y
+        share = np.clip(along / square, 0.0, 1.0) if square > 0.0 else 0.0
+        box[(dx - share * length_x) ** 2 + (dy - share * length_y) ** 2 < reach * reach] = False
 
 
-def bounds_with(world: World, ends: Floats) -> Floats:
-    """Least x and y, largest x and y of what stands and the ends of a path [m]."""
-    low, high = world.standing_bounds[:2], world.standing_bounds[2:]
-    return np.concatenate([np.minimum(low, ends.min(axis=0)), np.maximum(high, ends.max(axis=0))])
+def _span(low: float, high: float, first: float, side: float) -> slice:
+    """Indices of the cells between two coordinates, for cells from a first one on."""
+    start = math.ceil((low - first) / side)
+    stop = math.floor((high - first) / side) + 1
+    return slice(max(start, 0), max(stop, 0))
+
+
+def bounds_with(world: World, points: Floats) -> Floats:
+    """Lower left and upper right corner, (2, 2), of what stands and of some points [m]."""
+    every = np.concatenate([np.reshape(world.standing_bounds, (2, 2)), points])
+    return np.array([every.min(axis=0), every.max(axis=0)])
 
 
 def _margin(radius: float) -> float:
@@ -59,20 +84,19 @@ def _margin(radius: float) -> float:
     return 2.0 * radius + 4.0 * CELL_SIDE
 
 
-def count_cells(box: Floats, radius: float, side: float) -> float:
-    """How many cells of a side [m] a box (least x, y, largest x, y) needs with its margins."""
-    width, height = (box[2:] - box[:2] + 2.0 * _margin(radius)).tolist()
-    return float(width * height / side**2)
+def count_cells(box: Floats, radius: float) -> float:
+    """How many cells a box (2, 2) needs with its margins."""
+    width, height = (box[1] - box[0] + 2.0 * _margin(radius)).tolist()
+    return float(width * height / CELL_SIDE**2)
 
 
 def crop_world(world: World, box: Floats) -> World:
-    """The world with only those obstacles whose bounding boxes overlap this box."""
+    """The world with only those obstacles whose bounding boxes overlap this box (2, 2)."""
     centres, radii = world.circles[:, :2], world.circles[:, 2:]
-    low = np.minimum(world.segments[:, :2], world.segments[:, 2:])
-    high = np.maximum(world.segments[:, :2], world.segments[:, 2:])
-    circles = ((centres + radii >= box[:2]) & (centres - radii <= box[2:])).all(axis=1)
-    segments = ((high >= box[:2]) & (low <= box[2:])).all(axis=1)
-    return World(world.circles[circles], world.segments[segments])
+    ends = world.segments.reshape(-1, 2, 2)
+    circles = (centres + radii >= box[0]) & (centres - radii <= box[1])
+    segments = (ends.max(axis=1) >= box[0]) & (ends.min(axis=1) <= box[1])
+    return World(world.circles[circles.all(axis=1)], world.segments[segments.all(axis=1)])
 
 
 def free_cells(
@@ -81,54 +105,43 @@ def free_cells(
     """Make the grid of cells whose centre is at least `radius` away from every obstacle.
 
     No wall fits between two neighbouring cells.
+
+    Args:
+        world: World with the obstacles.
+        radius: Radius of the disc [m].
+        ends: Points (points, 2) that the grid contains as well [m].
+        reach: Distance from these points up to which there are cells [m].
     """
-    box, margin = np.array(world.standing_bounds), _margin(radius)
-    if ends is not None:
-        box = bounds_with(world, ends)
-        if math.isfinite(reach):
-            box[:2] = np.maximum(box[:2], ends.min(axis=0) - reach)
-            box[2:] = np.minimum(box[2:], ends.max(axis=0) + reach)
-            world = crop_world(world, np.concatenate([box[:2] - margin, box[2:] + margin]))
-    left, low = (box[:2] - margin).tolist()
-    width, height = (box[2:] - box[:2] + 2.0 * margin).tolist()
-    circles, segments = world.circles, world.segments
-    sizes = [np.repeat(2.0 * circles[:, 2:], 2, axis=1), np.abs(segments[:, 2:] - segments[:, :2])]
-    boxes = np.minimum(np.concatenate(sizes) + 2.0 * radius, (width, height))
+    margin = _margin(radius)
+    box = bounds_with(world, np.zeros((0, 2)) if ends is None else ends)
+    if ends is not None and math.isfinite(reach):
+        box[0] = np.maximum(box[0], ends.min(axis=0) - reach)
+        box[1] = np.minimum(box[1], ends.max(axis=0) + reach)
+        world = crop_world(world, box + np.array([[-margin], [margin]]))
+
+    # A circle is a line without length.
+    lines = np.concatenate([world.circles[:, [0, 1, 0, 1]], world.segments])
+    radii = np.concatenate([world.circles[:, 2], np.zeros(len(world.segments))])
+    size = box[1] - box[0] + 2.0 * margin
+    boxes = np.abs(lines[:, 2:] - lines[:, :2]) + 2.0 * radii[:, None] + 2.0 * radius
+    distances = float(np.minimum(boxes, size).prod(axis=1).sum())
     side = CELL_SIDE * max(
         1.0,
-        math.sqrt(width * height / MAX_CELLS) / CELL_SIDE,
-        math.sqrt(float(boxes.prod(axis=1).sum()) / MAX_DISTANCES) / CELL_SIDE,
+        math.sqrt(size.prod() / MAX_CELLS) / CELL_SIDE,
+        math.sqrt(distances / MAX_DISTANCES) / CELL_SIDE,
     )
-    x, y = (math.floor(least / side) + 0.5 for least in (left, low))
-    free = np.ones((math.ceil(width / side) + 1, math.ceil(height / side) + 1), np.bool_)
+
+    x, y = (np.floor((box[0] - margin) / side) + 0.5).tolist()
+    free = np.ones(np.ceil(size / side).astype(np.int64) + 1, np.bool_)
     grid = Grid(free, x * side, y * side, side)
     radius = max(radius, WALL_SHARE * side)
-    for cx, cy, r in circles.tolist():
-        _block_cells(grid, (cx, cy, cx, cy), r + radius)
-    for line in segments.tolist():
-        _block_cells(grid, line, radius)
+    for line, thickness in zip(lines.tolist(), radii.tolist(), strict=True):
+        grid.block(line, thickness + radius - PATH_SLACK / 2.0)
     return grid
 
 
-def _block_cells(grid: Grid, line: tuple[float, float, float, float], radius: float) -> None:
-    """Mark the cells nearer than `radius` to a line as not free."""
-    x1, y1, x2, y2 = line
-    reach = radius - PATH_SLACK / 2.0
-    low_i = max(math.ceil((min(x1, x2) - reach - grid.x) / grid.side), 0)
-    low_j = max(math.ceil((min(y1, y2) - reach - grid.y) / grid.side), 0)
-    high_i = min(math.floor((max(x1, x2) + reach - grid.x) / grid.side) + 1, grid.free.shape[0])
-    high_j = min(math.floor((max(y1, y2) + reach - grid.y) / grid.side) + 1, grid.free.shape[1])
-    dx = grid.x + grid.side * np.arange(low_i, max(high_i, low_i))[:, None] - x1
-    dy = grid.y + grid.side * np.arange(low_j, max(high_j, low_j))[None, :] - y1
-    ex, ey = x2 - x1, y2 - y1
-    square = ex * ex + ey * ey
-    share = np.clip((dx * ex + dy * ey) / square, 0.0, 1.0) if square > 0.0 else 0.0
-    near = (dx - share * ex) ** 2 + (dy - share * ey) ** 2 < reach * reach
-    grid.free[low_i:high_i, low_j:high_j] &= ~near
-
-
 def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
-    """Find the cells of a shortest path between two cells; None where there is none.
+    """Find the cells of a shortest path between two cells; None if there is none.
 
     Neighbours are the eight cells around a cell; diagonals don't cut corners.
     """
@@ -139,24 +152,27 @@ def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
     free = grid.free
     # Before 1.15, scipy's searches refuse indices of 64 bits.
     number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
-    ahead, side = free[:-1] & free[1:], free[:, :-1] & free[:, 1:]
+    ahead = free[:-1] & free[1:]
+    aside = free[:, :-1] & free[:, 1:]
     square = ahead[:, :-1] & ahead[:, 1:]
-    pairs = (
-        (number[:-1][ahead], number[1:][ahead], 1.0),
-        (number[:, :-1][side], number[:, 1:][side], 1.0),
-        (number[:-1, :-1][square], number[1:, 1:][square], math.sqrt(2.0)),
-        (number[1:, :-1][square], number[:-1, 1:][square], math.sqrt(2.0)),
-    )
-    rows, columns = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
-    costs = np.concatenate([np.full(len(one), cost * grid.side) for one, _, cost in pairs])
-    graph = csr_array((costs, (rows, columns)), shape=(free.size, free.size))
+    diagonal = math.sqrt(2.0) * grid.side
+    steps = [
+        (number[:-1][ahead], number[1:][ahead], grid.side),
+        (number[:, :-1][aside], number[:, 1:][aside], grid.side),
+        (number[:-1, :-1][square], number[1:, 1:][square], diagonal),
+        (number[1:, :-1][square], number[:-1, 1:][square], diagonal),
+    ]
+    columns = zip(*(np.broadcast_arrays(*step) for step in steps), strict=True)
+    origins, targets, lengths = map(np.concatenate, columns)
+    graph = csr_array((lengths, (origins, targets)), shape=(free.size, free.size))
+
     search_from: Any = dijkstra  # its stubs know no single start
-    _, before = search_from(graph, directed=False, indices=start, return_predecessors=True)
-    if start != goal and before[goal] < 0:
+    _, previous = search_from(graph, directed=False, indices=start, return_predecessors=True)
+    if start != goal and previous[goal] < 0:
         return None
     way = [goal]
     while way[-1] != start:
-        way.append(int(before[way[-1]]))
+        way.append(int(previous[way[-1]]))
     return np.array(way[::-1])
 
 
@@ -165,6 +181,6 @@ def may_leave(grid: Grid, start: int, goal: int) -> bool:
     with require_extra("a world with obstacles", "scipy"):
         from scipy.ndimage import label  # noqa: PLC0415 - slow to import
 
-    parts = label(grid.free, np.ones((3, 3)))[0]
-    edges = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    return bool(np.isin(parts.flat[[start, goal]], edges).all())
+    regions, _ = label(grid.free, np.ones((3, 3)))
+    edges = np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]])
+    return bool(np.isin(regions.flat[[start, goal]], edges).all())

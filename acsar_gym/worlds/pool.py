@@ -1,184 +1,138 @@
-"""The worlds of an environment: numbered, and made or read when they are needed.
+"""The worlds of an environment: those of one or several sets, made when they are needed.
 
-A generated world has its generator's number everywhere: in info, options, errors and tables. Worlds
-of files and lists are numbered from 0.
+In a single set a world is its number: that of its generator, or its place in a file, folder or
+list, from 0. Among several sets a world is its name, such as "clutter 17". So a number always means
+the same world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError, WorldError, explain_error, show_value
-from acsar_gym.worlds import cache, files, generators, registry
+from acsar_gym.errors import WorldError, show_value
+from acsar_gym.worlds import cache, generators, registry
 from acsar_gym.worlds.generators import Level
+from acsar_gym.worlds.registry import TRAIN
 from acsar_gym.worlds.sdf import LIDAR_HEIGHT
 from acsar_gym.worlds.search import check_region, shortest_path
+from acsar_gym.worlds.sets import Source, WorldSet, parse_sets
 from acsar_gym.worlds.world import World
 
-MAX_NUMBERS = 10**9  # most numbers of a pool
 KEPT_WORLDS = 512  # generated worlds that a pool keeps in memory
 MAX_RANKED = 100_000  # largest pool that can be sorted by difficulty
 
-Source = str | Path | World | Sequence[World] | Mapping[str, Any]
-"""What users may pass as `worlds=`; the fields of a mapping are those of `files.FileSource`."""
+Key = int | str
+"""What identifies a world of a pool: its number in a single set, its name among several sets."""
 
 
 class Pool:
-    """Worlds by their numbers.
+    """Worlds of one or several sets, made or checked for a footprint.
 
-    Attributes: `kind`, the generator's name or where the worlds come from; `numbers`, a range;
-    `split`, such as "test" where all of them belong to it, otherwise empty; `difficulty`;
-    `radius`, of the footprint that they were made or checked for [m]; `generated`, whether a
-    generator makes them; `parts`, the pools that are joined in this one, if any.
+    Attributes:
+        sets: The sets.
+        radius: Radius of the disc around the footprint [m].
     """
 
-    def __init__(
-        self,
-        kind: str,
-        numbers: range,
-        make: Callable[[int], World],
-        radius: float = 0.25,
-        difficulty: Level = None,
-        *,
-        generated: bool = False,
-        parts: tuple[Pool, ...] = (),
-    ) -> None:
-        self.kind = kind
-        self.numbers = numbers
+    def __init__(self, sets: Sequence[WorldSet], radius: float = generators.DEFAULT_RADIUS) -> None:
+        """Check given worlds; WorldError if a footprint can't cross one."""
         self.radius = radius
-        self.difficulty = difficulty
-        self.generated = generated
-        self.parts = parts
-        splits = {part.split for part in parts}
-        if generated and not parts:
-            splits = {registry.find_split(kind, numbers)}
-        self.split: str = splits.pop() if len(splits) == 1 else ""
-        self._made_by = make
-        self._make = lru_cache(KEPT_WORLDS)(make)
+        self.sets = tuple(
+            replace(group, worlds=tuple(check_world(world, radius) for world in group.worlds))
+            for group in sets
+        )
+        self._make = lru_cache(KEPT_WORLDS)(partial(_make_world, radius))
 
     @classmethod
     def of(
         cls,
         source: Source,
         difficulty: Level = None,
-        radius: float = 0.25,
-        count: int | None = None,
+        radius: float = generators.DEFAULT_RADIUS,
+        alone: str = TRAIN,
         height: float = LIDAR_HEIGHT,
     ) -> Pool:
-        """Make a pool from a generator's name, a file, a folder, a World, or a list of World.
-
-        "clutter:train" and "clutter:test" are the worlds of these splits, "clutter:50" the first 50
-        and "clutter:100-149" those with these numbers. "clutter" alone is the training split.
-        "mine.module:corridors:50" imports the module first, which registers the generator. In
-        "clutter+6:test" six people walk in the worlds of "clutter:test".
-        "clutter:train,barn:train" are the worlds of both, numbered from 0.
-        {"path": "hall.world", "start": (0, 0, 1.57), "goal": (3, 1)} is a file with what it doesn't
-        say.
-
-        Args:
-            source: of the worlds, as above.
-            difficulty: of generated worlds.
-            radius: of the disc around the footprint [m].
-            count: a generator's name alone is then its first `count` worlds.
-            height: of the LiDAR above the floor [m].
-
-        Raises:
-            WorldError: for anything else.
-        """
-        names = source.split(",") if isinstance(source, str) else []
-        if len(names) > 1 and all(map(registry.parse_known_name, names)):
-            return cls.join([cls.of(name, difficulty, radius, count, height) for name in names])
-        kind, worlds = "given", None
-        if isinstance(source, str | Path | Mapping):
-            kind = str(source.get("path") if isinstance(source, Mapping) else source)
-            worlds = read_worlds(source, height)
-        else:
-            given = [source] if isinstance(source, World) else source
-            worlds = list(given) if isinstance(given, Sequence) else []
-            if not worlds or not all(isinstance(world, World) for world in worlds):
-                raise WorldError(
-                    f"worlds = {show_value(source)}: must be a file, a folder, a list of World, or "
-                    f"a kind of world ({', '.join(registry.list_kinds())})"
-                )
-        if worlds is not None:
-            ready = [check_world(world, radius) for world in worlds]
-            return cls(kind, range(len(ready)), ready.__getitem__, radius)
-        name, numbers = _parse_source(str(source), count)
-        generators.check_kind(name.kind, difficulty)
-        module = name.module or registry.home_module(name.kind)
-        make = partial(_make_world, module, name.kind, difficulty, radius)
-        return cls(name.kind, numbers, make, radius, difficulty, generated=True)
-
-    @classmethod
-    def join(cls, parts: Sequence[Pool]) -> Pool:
-        """Make a pool of all worlds of generators' pools, numbered from 0."""
-        places = [(part, number) for part in parts for number in part.numbers]
-        kind = ",".join(part.kind for part in parts)
-        first, numbers = parts[0], range(len(places))
-        make = partial(_find_world, places)
-        return cls(
-            kind, numbers, make, first.radius, first.difficulty, generated=True, parts=(*parts,)
-        )
+        """Make a pool of all that an env takes as `worlds=`, see `sets.parse_sets`."""
+        return cls(parse_sets(source, difficulty, alone, height), radius)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles make their worlds again."""
-        arguments = (self.kind, self.numbers, self._made_by, self.radius, self.difficulty)
-        return partial(Pool, generated=self.generated, parts=self.parts), arguments
+        return Pool, (self.sets, self.radius)
 
     def __str__(self) -> str:
         """Title of a table, such as "clutter 0 to 199 (test split)"."""
-        if self.parts:
-            return " and ".join(map(str, self.parts))
-        split = f" ({self.split} split)" if self.split else ""
-        return f"{self.kind} {self.numbers[0]} to {self.numbers[-1]}{split}"
+        return " and ".join(map(str, self.sets))
 
     def __len__(self) -> int:
-        return len(self.numbers)
+        return sum(len(group.numbers) for group in self.sets)
 
     def __iter__(self) -> Iterator[World]:
-        return (self[number] for number in self.numbers)
+        return (self._make(group, number) for group in self.sets for number in group.numbers)
 
-    def __getitem__(self, number: int) -> World:
-        if number not in self.numbers:
-            raise WorldError(
-                f"world {show_value(number)}: must be {self.numbers[0]} to {self.numbers[-1]} "
-                f"({self.kind})"
-            )
-        return self._make(number)
+    def __getitem__(self, key: Key) -> World:
+        title = f"{self.sets[0].kind} {key}" if len(self.sets) == 1 else str(key)
+        kind, _, digits = title.rpartition(" ")
+        for group in self.sets:
+            if group.kind == kind and digits.isdecimal() and int(digits) in group.numbers:
+                return self._make(group, int(digits))
+        form = "must be of" if len(self.sets) == 1 else "must be a name like 'clutter 17', of"
+        raise WorldError(f"world {show_value(key)}: {form} {self}")
 
-    def name_split(self, split: str) -> str:
-        """Name the worlds of the same generators in another split."""
-        return ",".join(f"{part.kind}:{split}" for part in self.parts or (self,))
+    def key(self, place: int) -> Key:
+        """Return the number, or among several sets the name, of the world at a place, from 0."""
+        if len(self.sets) == 1:
+            return self.sets[0].numbers[place]
+        for group in self.sets:
+            if place < len(group.numbers):
+                return f"{group.kind} {group.numbers[place]}"
+            place -= len(group.numbers)
+        raise IndexError(place)
+
+    @property
+    def numbers(self) -> range | None:
+        """Numbers of the worlds; None for several sets, whose worlds have names."""
+        return self.sets[0].numbers if len(self.sets) == 1 else None
+
+    @property
+    def split(self) -> str:
+        """The split that all worlds belong to, such as "test"; empty if there is none."""
+        splits = {group.split for group in self.sets}
+        return splits.pop() if len(splits) == 1 else ""
+
+    @property
+    def generated(self) -> bool:
+        """Whether generators make all of these worlds."""
+        return not any(group.worlds for group in self.sets)
 
     @cached_property
     def moves(self) -> bool:
-        """Whether something moves in these worlds; generated ones are like their first one."""
-        if self.parts:
-            return any(part.moves for part in self.parts)
-        numbers = self.numbers[:1] if self.generated else self.numbers
-        return any(self[number].movers for number in numbers)
+        """Whether something moves in these worlds; those of a generator are like its first one."""
+        return any(
+            self._make(group, number).movers
+            for group in self.sets
+            for number in (group.numbers if group.worlds else group.numbers[:1])
+        )
 
     @cached_property
     def by_difficulty(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Indices into `numbers` from the easiest to the hardest world, and their difficulties."""
+        """Places of the worlds from the easiest to the hardest, and their difficulties."""
         if not self.generated:
-            raise WorldError(f"difficulty: only generated worlds have one, {self.kind!r} hasn't")
+            raise WorldError(f"difficulty: only generated worlds have one, not all of {self}")
         if len(self) > MAX_RANKED:
             raise WorldError(
                 f"difficulty: {len(self):,} worlds, at most {MAX_RANKED:,} can be ordered"
             )
+
         levels = np.array(
             [
-                generators.draw_difficulty(pool.kind, number, pool.difficulty)
-                for pool in self.parts or (self,)
-                for number in pool.numbers
+                generators.draw_difficulty(group.kind, number, group.difficulty)
+                for group in self.sets
+                for number in group.numbers
             ]
         )
         order = np.argsort(levels, kind="stable").astype(np.int64)
@@ -188,100 +142,32 @@ class Pool:
         """Range of ranks (see `by_difficulty`) whose difficulty is in a range (low, high)."""
         low, high = generators.difficulty_limits(difficulty)
         _, levels = self.by_difficulty
-        first, last = np.searchsorted(levels, low), np.searchsorted(levels, high, "right")
+        first = int(np.searchsorted(levels, low))
+        last = int(np.searchsorted(levels, high, "right"))
         if first == last:
             raise WorldError(
                 f"difficulty = {show_value(difficulty)}: none of the env's worlds; theirs are "
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
-        return range(int(first), int(last))
+        return range(first, last)
 
 
-def _find_world(places: Sequence[tuple[Pool, int]], number: int) -> World:
-    """The world of a joined pool, from its part."""
-    part, own_number = places[number]
-    return part[own_number]
-
-
-def _make_world(module: str, kind: str, difficulty: Level, radius: float, number: int) -> World:
+def _make_world(radius: float, group: WorldSet, number: int) -> World:
     """Make a world, also in a process that hasn't imported the generator's module yet."""
-    registry.import_generator(module, kind)
-    return cache.cached_world(kind, number, difficulty, radius)
+    if group.worlds:
+        return group.worlds[number]
+    registry.import_generator(group.module, group.kind)
+    return cache.cached_world(group.kind, number, group.difficulty, radius)
 
 
 @lru_cache(maxsize=16)
 def check_world(world: World, radius: float) -> World:
     """Return a world with a path, the same object for the same world.
 
-    WorldError where start or goal aren't free for the footprint, or there is no path between them.
+    WorldError if start or goal aren't free for the footprint, or there is no path between them.
     """
     if world.path is None:
         return replace(world, path=shortest_path(world, radius))
-    for name, region in (("start", world.start), ("goal", world.goal)):
-        check_region(world, name, region, radius)
+    check_region(world, "start", world.start, radius)
+    check_region(world, "goal", world.goal, radius)
     return world
-
-
-def read_worlds(
-    source: str | Path | Mapping[str, Any], height: float = LIDAR_HEIGHT
-) -> list[World] | None:
-    """Read worlds of a file or folder; None for the name of a generator."""
-    placement = files.Placement(height=height)
-    if isinstance(source, Mapping):
-        placement = files.FileSource(**{"height": height, **source})
-        source = placement.path
-        if registry.parse_known_name(str(source)):
-            raise WorldError(
-                f"worlds = {show_value(str(source))}: generated worlds have a start and a goal of "
-                "their own: leave out --start and --goal"
-            )
-    if isinstance(source, str) and (not source or registry.parse_known_name(source)):
-        return None
-    path = Path(source)
-    named = isinstance(source, Path) or path.suffix != "" or "/" in source
-    try:
-        if path.is_dir():
-            return files.load_folder(path, placement)
-        return [files.load_world(path, placement)] if named or path.exists() else None
-    except (OSError, ValueError) as error:
-        reason = explain_error(error)
-        raise WorldError(f"worlds = {show_value(str(source))}: can't be read: {reason}") from error
-
-
-def place_worlds(
-    worlds: str | None, start: str | None, goal: str | None
-) -> str | dict[str, str] | None:
-    """Join the name of worlds with what their file doesn't say, for `Pool.of`.
-
-    Places are texts like "X,Y,THETA" [m, rad]. ConfigError where something is given, but no name.
-    """
-    options = {"start": start, "goal": goal}
-    given = {name: value for name, value in options.items() if value is not None}
-    if given and worlds is None:
-        raise ConfigError(f"--{next(iter(given))} is for a world of a file: name the file, too")
-    return {"path": str(worlds), **given} if given else worlds
-
-
-def _parse_source(text: str, count: int | None) -> tuple[registry.WorldsName, range]:
-    """The parts of a generator's name, and the numbers of its worlds."""
-    name = registry.parse_name(text)
-    if name is None:
-        raise WorldError(
-            f"worlds = {show_value(text)}: must be like 'clutter:test', 'clutter:50', "
-            "'clutter:50-99', 'clutter+6:test' (1 to 99 walkers), several of these with commas "
-            "between them, or a path"
-        )
-    first, _, last = name.numbers.partition("-")
-    if last:
-        numbers = range(int(first), int(last) + 1)
-    elif first.isdigit():
-        numbers = range(int(first))
-    elif not first and count is not None:
-        numbers = range(count)
-    else:
-        numbers = registry.split_numbers(name.kind, first or registry.TRAIN)
-    if not numbers:
-        raise WorldError(f"worlds = {text!r}: holds no world")
-    if numbers[-1] - numbers[0] >= MAX_NUMBERS:
-        raise WorldError(f"worlds = {text[:60]!r}: must hold at most {MAX_NUMBERS:,} worlds")
-    return name, numbers

@@ -1,22 +1,12 @@
-"""Generators of worlds by name, and the splits of their worlds.
-
-A name of worlds is like "clutter:test", "clutter:50" or "mine.module:corridors:0-99"; in
-"clutter+6:test" six people walk, and all else is as in "clutter:test".
-"""
+"""Generators of worlds by name, this package's and users', and the numbers of their splits."""
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import importlib
-import importlib.util
 import inspect
 import re
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from acsar_gym.errors import ConfigError, WorldError, format_error, show_value, suggest_name
 from acsar_gym.reading import find_modules_here
@@ -31,22 +21,24 @@ BUILT_IN_KINDS = (
 )
 """Names of the generators of this package."""
 MAX_GENERATOR_NAME = 40  # most characters of a name
-TRAIN, VALIDATION, TEST, BENCHMARK = "train", "validation", "test", "benchmark"
-SPLITS = (TRAIN, VALIDATION, TEST, BENCHMARK)
-"""What may follow the name of a kind, as in "clutter:test"."""
-_SPLIT_NUMBERS = {
+TRAIN = "train"
+VALIDATION = "validation"
+TEST = "test"
+BENCHMARK = "benchmark"
+SPLITS = {
     TRAIN: range(1000, 1400),
     VALIDATION: range(900, 964),
     TEST: range(200),
     BENCHMARK: range(100_000, 101_000),
 }
-"""Those of the benchmark are far from numbers that anybody would train in by hand."""
+"""What may follow a generator's name, as in "clutter:test", and the numbers of these worlds.
+
+Those of the benchmark are far from the numbers that people choose for a training."""
 _BARN_TEST = range(300)  # as many as BARN has published
-_NUMBERS = rf"(?::({'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?"
-_WALKERS = r"(?:\+[1-9]\d?)?"
-_KIND = re.compile(rf"([a-z_][a-z0-9_]*{_WALKERS}){_NUMBERS}")
-_FOREIGN = re.compile(
-    rf"((?:[A-Za-z_]\w*)(?:\.\w+)*):([a-z][a-z0-9_]*{_WALKERS}){_NUMBERS}", re.ASCII
+_NAME = re.compile(
+    r"(?:(?P<module>[A-Za-z_]\w*(?:\.\w+)*):)??(?P<kind>[a-z][a-z0-9_]*)"
+    rf"(?::(?P<numbers>{'|'.join(SPLITS)}|\d{{1,15}}(?:-\d{{1,15}})?))?",
+    re.ASCII,
 )
 
 Maker = Callable[["np.random.Generator", float, float], World]
@@ -57,46 +49,16 @@ class GeneratorError(WorldError):
     """A generator can't make a world, also if it is called again."""
 
 
-@dataclass(frozen=True)
-class OwnGenerator:
-    """A generator that a user or another package has registered."""
-
-    name: str
-    make: Maker
-
-    @property
-    def home(self) -> str:
-        """The module of `make`, which should be the one that registers it."""
-        return str(getattr(self.make, "__module__", None) or type(self.make).__module__)
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Module and name of `make`."""
-        return self.home, str(getattr(self.make, "__qualname__", type(self.make).__qualname__))
-
-    def world(self, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        """Call the generator once; GeneratorError where calling it again is of no use."""
-        this = f"generator {self.name!r} of {self.home}"
-        try:
-            world = self.make(rng, difficulty, radius)
-        except WorldError:
-            raise
-        except Exception as error:
-            raise GeneratorError(f"{this}: raised {format_error(error)}") from error
-        if not isinstance(world, World):
-            raise GeneratorError(f"{this}: returned {show_value(world)}, must return a World")
-        return world
-
-
-_OWN: dict[str, OwnGenerator] = {}
+REGISTERED: dict[str, Maker] = {}
+"""The generators of users, by name."""
 
 
 def register(name: str, make: Maker) -> None:
     """Add a generator of worlds; then `worlds="name:0-99"` works like "clutter:0-99".
 
     World `number` of a generator is always the same: its random numbers depend on the name and the
-    number only. A world without a `path` gets the shortest one for the footprint. Where there is
-    none, or `make` raises WorldError, it is called again, up to 200 times and, where the difficulty
+    number only. A world without a `path` gets the shortest path for the footprint. If there is
+    none, or `make` raises WorldError, it is called again, up to 200 times and, if the difficulty
     is a range, each time with a lower one.
 
     In a process that hasn't imported the module that registers, name the module, as in
@@ -110,8 +72,12 @@ def register(name: str, make: Maker) -> None:
             around the robot's footprint [m]; returns a `World`, in m and rad of its own frame.
 
     Raises:
-        ConfigError: for another form of name, one that is taken, or a `make` that can't be called
-            with three arguments. The same function of the same module may be registered again.
+        ConfigError: for another form of name, a name that is taken, or a `make` that can't be
+            called with three arguments. A module may register a name again.
+
+    Example:
+        >>> from acsar_gym.worlds import World, register
+        >>> register("empty_floors", lambda rng, difficulty, footprint_radius: World())
     """
     form = rf"[a-z][a-z0-9_]{{0,{MAX_GENERATOR_NAME - 1}}}"
     if not isinstance(name, str) or not re.fullmatch(form, name):
@@ -126,38 +92,26 @@ def register(name: str, make: Maker) -> None:
             f"register({name!r}): make = {show_value(make)} must be callable as "
             "make(rng, difficulty, footprint_radius)"
         ) from error
-    new, other = OwnGenerator(name, make), _OWN.get(name)
-    if name in BUILT_IN_KINDS or (other is not None and other.place != new.place):
-        owner = "acsar_gym" if other is None else other.home
+
+    owner = "acsar_gym" if name in BUILT_IN_KINDS else home_module(name)
+    if owner not in ("", make.__module__):
         raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
-    _OWN[name] = new
+    REGISTERED[name] = make
 
 
 def list_kinds() -> tuple[str, ...]:
     """Names of all generators, those of this package first."""
-    return (*BUILT_IN_KINDS, *_OWN)
-
-
-def split_walkers(kind: str) -> tuple[str, int]:
-    """Split the name of a kind, like "clutter+6", into the generator's and how many walk there."""
-    name, _, count = kind.partition("+")
-    return name, int(count or 0)
-
-
-def find_own(kind: str) -> OwnGenerator | None:
-    """The registered generator of this kind, if any."""
-    return _OWN.get(split_walkers(kind)[0])
+    return (*BUILT_IN_KINDS, *REGISTERED)
 
 
 def home_module(kind: str) -> str:
-    """The module that registers a generator; "" for those of this package."""
-    own_generator = find_own(kind)
-    return "" if own_generator is None else own_generator.home
+    """The module of a generator, which should register it; "" for those of this package."""
+    return str(REGISTERED[kind].__module__) if kind in REGISTERED else ""
 
 
 def check_registered(kind: str) -> None:
     """Raise WorldError for a name that no generator has."""
-    if split_walkers(kind)[0] not in list_kinds():
+    if kind not in list_kinds():
         raise WorldError(
             f"unknown kind of world {kind!r}{suggest_name(kind, list_kinds())}; that of another "
             "package is named with the module that registers it, as in "
@@ -169,141 +123,64 @@ def import_generator(module: str, kind: str) -> None:
     """Import the module that registers a generator; nothing for "" and the main program."""
     if module in ("", "__main__"):
         return
-    where = f"worlds = '{module}:{kind}'"
+
+    title = f"worlds = '{module}:{kind}'"
     try:
         with find_modules_here():
             importlib.import_module(module)
     except ImportError as error:
         raise WorldError(
-            f"{where}: can't import {module}: {format_error(error)}; install it, or name its "
+            f"{title}: can't import {module}: {format_error(error)}; install it, or name its "
             "folder in PYTHONPATH"
         ) from error
     except (Exception, SystemExit) as error:
-        raise WorldError(f"{where}: importing {module} raised {format_error(error)}") from error
-    if find_own(kind) is None:
+        raise WorldError(f"{title}: importing {module} raised {format_error(error)}") from error
+    if kind not in REGISTERED:
         raise WorldError(
-            f"{where}: importing {module} registers no {kind!r}{suggest_name(kind, list_kinds())}"
+            f"{title}: importing {module} registers no {kind!r}{suggest_name(kind, list_kinds())}"
         )
 
 
-@dataclass(frozen=True, slots=True)
-class WorldsName:
-    """The parts of a name of generated worlds."""
+class WorldsName(NamedTuple):
+    """The parts of a name of generated worlds, such as "mine.module:corridors:0-99"."""
 
     module: str
     """Module to import first, which registers the generator; "" for none."""
     kind: str
-    """The generator's name, and how many walk there, as in "clutter+6"."""
+    """The generator's name."""
     numbers: str
-    """A split such as "train", "50" or "50-99"; "" where the name has none."""
-
-    @property
-    def generator(self) -> str:
-        """The name without the numbers."""
-        return f"{self.module}:{self.kind}" if self.module else self.kind
+    """A split such as "train", "50" or "50-99"; "" if the name has none."""
 
 
 def parse_name(text: str) -> WorldsName | None:
-    """Split a name into its parts; None for a text of another form. Imports nothing."""
-    if match := _KIND.fullmatch(text):
-        return WorldsName("", match[1], match[2] or "")
-    match = _FOREIGN.fullmatch(text)
-    if match is None or match[1] in BUILT_IN_KINDS:
+    """Split a name into its parts, without importing anything; None for another form of text."""
+    match = _NAME.fullmatch(text)
+    if match is None or match["module"] in BUILT_IN_KINDS:
         return None
-    return WorldsName(match[1], match[2], match[3] or "")
+    return WorldsName(*match.groups(""))
 
 
 def parse_known_name(text: str) -> WorldsName | None:
-    """Split a name of worlds whose generator is known; imports the module that it names.
+    """Split a name whose generator is known; imports the module that it names.
 
-    None where the text isn't such a name; WorldError where the module registers no such generator.
+    None if the text isn't such a name; WorldError if the module registers no such generator.
     """
     name = parse_name(text)
     if name is None:
         return None
     import_generator(name.module, name.kind)
-    return name if split_walkers(name.kind)[0] in list_kinds() else None
+    return name if name.kind in list_kinds() else None
 
 
 def split_numbers(kind: str, split: str) -> range:
     """World numbers of a split."""
-    is_barn_test = (split_walkers(kind)[0], split) == ("barn", TEST)
-    return _BARN_TEST if is_barn_test else _SPLIT_NUMBERS[split]
+    return _BARN_TEST if (kind, split) == ("barn", TEST) else SPLITS[split]
 
 
-def find_split(kind: str, some: range) -> str:
-    """The split that all of these numbers belong to; empty where there is none."""
-    for name in SPLITS:
-        every = split_numbers(kind, name)
-        if some[0] in every and some[-1] in every:
-            return name
+def find_split(kind: str, numbers: range) -> str:
+    """The split that all of these numbers belong to; empty if there is none."""
+    for split in SPLITS:
+        members = split_numbers(kind, split)
+        if numbers[0] in members and numbers[-1] in members:
+            return split
     return ""
-
-
-def add_test_split(source: Any) -> Any:
-    """Replace generators' names without numbers by their test split; anything else stays."""
-    if isinstance(source, str) and "," in source:
-        return ",".join(map(add_test_split, source.split(",")))
-    name = parse_known_name(source) if isinstance(source, str) else None
-    return source if name is None or name.numbers else f"{name.generator}:{TEST}"
-
-
-def hash_modules(*modules: str) -> str:
-    """Hash the sources of modules, and of the user's own modules that they import.
-
-    Args:
-        *modules: their names.
-
-    Returns:
-        The hash; empty where a module has no source file.
-    """
-    digest = hashlib.sha256()
-    try:
-        for module in modules:
-            for name, content in sorted(_read_sources(module).items()):
-                digest.update(f"{name} {len(content)} ".encode() + content)
-    except (OSError, SyntaxError, ValueError):
-        return ""
-    return digest.hexdigest()
-
-
-def _read_sources(first: str) -> dict[str, bytes]:
-    """Contents of a module and of all that it imports, directly or indirectly, by their names.
-
-    Python's own modules and this package's don't count; of installed ones only their version.
-    """
-    contents: dict[str, bytes] = {}
-    waiting = [first]
-    while waiting:
-        name = waiting.pop()
-        file = _source_file(name)
-        if file is None and name == first:
-            raise OSError(name)
-        if file is None or name in contents:
-            continue
-        installed = {"site-packages", "dist-packages"} & {*file.parts}
-        if installed and name.partition(".")[0] != first.partition(".")[0]:
-            contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
-            continue
-        contents[name] = file.read_bytes()
-        package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-        imported: list[str] = []
-        for node in ast.walk(ast.parse(contents[name])):
-            if isinstance(node, ast.Import):
-                imported += [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-                imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        ours = {*sys.stdlib_module_names, "acsar_gym"}
-        waiting += [module for module in imported if module.partition(".")[0] not in ours]
-    return contents
-
-
-def _source_file(name: str) -> Path | None:
-    """The source file of a module; None where there is none."""
-    module = sys.modules.get(name)
-    try:
-        file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
-    except (ImportError, AttributeError, ValueError):
-        return None
-    return Path(file) if file and file.endswith(".py") else None

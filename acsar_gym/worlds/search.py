@@ -17,7 +17,6 @@ from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
 from acsar_gym.worlds.grid import (
-    CELL_SIDE,
     MAX_CELLS,
     PATH_SLACK,
     Grid,
@@ -34,7 +33,7 @@ from acsar_gym.worlds.world import Floats, Region, World
 LEAST_REACH = 10.0
 """In large worlds, at least this distance around start and goal is searched first [m]."""
 REACH_FACTOR = 4.0
-"""Factor by which this distance grows where no path was found."""
+"""Factor by which this distance grows if no path was found."""
 ENTRY_CELLS = 4
 """Distance to an end of a path within which the path may enter the grid [cells]."""
 CORNER_CUTS = 4
@@ -74,17 +73,28 @@ def shortest_path(
 ) -> Floats:
     """Find a shortest path of a disc of this radius [m] from start to goal, (points, 2) [m].
 
-    A shortest path over eight-connected cells is straightened where obstacles allow it, and its
-    corners are cut off `cuts` times: within 1 % of the shortest one; without cuts a little longer.
-    Start and goal are the centres of the world's regions unless others are given. Raises WorldError
-    where one of the regions isn't free for the disc, or there is no path.
+    A shortest path over eight-connected cells is straightened if obstacles allow it, and its
+    corners are cut off `cuts` times: within 1 % of the shortest path. Without cuts it is a little
+    longer.
+
+    Args:
+        world: World with the obstacles.
+        radius: Radius of the disc [m].
+        start: Region whose centre is the start. None: the start of the world.
+        goal: Region whose centre is the goal. None: the goal of the world.
+        cuts: How often corners are cut off.
+
+    Raises:
+        WorldError: One of the regions isn't free for the disc, or there is no path.
     """
-    start, goal = start or world.start, goal or world.goal
-    for name, region in (("start", start), ("goal", goal)):
-        check_region(world, name, region, radius)
+    start = start or world.start
+    goal = goal or world.goal
+    check_region(world, "start", start, radius)
+    check_region(world, "goal", goal, radius)
     ends = np.array([[start.x, start.y], [goal.x, goal.y]])
     if segment_clearance(ends[:1], ends[1:], world)[0] >= radius:
         return ends
+
     path = _search_path(world, radius, ends)
     if path is None:
         raise WorldError(
@@ -108,7 +118,7 @@ def check_region(world: World, name: str, region: Region, radius: float) -> None
 
 
 def check_path(world: World, radius: float) -> None:
-    """Raise WorldError where a disc of this radius [m] can't follow the world's own path."""
+    """Raise WorldError if a disc of this radius [m] can't follow the world's own path."""
     path = np.zeros((0, 2)) if world.path is None else world.path
     if len(path) < 2:
         raise WorldError(f"{_prefix(world)}the path must have at least two points")
@@ -124,7 +134,7 @@ def remaining_distance(world: World, radius: float, place: Region, goal: Region)
     """Length of a shortest path to the goal [m], for a robot that may have collided.
 
     Returns:
-        inf where there is no path.
+        The length, inf if there is no path.
     """
     ends = np.array([[place.x, place.y], [goal.x, goal.y]])
     fitting = min(radius, *(point_clearance(ends, world) - PATH_SLACK).tolist())
@@ -135,96 +145,103 @@ def remaining_distance(world: World, radius: float, place: Region, goal: Region)
 
 
 def _prefix(world: World) -> str:
-    """The world's name as the beginning of a message."""
+    """The world's name as the start of a message."""
     return f"{world.name}: " if world.name else ""
 
 
 def _search_path(world: World, radius: float, ends: Floats) -> Floats | None:
-    """Find a shortest path over cells, (points, 2); None where there is none.
+    """Find a shortest path over cells, (points, 2); None if there is none.
 
-    In a large world, such as one whose obstacles are far apart, only the area around the ends is
-    searched, and enlarged until nothing outside can be on a shorter path: all paths of length L
+    In a large world, such as a world whose obstacles are far apart, only the area around the ends
+    is searched, and enlarged until nothing outside can be on a shorter path: all paths of length L
     between ends D apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
-    box, apart = bounds_with(world, ends), math.dist(*ends)
-    reach = (
-        math.inf if count_cells(box, radius, CELL_SIDE) <= MAX_CELLS else max(LEAST_REACH, apart)
-    )
+    box = bounds_with(world, ends)
+    farthest = max(*(ends.min(axis=0) - box[0]), *(box[1] - ends.max(axis=0)))
+    distance = math.dist(*ends)
+    is_small = count_cells(box, radius) <= MAX_CELLS
+    reach = math.inf if is_small else max(LEAST_REACH, distance)
+
     while True:
         grid = free_cells(world, radius, ends, reach)
-        whole = reach >= max(*(ends.min(axis=0) - box[:2]), *(box[2:] - ends.max(axis=0)))
         first, last = (_entry_cell(grid, end, world, radius) for end in ends)
-        cells = search_cells(grid, first, last)
-        if cells is None:
-            if whole or not may_leave(grid, first, last):
-                return None
+        way = search_cells(grid, first, last)
+        if way is not None:
+            path = np.concatenate([ends[:1], grid.centres(way), ends[1:]])
+            needed = math.sqrt(max(path_length(path) ** 2 - distance**2, 0.0)) / 2.0
+            if reach >= min(farthest, needed):
+                return path
+            reach = needed
+        elif reach >= farthest or not may_leave(grid, first, last):
+            return None
+        else:
             reach *= REACH_FACTOR
-            continue
-        path = np.concatenate([ends[:1], grid.centres(cells), ends[1:]])
-        needed = math.sqrt(max(path_length(path) ** 2 - apart**2, 0.0)) / 2.0
-        if whole or needed <= reach:
-            return path
-        reach = needed
 
 
 def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:
     """The nearest free cell that can be reached in a straight line from an end of the path.
 
-    The end's own cell where there is none; the path may be a little too near to an obstacle then.
+    The end's own cell if there is none; the path may be a little too near to an obstacle then.
     """
-    own, width = grid.cell(float(end[0]), float(end[1])), grid.free.shape[1]
-    i, j = divmod(own, width)
-    low_i, low_j = max(i - ENTRY_CELLS, 0), max(j - ENTRY_CELLS, 0)
-    near = np.argwhere(grid.free[low_i : i + ENTRY_CELLS + 1, low_j : j + ENTRY_CELLS + 1])
-    cells = (near[:, 0] + low_i) * width + near[:, 1] + low_j
+    number = grid.cell(*end.tolist())
+    row, column = divmod(number, grid.free.shape[1])
+    near = np.zeros_like(grid.free)
+    rows = slice(max(row - ENTRY_CELLS, 0), row + ENTRY_CELLS + 1)
+    near[rows, max(column - ENTRY_CELLS, 0) : column + ENTRY_CELLS + 1] = True
+    cells = np.flatnonzero(near & grid.free)
+
     centres = grid.centres(cells)
     clear = segment_clearance(np.broadcast_to(end, centres.shape), centres, world)
     reachable = clear >= radius - PATH_SLACK
     if not reachable.any():
-        grid.free.flat[own] = True
-        return own
-    return int(cells[np.where(reachable, np.hypot(*(centres - end).T), np.inf).argmin()])
+        grid.free.flat[number] = True
+        return number
+    distances = np.hypot(*(centres - end).T)
+    return int(cells[np.where(reachable, distances, np.inf).argmin()])
 
 
 def _cut_corners(path: Floats, world: World, radius: float) -> Floats:
     """Cut off the corners of a path as far as obstacles allow it."""
     if len(path) < 3:
         return path
-    before, corner, behind = path[:-2], path[1:-1], path[2:]
-    share, step = np.zeros((len(corner), 1)), 0.25
-    for _ in range(CUT_BISECTIONS):
-        more = share + step
-        ends = corner + more * (before - corner), corner + more * (behind - corner)
-        blocked = _find_blocked(*ends, world, radius - PATH_SLACK / 2.0)
+    corners = path[1:-1]
+    ahead = path[:-2] - corners
+    behind = path[2:] - corners
+    share = np.zeros((len(corners), 1))
+    for step in 0.25 * 0.5 ** np.arange(CUT_BISECTIONS):
+        starts = corners + (share + step) * ahead
+        ends = corners + (share + step) * behind
+        blocked = _find_blocked(starts, ends, world, radius - PATH_SLACK / 2.0)
         share += np.where(blocked, 0.0, step)[:, None]
-        step /= 2.0
-    cut = [corner + share * (before - corner), corner + share * (behind - corner)]
-    return np.concatenate([path[:1], np.stack(cut, axis=1).reshape(-1, 2), path[-1:]])
+    cut = np.stack([corners + share * ahead, corners + share * behind], axis=1)
+    return np.concatenate([path[:1], cut.reshape(-1, 2), path[-1:]])
 
 
 def _straighten(path: Floats, world: World, radius: float) -> Floats:
     """Remove points of a path that a straight line can replace."""
-    kept, here = [0], 0
-    while here < len(path) - 1:
-        start, here = here, here + 1  # the farthest point to which all lines are free
-        for first in range(start + 2, len(path), POINTS_AT_ONCE):
-            ends = path[first : first + POINTS_AT_ONCE]
-            starts = np.broadcast_to(path[start], ends.shape)
-            blocked = _find_blocked(starts, ends, world, radius - PATH_SLACK)
-            if blocked.any():
-                here = max(here, first + int(blocked.argmax()) - 1)
-                break
-            here = first + len(ends) - 1
-        kept.append(here)
+    kept = [0]
+    while kept[-1] < len(path) - 1:
+        start = kept[-1]
+        farthest = start + 1  # to which all lines are free
+        blocked = False
+        while not blocked and farthest < len(path) - 1:
+            ends = path[farthest + 1 : farthest + 1 + POINTS_AT_ONCE]
+            lines = _find_blocked(
+                np.broadcast_to(path[start], ends.shape), ends, world, radius - PATH_SLACK
+            )
+            blocked = bool(lines.any())
+            farthest += int(lines.argmax()) if blocked else len(ends)
+        kept.append(farthest)
     return path[kept]
 
 
 def _find_blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArray[np.bool_]:
     """Whether straight lines are nearer than `radius` to an obstacle."""
     if world.obstacles > MANY_OBSTACLES:
-        both = np.concatenate([starts, ends])
-        box = np.concatenate([both.min(axis=0) - radius, both.max(axis=0) + radius])
-        world = crop_world(world, box)
+        points = np.concatenate([starts, ends])
+        world = crop_world(
+            world, np.array([points.min(axis=0) - radius, points.max(axis=0) + radius])
+        )
     blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
     return blocked
 
@@ -235,10 +252,10 @@ def world_along(path: Floats) -> World:
     if world.path is None or len(world.path) < 2 or not world.length > 0.0:
         raise WorldError("path: must have at least two points (x, y) [m], not all the same")
     points = drop_repeated(world.path)
-    (x, y), (end_x, end_y) = points[0].tolist(), points[-1].tolist()
+    x, y = points[0].tolist()
     dx, dy = (points[1] - points[0]).tolist()
-    start = Region(x, y, 0.0, math.atan2(dy, dx))
-    return World(start=start, goal=Region(end_x, end_y), path=points)
+    start = Region(x, y, theta=math.atan2(dy, dx))
+    return World(start=start, goal=Region(*points[-1].tolist()), path=points)
 
 
 def align_with_path(world: World) -> World:
@@ -250,10 +267,10 @@ def align_with_path(world: World) -> World:
 
 
 def drop_repeated(path: Floats) -> Floats:
-    """Remove points of a path that repeat the one before them."""
-    moved = np.concatenate([[True], np.abs(np.diff(path, axis=0)).sum(axis=1) > 0.0])
-    kept: Floats = path[moved]
-    return kept
+    """Remove points of a path that repeat the point before them."""
+    moved = np.diff(path, axis=0).any(axis=1)
+    distinct: Floats = path[np.concatenate([[True], moved])]
+    return distinct
 
 
 def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
@@ -265,11 +282,11 @@ def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
     """
     path = drop_repeated(path)
     steps = np.diff(path, axis=0)
-    lengths = np.hypot(steps[:, 0], steps[:, 1])
-    at = np.concatenate([[0.0], np.cumsum(lengths)])
-    count = max(2, 1 + math.ceil(at[-1] / spacing - 1e-9))
-    s = np.linspace(0.0, at[-1], count)
-    piece = np.clip(np.searchsorted(at, s, side="right") - 1, 0, len(steps) - 1)
-    share = (s - at[piece]) / lengths[piece]
+    lengths = np.hypot(*steps.T)
+    marks = np.concatenate([[0.0], np.cumsum(lengths)])
+    count = max(2, 1 + math.ceil(marks[-1] / spacing - 1e-9))
+    s = np.linspace(0.0, marks[-1], count)
+    piece = np.clip(np.searchsorted(marks, s, side="right") - 1, 0, len(steps) - 1)
+    share = (s - marks[piece]) / lengths[piece]
     points = path[piece] + share[:, None] * steps[piece]
-    return np.column_stack([points, np.arctan2(steps[piece, 1], steps[piece, 0])])
+    return np.column_stack([points, np.arctan2(*steps[piece].T[::-1])])

@@ -147,7 +147,7 @@ WIRE_LOG = logging.getLogger("acsar_gym.wire")
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A page's folder, with what it names of the checkout; what it registers is forgotten."""
-    modules, ids, own = set(sys.modules), dict(gymnasium.registry), dict(registry._OWN)
+    modules, ids, own = set(sys.modules), dict(gymnasium.registry), dict(registry.REGISTERED)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     for path in (ROOT / "agents", ROOT / "assets", *(ROOT / "docs").glob("*.json")):
@@ -160,8 +160,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             del sys.modules[name]
     gymnasium.registry.clear()
     gymnasium.registry.update(ids)
-    registry._OWN.clear()
-    registry._OWN.update(own)
+    registry.REGISTERED.clear()
+    registry.REGISTERED.update(own)
 
 
 def save(block: Block, path: Path) -> None:

@@ -51,7 +51,7 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     sys.path.remove(str(folder))
     for one in ("Clearance", "Park", "Feeling"):
         gymnasium.registry.pop(f"mine/{one}-v0", None)
-    registry._OWN.pop("corridors", None)
+    registry.REGISTERED.pop("corridors", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "mine"]:
         del sys.modules[name]
 

@@ -100,7 +100,7 @@ def test_a_file_is_passed_with_what_it_does_not_say(tmp_path: Path) -> None:
     assert inner(env).episode.assignment.start == (1.0, 2.0, 0.5)
     again = gymnasium.make(EnvSpec.from_json(cast("EnvSpec", env.spec).to_json()))
     pools = [inner(one).pool for one in (env, again)]
-    assert [pool.kind for pool in pools if pool] == [str(path)] * 2
+    assert [pool.sets[0].generator for pool in pools if pool] == [str(path)] * 2
     for one in (env, again):
         one.close()
     with pytest.raises(ConfigError, match=r"unknown field 'worlds\.gaol'; did you mean 'goal'"):

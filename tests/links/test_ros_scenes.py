@@ -15,7 +15,7 @@ from acsar_gym.worlds.generators import generate_world
 ROBOT = RobotConfig.preset("acsar")
 
 
-@pytest.mark.parametrize("name", ["clutter:7", "barn:3", "clutter+6:7"])
+@pytest.mark.parametrize("name", ["clutter:7", "barn:3"])
 def test_a_world_is_found_by_its_name(name: str) -> None:
     world = find_scene(name, (), ROBOT).world
     assert world is not None

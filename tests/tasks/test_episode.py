@@ -34,24 +34,30 @@ def test_starts_and_goals_fill_their_regions() -> None:
     assert distances.max() < math.hypot(8.0, 2.0) + 1.5
 
 
-PATHLESS = Pool("given", range(1), lambda _: World(goal=Region(1.0, 0.0)))
-
-
 @pytest.mark.parametrize(
-    ("pool", "options", "named"),
+    ("source", "options", "named"),
     [
-        (Pool.of("open:5"), {"world": 5}, "world"),
-        (Pool.of("open:5"), {"world": 2.5}, "world"),
-        (Pool.of("open:5"), {"goal": (1.0, math.inf)}, "goal"),
-        (PATHLESS, {}, "path"),
+        ("open:5", {"world": 5}, "world 5: must be of open 0 to 4"),
+        ("open:5", {"world": 2.5}, "world"),
+        ("open:5", {"goal": (1.0, math.inf)}, "goal"),
+        (["open:5", "rooms:5"], {"world": 2}, "world 2: must be a name like 'clutter 17'"),
     ],
 )
 def test_what_cannot_be_drawn_is_one_clear_error(
-    pool: Pool, options: dict[str, Any], named: str
+    source: Any, options: dict[str, Any], named: str
 ) -> None:
     with pytest.raises((ConfigError, WorldError), match=named) as caught:
-        draw_in_world(pool, np.random.default_rng(0), options, follow=pool is PATHLESS)
+        draw_in_world(Pool.of(source), np.random.default_rng(0), options)
     assert "\n" not in str(caught.value)
+
+
+def test_among_several_sets_a_world_is_chosen_and_reported_by_its_name() -> None:
+    pool = Pool.of(["open:5", "rooms:5"])
+    drawn = draw_in_world(pool, np.random.default_rng(0), {"world": "rooms 3"})
+    assert (drawn.world_key, drawn.info) == ("rooms 3", {})
+    rng = np.random.default_rng(0)
+    kinds = {str(draw_in_world(pool, rng, {}).world_key).partition(" ")[0] for _ in range(20)}
+    assert kinds == {"open", "rooms"}
 
 
 def test_worlds_do_not_move() -> None:
@@ -60,7 +66,7 @@ def test_worlds_do_not_move() -> None:
     for follow in (False, True):
         for _ in range(5):
             assignment = draw_in_world(pool, rng, {}, follow=follow)
-            world = pool[assignment.number]
+            world = pool[assignment.world_key]
             assert assignment.world is world
             assert world.path is not None
             place = to_world(assignment.start, (*assignment.goal, 0.0))

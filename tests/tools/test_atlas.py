@@ -63,13 +63,12 @@ def test_a_check_says_what_a_world_is_like(tmp_path: Path) -> None:
     done = cli("worlds", "check", "barn:2", "--json", out)
     assert (done.returncode, done.stderr) == (0, "")
     assert "barn 0" in done.stdout
-    assert "worlds: barn 0 to 1 (test split); lengths in m" in done.stdout
+    assert "worlds: barn 0 to 1 (test split)" in done.stdout
     told = json.loads(out.read_text())
     assert (told["source"], told["split"]) == ("barn 0 to 1 (test split)", "test")
     one, _ = told["worlds"]
     assert 10.0 <= one["shortest"] <= one["path"] + 1e-6
     assert one["fault"] == ""
-    assert 0.0 < one["closest_obstacle"] < 3.0
 
 
 def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
@@ -85,7 +84,7 @@ def test_a_world_becomes_json_and_back(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
 def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
-    worlds = atlas.collect_worlds(str(BARN), None, None, 1)
+    _, worlds = atlas.collect_worlds(str(BARN), None, None, 1)
     findings = atlas.check_worlds(worlds, None)
     assert [finding["obstacles"] for finding in findings] == [237, 208, 209, 236, 277]
     assert all(finding["fault"] == "" for finding in findings)

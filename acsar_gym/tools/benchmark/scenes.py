@@ -311,13 +311,12 @@ def task_worlds(env_id: str) -> str:
     pool = _make_planar(env_id).pool
     if pool is None:
         return ""
-    if pool.kind == "given" or pool.parts:
+    if len(pool.sets) > 1 or pool.sets[0].generator == "given":
         raise ConfigError(
             f"--env {show_value(env_id)}: its worlds have no name, or several: name one generator "
             "or a folder, as in acsar_gym.register(..., scenes={'test': {'worlds': ...}})"
         )
-    module = registry.home_module(pool.kind) if pool.generated else ""
-    return f"{module}:{pool.kind}" if module else pool.kind
+    return pool.sets[0].generator
 
 
 def has_sensor(env_id: str, name: str) -> bool:

@@ -29,7 +29,9 @@ COUNTDOWN = 3.0
 File = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 Seconds = Annotated[float | None, tyro.conf.arg(metavar="SECONDS")]
 OutFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
-Worlds = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
+WorldName = Annotated[str | None, tyro.conf.arg(metavar="KIND|PATH")]
+Worlds = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND|PATH")]
+"""Worlds of one or several sets: the option may be repeated."""
 LidarArg = Annotated[str | None, tyro.conf.arg(metavar="URL")]
 EnvArg = Annotated[str, tyro.conf.arg(metavar="NAME|ID")]
 Force = Annotated[bool, tyro.conf.arg(help="Replace files that this command didn't write, too.")]
@@ -57,9 +59,9 @@ class WorldFileOptions:
     goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
     """Where the goal is in a world of a file [m]."""
 
-    def place(self, worlds: str | None) -> Any:
-        """Return what an env takes as `worlds=`: the name alone, or with these options."""
-        from acsar_gym.worlds.pool import place_worlds  # noqa: PLC0415
+    def place(self, *worlds: str) -> Any:
+        """Return what an env takes as `worlds=`: the names alone, or a file with these options."""
+        from acsar_gym.worlds.sets import place_worlds  # noqa: PLC0415
 
         return place_worlds(worlds, self.start, self.goal)
 

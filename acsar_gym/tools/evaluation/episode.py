@@ -25,6 +25,7 @@ from acsar_gym.tasks.task import info_names
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
+from acsar_gym.worlds.pool import Key
 from acsar_gym.worlds.search import footprint_radius, path_length, remaining_distance
 from acsar_gym.worlds.world import point_in_world, to_odometry, to_world
 
@@ -46,8 +47,9 @@ class Episode:
     """
 
     seed: int | None = None  # of the reset
-    world: int | None = None
-    """Number of the world; -1 for a world or path given by the user, None on an open floor."""
+    world: Key | None = None
+    """Number of the world, or its name among several sets; -1 for a world or path given by the
+    user, None on an open floor."""
     success: bool
     collision: bool
     """Whether a simulated robot touched an obstacle, or ran into somebody; always False on
@@ -168,7 +170,7 @@ def measure_episode(
         nearest = footprint_clearance(places, config.outline, world)
         clearance = 0.0 if touched else max(0.0, nearest)
     return {
-        "world": int(info["world"]) if "world" in info else None,
+        "world": None if world is None else assignment.world_key,
         **end,
         "path": path_length(odom[:, :2]),
         "driven": path_length((true if is_known else odom)[:, :2]),

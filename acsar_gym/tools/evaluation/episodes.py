@@ -76,14 +76,14 @@ def run_episodes(
         LinkError: the robot can't be reached.
         EmergencyStopError: its emergency stop was used.
     """
-    pool = getattr(env.unwrapped, "pool", None)
-    worlds = range(0) if pool is None else pool.numbers
-    if in_order and len(worlds) < skip + count:
+    pool: Any = getattr(env.unwrapped, "pool", None)
+    worlds = 0 if pool is None else len(pool)
+    if in_order and worlds < skip + count:
         raise ConfigError(
-            f"{skip + count} episodes in order need as many worlds, but there are {len(worlds)}"
+            f"{skip + count} episodes in order need as many worlds, but there are {worlds}"
         )
     resets = [
-        (seed + number, options | ({"world": worlds[skip + number]} if in_order else {}))
+        (seed + number, options | ({"world": pool.key(skip + number)} if in_order else {}))
         for number in range(count)
     ]
     return run_resets(env, policy, resets, late_share)
@@ -172,6 +172,7 @@ def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> b
         and not spec.additional_wrappers
         and all(kwargs.get(name) is None for name in SINGLE_OPTIONS)
         and ways_known
+        and not (inner.pool is not None and inner.pool.numbers is None)  # worlds have names
         and all(set(options) <= {"world"} for _, options in resets)
         and not any(isinstance(options.get("world"), World) for _, options in resets)
         and len(_list_worlds(inner, resets)) <= MAX_BATCH_WORLDS
@@ -180,7 +181,7 @@ def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> b
 
 def _list_worlds(env: RobotEnv, resets: Resets) -> range | list[int]:
     """Numbers of the worlds that are driven in: those that are named, or all."""
-    if env.pool is None:
+    if env.pool is None or env.pool.numbers is None:
         return range(0)
     named = {int(options["world"]) for _, options in resets if "world" in options}
     return sorted(named) if all(options for _, options in resets) else env.pool.numbers
@@ -309,7 +310,7 @@ class _BatchRun:
             number = int(info["world"])
             number = number if isinstance(self._numbers, range) else self._numbers[number]
             info["world"], world = number, env.pool[number]
-        assignment = Assignment((goal_x, goal_y), world, number=number, start=(x, y, theta))
+        assignment = Assignment((goal_x, goal_y), world, world_key=number, start=(x, y, theta))
         episode = RunningEpisode(env.task, assignment)
         episode.state = State(goal=assignment.goal)
         length, first = int(self._steps[robot]), int(self._first_ticks[robot])

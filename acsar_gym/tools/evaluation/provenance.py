@@ -13,9 +13,9 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 | `robot` | `sha256` of its whole config |
 | `link` | name of the link |
 | `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
-| | `first` and `last` one, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
-| | their contents, or, where they are generated, all of these and the generators' source, the |
-| | versions of python, numpy and scipy, and the kind of machine |
+| | `first` and `last` world, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
+| | their contents, or, if this package generates them, all of these, its version and sources and |
+| | NumPy's version. A list of these for several sets |
 | `seeds` | of the `first` and `last` episode |
 | `options` | of the resets, and `in_order`, `late_share` |
 | `workers` | how many episodes ran at a time; null for one per CPU of the cluster |
@@ -42,9 +42,12 @@ import acsar_gym
 from acsar_gym.config.robot import hash_config
 from acsar_gym.tasks.spec import to_plain
 from acsar_gym.tools.policies import FilePolicy
-from acsar_gym.worlds.cache import hash_source
+from acsar_gym.worlds.cache import fingerprint
 from acsar_gym.worlds.mover_files import format_mover
 from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.registry import BUILT_IN_KINDS
+from acsar_gym.worlds.sets import WorldSet
+from acsar_gym.worlds.world import World
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "pybullet-arm64", "mujoco")
 """Libraries that the results of episodes depend on, if they are installed."""
@@ -111,31 +114,39 @@ def _describe_env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
 
 
-def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
-    """Describe the worlds; their hash changes whenever any of them does."""
+def _describe_worlds(pool: Pool | None) -> dict[str, Any] | list[dict[str, Any]]:
+    """Describe the worlds, several sets in a list; a hash changes if any world of a set does."""
     if pool is None:
         keys = ("split", "first", "last", "difficulty", "radius", "sha256")
         return {"kind": "none", **dict.fromkeys(keys)}
+    descriptions = [_describe_set(worlds, pool.radius) for worlds in pool.sets]
+    return descriptions if len(descriptions) > 1 else descriptions[0]
+
+
+def _describe_set(worlds: WorldSet, radius: float) -> dict[str, Any]:
+    """Describe a set of worlds and what defines them."""
     about = {
-        "kind": pool.kind,
-        "split": pool.split or None,
-        "first": pool.numbers[0],
-        "last": pool.numbers[-1],
-        "difficulty": pool.difficulty,
-        "radius": pool.radius,
+        "kind": worlds.kind,
+        "split": worlds.split or None,
+        "first": worlds.numbers[0],
+        "last": worlds.numbers[-1],
+        "difficulty": worlds.difficulty,
+        "radius": radius,
     }
-    content: list[Any] = [about, hash_source(pool.kind)]
-    if pool.parts or not (pool.generated and hash_source(pool.kind)):
-        content = [
-            [
-                world.circles.tolist(),
-                world.segments.tolist(),
-                repr(world.start),
-                repr(world.goal),
-                None if world.path is None else world.path.tolist(),
-                *map(format_mover, world.movers),
-            ]
-            for world in pool
-        ]
+    content: list[Any] = [about, fingerprint()]
+    if worlds.generator not in BUILT_IN_KINDS:
+        content = [_describe_world(world) for world in Pool([worlds], radius)]
     text = json.dumps(content, sort_keys=True)
     return about | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def _describe_world(world: World) -> list[Any]:
+    """List what defines a world, ready for JSON."""
+    return [
+        world.circles.tolist(),
+        world.segments.tolist(),
+        repr(world.start),
+        repr(world.goal),
+        None if world.path is None else world.path.tolist(),
+        *map(format_mover, world.movers),
+    ]

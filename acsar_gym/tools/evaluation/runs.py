@@ -52,8 +52,8 @@ from acsar_gym.tools.policies import (
 from acsar_gym.tools.policies.bundle import RETRAIN_HINT, describe_policy, env_policy_rate
 from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import registry
-from acsar_gym.worlds.pool import read_worlds
 from acsar_gym.worlds.search import lidar_height
+from acsar_gym.worlds.sets import name_alone, parse_sets
 
 Env = gymnasium.Env[Any, Any]
 MAX_EPISODES = 10**6  # most episodes of one evaluation; all results are kept in memory
@@ -176,13 +176,14 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     given = {name: value for name, value in options.items() if value is not None}
     given = {"link": link, "robot": robot, **given}
     if "worlds" in given:
-        given["worlds"] = registry.add_test_split(given["worlds"])
+        given["worlds"] = name_alone(given["worlds"], registry.TEST)
     try:
         env = gymnasium.make(env_id, **given)
         pool = getattr(env.unwrapped, "pool", None)
         if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
             env.close()
-            env = gymnasium.make(env_id, **given, worlds=pool.name_split(registry.TEST))
+            tested = [f"{group.generator}:{registry.TEST}" for group in pool.sets]
+            env = gymnasium.make(env_id, **given, worlds=tested if tested[1:] else tested[0])
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from error
     except TypeError as error:
@@ -392,11 +393,10 @@ def _split_evaluation(
     if options.get("record") is not None:
         raise ConfigError("--record and --view: one process records: leave out --workers")
     portable, config, source = dict(options), RobotConfig.of(robot), options.get("worlds")
-    worlds = None
-    if isinstance(source, str | Mapping):
-        worlds = read_worlds(source, lidar_height(config))
-    if worlds is not None:  # from files, which another machine may not have
-        portable["worlds"] = worlds
+    if source is not None:
+        sets = parse_sets(source, alone=registry.TEST, height=lidar_height(config))
+        if any(group.worlds for group in sets):  # from files, which another machine may not have
+            portable["worlds"] = sets
     batched = link == "planar" and policy.act_many is not None
     most = MAX_BATCHED_EPISODES if batched else MAX_SHARD_EPISODES
     size = len(seeds) // (SHARDS_PER_WORKER * workers) if workers else most

@@ -173,7 +173,8 @@ def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
     """Find a policy file.
 
     Args:
-        path: a file, or the name of a policy that comes with the package, such as "point_goal".
+        path: a file, or the name of a policy that comes with the package, such as "point_goal". A
+            folder of this name doesn't hide it.
         baselines: names that the error tells, beside those of the packaged policies.
 
     Returns:
@@ -183,11 +184,11 @@ def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
         PolicyError: there is neither a file nor a packaged policy of that name.
     """
     path = Path(path)
+    packaged = AGENTS / "policies" / f"{path}.onnx"
+    if packaged.exists() and not path.is_file():
+        return packaged
     if path.exists():
         return path
-    packaged = AGENTS / "policies" / f"{path}.onnx"
-    if packaged.exists():
-        return packaged
     known = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
     others = f"; baselines: {', '.join(baselines)}" if baselines else ""
     raise PolicyError(f"{path}: no such policy file; policies that come along: {known}{others}")

@@ -99,23 +99,24 @@ def describe_worlds(learning: RobotVectorEnv, batch: RobotVectorEnv) -> str:
     return f"training in {learning.pool}, {apart}"
 
 
-def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> str | None:
+def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> list[str] | None:
     """Choose held-out worlds.
 
     Returns:
-        Generated worlds of the same kind, none of which is in `pool`: those of the validation
-        split, or those behind the pool's where it holds some of them; beside several kinds some of
-        each. None for files and an open floor, which have no others, so that only the seeds differ.
+        For each set of generated worlds a set of the same generator without any of its worlds:
+        those of the validation split, or those behind the set's if it has some of them. None for
+        files and an open floor, which have no others, so that only the seeds differ.
     """
     if pool is None or not pool.generated:
         return None
-    if pool.parts:
-        each = [choose_held_out_worlds(part, robots // len(pool.parts)) for part in pool.parts]
-        return ",".join(filter(None, each))
-    own = registry.split_numbers(pool.kind, registry.VALIDATION)
-    apart = pool.numbers[0] > own[-1] or pool.numbers[-1] < own[0]
-    first = own[0] if apart else pool.numbers[-1] + 1
-    return f"{pool.kind}:{first}-{first + robots - 1}"
+    names = []
+    count = robots // len(pool.sets)
+    for group in pool.sets:
+        split = registry.split_numbers(group.kind, registry.VALIDATION)
+        overlaps = group.numbers[0] <= split[-1] and group.numbers[-1] >= split[0]
+        first = group.numbers[-1] + 1 if overlaps else split[0]
+        names.append(f"{group.generator}:{first}-{first + count - 1}")
+    return names
 
 
 def write_curve(path: Path, rows: Rows) -> None:

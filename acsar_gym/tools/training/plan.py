@@ -23,7 +23,7 @@ from acsar_gym.tools.training import held_out, recipes
 from acsar_gym.tools.training.recipes import Algorithm, Recipe, find_algorithm
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.threads import ROBOTS_PER_THREAD, check_threads, usable_cores
-from acsar_gym.worlds.pool import place_worlds
+from acsar_gym.worlds.sets import place_worlds
 
 MAX_STEPS = 10**10
 MAX_ROBOTS = 16_384
@@ -83,8 +83,11 @@ class TrainingOptions(Section):
     """Where the networks are trained; the robots are simulated on the CPU."""
     threads: int | None = None
     """Cores to use; default: as many as are free when the training begins."""
-    worlds: str | None = None
-    """Generator, file or folder of worlds, instead of the env's own."""
+    worlds: Annotated[
+        tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND|PATH")
+    ] = ()
+    """Generator, file or folder of worlds, instead of the env's own; give it again for worlds of
+    several, as in --worlds clutter:train --worlds barn:train."""
     start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None
     """Where the robot starts in a world of a file [m, rad]."""
     goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None
@@ -153,7 +156,7 @@ class TrainingPlan:
         limit = gymnasium.spec(own).max_episode_steps
         if limit is None:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
-        if options.worlds is not None and own == "acsar_gym/PointGoal-v0":
+        if options.worlds and own == "acsar_gym/PointGoal-v0":
             raise ConfigError("--worlds: point_goal has none")
         if options.threads is None:
             threads = measure_free_cores()

@@ -204,7 +204,11 @@ def training_command(options: TrainingOptions) -> list[str]:
         texts = [
             Path(str(one)).name if Path(str(one)).is_absolute() else str(one) for one in values
         ]
-        words += [f"--{flag}", *texts]
+        words += (
+            [word for text in texts for word in (f"--{flag}", text)]  # a repeated option
+            if name == "worlds"
+            else [f"--{flag}", *texts]
+        )
     return words
 
 

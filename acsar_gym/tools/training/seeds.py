@@ -44,8 +44,8 @@ from acsar_gym.tools.training.record import (
 )
 from acsar_gym.tools.training.run import train
 from acsar_gym.worlds.files import format_world
-from acsar_gym.worlds.pool import place_worlds, read_worlds
 from acsar_gym.worlds.search import lidar_height
+from acsar_gym.worlds.sets import parse_sets, place_worlds
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
@@ -154,20 +154,25 @@ def make_job(options: TrainingOptions, seed: int, out: Path) -> SeedJob:
     if options.address is None:
         return SeedJob(alone)
     sent = []
-    for name in ("conf_file", "robot", "worlds"):
-        given = getattr(options, name)
-        path = Path(given or "")
-        if name == "worlds" and path.is_file():  # the files that it names aren't there
-            source = place_worlds(given, options.start, options.goal)
-            robot = make_fleet(options.robot, 1).robots[0]
-            for world in read_worlds(source or path, lidar_height(robot)) or ():
-                alone = alone.model_copy(update={"start": None, "goal": None})
-                sent.append((name, f"{path.stem}.json", format_world(world, ".json")))
-        elif given is not None and path.is_file():
+    for name in ("conf_file", "robot"):
+        path = Path(getattr(options, name) or "")
+        if path.is_file():
             sent.append((name, path.name, reading.read_file(path, MAX_SENT_BYTES)))
-        elif name == "worlds" and "/" in str(path) and path.is_dir():
-            raise ConfigError(f"--worlds {path}: a folder can't be sent to a cluster: give a file")
-    return SeedJob(alone, tuple(sent))
+
+    # The files that a world's file names aren't on the other machine: send the world itself.
+    names = list(options.worlds)
+    source = place_worlds(names, options.start, options.goal)
+    height = lidar_height(make_fleet(options.robot, 1).robots[0])
+    for place, group in enumerate([] if source is None else parse_sets(source, height=height)):
+        if len(group.worlds) > 1:
+            raise ConfigError(
+                f"--worlds {names[place]}: a folder can't be sent to a cluster: give a file"
+            )
+        for world in group.worlds:
+            names[place] = f"{Path(names[place]).stem}.json"
+            sent.append(("worlds", names[place], format_world(world, ".json")))
+    placed = {"worlds": tuple(names), "start": None, "goal": None}
+    return SeedJob(alone.model_copy(update=placed), tuple(sent))
 
 
 def run_job(job: SeedJob) -> SeedResult:
@@ -180,9 +185,11 @@ def run_job(job: SeedJob) -> SeedResult:
             changes: dict[str, Any] = {"out": out}
             for option, name, content in job.sent:
                 place = Path(folder, option, name)
-                place.parent.mkdir()
+                place.parent.mkdir(exist_ok=True)
                 place.write_bytes(content)
                 changes[option] = place if option == "conf_file" else str(place)
+            files = {path.name: str(path) for path in Path(folder, "worlds").glob("*")}
+            changes["worlds"] = tuple(files.get(name, name) for name in options.worlds)
             options = options.model_copy(update=changes)
         out.mkdir(parents=True, exist_ok=True)
         if checkpoints.find_checkpoints(out / CHECKPOINTS_FOLDER):
@@ -198,18 +205,18 @@ def run_job(job: SeedJob) -> SeedResult:
             sys.exit(code)
         said = record.read_record(out)
         last = said.get("held_out") or {}
-        files = {}
+        made = {}
         for path in sorted(out.rglob("*")) if job.sent is not None else ():
             place = path.relative_to(out)
             if path.is_file() and place.parts[0] not in UNSENT:
-                files[str(place)] = path.read_bytes()
+                made[str(place)] = path.read_bytes()
         return SeedResult(
             options.seed,
             float(last.get("success_rate", math.nan)),
             float(last.get("collision_rate", math.nan)),
             int(said["steps"]),
             float(said["seconds"]),
-            files,
+            made,
         )
 
 

@@ -332,13 +332,14 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> 
     options = env.get("kwargs") if isinstance(env, dict) else None
     if not isinstance(options, dict):
         return None
-    source, number = options.get("worlds"), block.info.get("world")
-    name = parse_name(source) if isinstance(source, str) else None
-    if not (block.is_simulated and name and not name.module and isinstance(number, int)):
+    source: Any = options.get("worlds")
+    key: Any = block.info.get("world")
+    names = [parse_name(str(item)) for item in (source if isinstance(source, list) else [source])]
+    if not block.is_simulated or not all(name and not name.module for name in names):
         return None
     try:
         level = options.get("difficulty")
-        return Pool.of(str(source), level, footprint_radius(config))[number]
+        return Pool.of(source, level, footprint_radius(config))[key]
     except (AcsarError, TypeError, ValueError):
         return None
 

@@ -22,8 +22,7 @@ from numba.core.errors import NumbaError
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import FINGERPRINT, WITHIN, named_tuple
 from acsar_gym.jit import loop as compiled
-from acsar_gym.resources import PACKAGE
-from acsar_gym.worlds.registry import hash_modules
+from acsar_gym.resources import PACKAGE, hash_modules
 
 OWN_FOLDERS = [PACKAGE, Path(numba.__file__).parent]  # of files that aren't a user's
 

@@ -15,7 +15,10 @@ from acsar_gym.tools.training.plan import TrainingOptions
     [
         ({"env": "barn", "seed": 3, "net": (64, 64)}, "--env barn --seed 3 --net 64 64"),
         ({"resume": Path("/home/me/cut"), "trust": True}, "--resume cut --trust"),
-        ({"robot": "/home/me/my.yaml", "worlds": "clutter"}, "--worlds clutter --robot my.yaml"),
+        (
+            {"robot": "/home/me/my.yaml", "worlds": ("clutter", "/home/me/hall.world")},
+            "--worlds clutter --worlds hall.world --robot my.yaml",
+        ),
         (
             {"randomize": False, "seeds": "0-3", "address": "ray://10.0.0.3"},
             "--seeds 0-3 --no-randomize",

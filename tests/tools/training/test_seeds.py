@@ -13,6 +13,7 @@ from acsar_gym.physics import Randomization
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training import seeds
 from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
+from acsar_gym.worlds import Region, World, files
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -51,10 +52,20 @@ def test_files_of_a_training_go_to_another_machine_and_come_back(tmp_path: Path)
     names = {path.name for path in (tmp_path / "out" / "seed-2").iterdir()}
     assert {"policy.onnx", "model.zip", "config.yml", "log.txt"} <= names
     assert "checkpoints" not in names
+
+
+def test_worlds_of_files_go_to_another_machine(tmp_path: Path) -> None:
+    """A generator's name goes as it is, a file by its content, and a folder not at all."""
+    hall = World(goal=Region(3.0, 0.0), name="hall")
+    for name in ("hall", "room"):
+        files.save_world(hall, tmp_path / f"{name}.yaml")
+    options = TrainingOptions(seeds="2", address="nowhere:1")
+    mixed = options.model_copy(update={"worlds": ("open:3", str(tmp_path / "hall.yaml"))})
+    job = seeds.make_job(mixed, 2, tmp_path / "out")
+    assert job.options.worlds == ("open:3", "hall.json")
+    assert job.sent == (("worlds", "hall.json", files.format_world(hall, ".json")),)
     with pytest.raises(ConfigError, match="a folder can't be sent"):
-        seeds.make_job(
-            options.model_copy(update={"conf_file": None, "worlds": str(tmp_path)}), 2, tmp_path
-        )
+        seeds.make_job(options.model_copy(update={"worlds": (str(tmp_path),)}), 2, tmp_path)
 
 
 def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from acsar_gym.tools.cli.options import (
     RobotArg,
     Seconds,
     WorldFileOptions,
-    Worlds,
+    WorldName,
     check_writable,
 )
 
@@ -26,7 +26,7 @@ from acsar_gym.tools.cli.options import (
 class EmulatedWorld(WorldFileOptions):
     """The world around the robot."""
 
-    world: Worlds = None
+    world: WorldName = None
     """World with the robot at its start: a file, or a generated world like clutter:7-7."""
     key: float = 0.0
     """The episode's draw, 0 to 1, on which the world's movers depend."""
@@ -76,16 +76,16 @@ def emulate_board(
         silent: never answer, as a board without power.
     """
     from acsar_gym.tools.emulation.board import LOG_MARK, Emulator  # noqa: PLC0415
-    from acsar_gym.worlds import Scene, World  # noqa: PLC0415
+    from acsar_gym.worlds import Scene  # noqa: PLC0415
     from acsar_gym.worlds.pool import Pool  # noqa: PLC0415
     from acsar_gym.worlds.search import footprint_radius, lidar_height  # noqa: PLC0415
 
     check_writable(files.log, force=files.force, mark=LOG_MARK)
     config, scene = RobotConfig.of(robot), None
-    source = place.place(place.world)
+    source = place.place(*filter(None, [place.world]))
     if source is not None:
         radius, height = footprint_radius(config), lidar_height(config)
-        world = next(iter(Pool.of(source, None, radius, 1, height) or ()), World())
+        world = next(iter(Pool.of(source, None, radius, alone="1", height=height)))
         start = world.start.x, world.start.y, world.start.theta or 0.0
         scene = Scene(start, world=world, key=place.key)
     with (

@@ -66,8 +66,9 @@ class RobotOptions(RecordOptions):
 class WorldOptions(WorldFileOptions):
     """The worlds of an evaluation."""
 
-    worlds: Worlds = None
-    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder."""
+    worlds: Worlds = ()
+    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder. Give it again
+    for worlds of several."""
     in_order: bool = False
     """Use every world once, in order, instead of random ones."""
     difficulty: float | None = None
@@ -130,7 +131,7 @@ def evaluate_policy(
         how={"in_order": worlds.in_order, "late_share": robot.late_share},
         workers=scale.workers,
         address=scale.address,
-        worlds=worlds.place(worlds.worlds),
+        worlds=worlds.place(*worlds.worlds),
         difficulty=worlds.difficulty,
         lidar=robot.lidar,
         record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),

@@ -36,8 +36,7 @@ def show_worlds(
     """Draw a world, or a sheet of several, as a PNG file.
 
     Args:
-        source: kind of generated worlds (clutter:12, clutter+6:12 with six walkers,
-            mine.module:halls:0-9), file or folder.
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         file: of the worlds.
         out: the picture.
         columns: worlds side by side.
@@ -50,7 +49,7 @@ def show_worlds(
 
     check_writable(out, force=force)
     most = atlas.max_drawn(columns, size, out)
-    worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
+    _, worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
     atlas.draw_worlds(worlds, columns, size, out)
     if movers := atlas.describe_movers(worlds):
         say(movers)
@@ -66,11 +65,10 @@ def check_worlds(
     difficulty: float | None = None,
     robot: RobotArg = None,
 ) -> int:
-    """Check whether the robot can cross worlds; print path lengths and BARN's difficulty.
+    """Check whether the robot can cross worlds; print path lengths.
 
     Args:
-        source: kind of generated worlds (clutter:12, clutter+6:12 with six walkers,
-            mine.module:halls:0-9), file or folder.
+        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
         file: of the worlds.
         output: results in a file.
         difficulty: of generated worlds, 0 to 1.
@@ -80,11 +78,15 @@ def check_worlds(
     from acsar_gym.tools.evaluation.metrics import replace_nonfinite  # noqa: PLC0415
 
     output.check()
-    worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
+    world_set, worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
     findings = atlas.check_worlds(worlds, robot)
-    told = atlas.describe_source(source, 12)
-    table = atlas.findings_table(str(told["source"]), findings)
-    data = told | {"worlds": replace_nonfinite(findings)}
+    title = source if world_set.worlds else str(world_set)
+    table = atlas.findings_table(title, findings)
+    data = {
+        "source": title,
+        "split": world_set.split or None,
+        "worlds": replace_nonfinite(findings),
+    }
     print_results(table, json=output.json, data=data)
     return int(any(finding["fault"] for finding in findings))
 
