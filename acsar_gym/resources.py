@@ -81,6 +81,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
         if installed and name.partition(".")[0] != first.partition(".")[0]:
             contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
             continue
+
         contents[name] = file.read_bytes()
         package = name if file.name == "__init__.py" else name.rpartition(".")[0]
         imported: list[str] = []
@@ -90,6 +91,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
             elif isinstance(node, ast.ImportFrom):
                 base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
                 imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+
         ours = {*sys.stdlib_module_names, "acsar_gym"}
         waiting += [module for module in imported if module.partition(".")[0] not in ours]
     return contents

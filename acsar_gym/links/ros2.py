@@ -52,8 +52,6 @@ NAME_TIMEOUT = 5.0
 """Longest wait for the name of a node that commands the robot [s]."""
 PUBLISHERS_TIME = 1.0
 """How long a second publisher of the joint states is listened to before the first drive [s]."""
-WATCHDOG_TRANSPORT = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
-"""A program that is killed may leave the shared memory of Fast DDS's other transport locked."""
 RESET_TIMEOUT = 20.0
 """Longest wait until a simulated robot is in a new scene [s]."""
 FEEDBACK_DEPTH = 100
@@ -188,7 +186,8 @@ class Ros2Link(GuardedLink):
             # A node that commands the robot is found as soon as the robot, or a bit later.
             discovery_time = max(DISCOVERY_TIME, time.monotonic() - start)
             self._wait(lambda: self.commanders, discovery_time)
-            if self._is_intruded:  # a command may arrive before the name of its node
+            # A publisher, or its first command, may be known before the name of its node.
+            if self._is_intruded or node.has_nameless_publisher(self.command_topic):
                 self._wait(lambda: self.commanders, NAME_TIMEOUT)
             self._refuse_commanders()
             self._make_publisher(node)
@@ -340,8 +339,7 @@ class Ros2Link(GuardedLink):
             "sim_time": self.uses_sim_time,
         }
         command = (sys.executable, "-m", "acsar_gym.guard.ros_watchdog_child")
-        environment = WATCHDOG_TRANSPORT | child_environment()
-        self.watchdog.launch(command, (json.dumps(settings),), environment=environment)
+        self.watchdog.launch(command, (json.dumps(settings),), environment=child_environment())
 
     def _silence_error(self, age: float) -> LinkError:
         """Return the error for a robot whose wheels' speeds don't arrive."""

@@ -229,7 +229,8 @@ def thin_line(points: Floats, distance: float) -> Floats:
     mark = (path_lengths(points) / distance).astype(np.int64)
     kept = np.append(True, np.diff(mark) > 0)
     kept[-1] = True
-    return points[kept]
+    thinned: Floats = points[kept]
+    return thinned
 
 
 def round_length(limit: float) -> float:

@@ -37,6 +37,9 @@ UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """Name of a node that ROS has just discovered, such as our watchdog's."""
 CLOCK_GAP = 1e7
 """Wall-clock time and simulated time differ by more than this [s]: four months."""
+TRANSPORTS = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+"""Environment variable of Fast DDS, and its default in this program. A process that is killed or
+stopped may leave the shared memory of the other transport locked, which blocks the robot's node."""
 ROS_ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("ros_arguments", default=())
 """Arguments (what follows --ros-args) of nodes that aren't given any, such as a link's."""
 
@@ -139,6 +142,7 @@ class RosNode:
         overrides: dict[str, Any] | None = None,
         services: bool = False,
     ) -> None:
+        os.environ.setdefault(*TRANSPORTS)
         self.ros = ros = load_ros()
         self.problem = ""
         self._context = ros.Context()
@@ -300,6 +304,10 @@ class RosNode:
         own_name = f"{self.namespace.rstrip('/')}/{self.name}"
         names = self.list_publishers(topic)
         return [name for name in names if name != own_name and not name.endswith(ignored)]
+
+    def has_nameless_publisher(self, topic: str) -> bool:
+        """Whether a topic has a publisher whose node isn't known yet."""
+        return any(name.endswith(UNKNOWN_NODE) for name in self.list_publishers(topic))
 
     def use_sim_time(self) -> None:
         """Take the time from /clock from now on."""

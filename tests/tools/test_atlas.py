@@ -22,6 +22,7 @@ from acsar_gym.render.top_view import (
     START_COLOUR,
 )
 from acsar_gym.tools import atlas
+from acsar_gym.tools.tile import TITLE_HEIGHT, draw_tile
 from acsar_gym.worlds import Region, World, files, generators
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.search import footprint_radius
@@ -95,8 +96,8 @@ def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
 
 
 def test_a_tile_shows_who_moves_and_where_to() -> None:
-    tile = atlas.draw_tile(HALL, 400)
-    still = atlas.draw_tile(replace(HALL, movers=()), 400)
+    tile = draw_tile(HALL, 400)
+    still = draw_tile(replace(HALL, movers=()), 400)
     assert (tile == MOVER_COLOUR).all(axis=2).sum() > 100
     assert not (still == MOVER_COLOUR).all(axis=2).any()
     changed = np.argwhere((tile != still).any(axis=2))
@@ -107,8 +108,8 @@ def test_a_tile_shows_who_moves_and_where_to() -> None:
 def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:
     turned = replace(COURT, start=Region(0.0, 0.0, 0.0, math.pi / 2))
     bare = World(goal=Region(3.0, 1.0), path=np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]))
-    tiles = [atlas.draw_tile(world, 200) for world in (COURT, turned, bare)]
-    title = atlas.TITLE_HEIGHT
+    tiles = [draw_tile(world, 200) for world in (COURT, turned, bare)]
+    title = TITLE_HEIGHT
     inks = [(tile[4 : title - 4, 8:100].sum(axis=2) < 450).sum() for tile in tiles]
     assert inks[0] == inks[1] > 20
     assert inks[2] == 0, "it has no name"

@@ -1,4 +1,4 @@
-"""What moves around a robot, as a sensor: tracks of the map, and courses that would meet them."""
+"""A sensor of moving objects: tracks of the map, and courses on which a robot would meet them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.links.base import Link
-from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.map.courses import COURSES, MOST_GAP, measure_courses
-from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MapSensor, log_share
+from acsar_gym.sensors.map.seen import Pose, length_of
+from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MapSensor, clip, log_share
 from acsar_gym.sensors.map.tracks import (
     AGE,
     HAS_MOVED,
@@ -31,9 +31,11 @@ from acsar_gym.trigonometry import cos_sin
 from acsar_gym.truth import GroundTruth
 
 MOST_MOVERS = 6
-"""So many of them are observed, those that the robot could meet first."""
-MOST_SPEED, MOST_RADIUS = 4.0, 4.0
-"""Speeds and radii beyond count as these, in the robot's top speed and radii of its footprint."""
+"""Observed tracks, those that the robot could meet first."""
+MOST_SPEED = 4.0
+"""Larger speeds count as this, in the robot's top speed."""
+MOST_RADIUS = 4.0
+"""Larger radii count as this, in radii of the robot's footprint."""
 NUMBERS = ("known", "x", "y", "speed_x", "speed_y", "radius", "moves", "doubt")
 MOVER_NAMES = (
     *(f"mover_{name}_{n}" for n in range(MOST_MOVERS) for name in NUMBERS),
@@ -41,11 +43,10 @@ MOVER_NAMES = (
     *(f"gap_{n}" for n in range(len(COURSES))),
 )
 """The numbers that the sensor adds to the observation: of each track, in the order in which the
-robot could meet them, all 0 where there is none, then of each of the `courses`. Places and
-velocities are in the base frame. (x, y) points at the mover, and its length is that of
-`log_share`. `known` grows to 1 in KNOWN_SCANS; `moves` is 1 where it is sure to move, and a half
-where it has moved and stands; `doubt` is the standard deviation of its speed across the ray to
-it [m/s]."""
+robot could meet them, all 0 if there are fewer tracks, then of each of the `courses`. Places and
+velocities are in the base frame. (x, y) points at the object, and its length is that of
+`log_share`. `known` grows to 1 in KNOWN_SCANS. `moves` is 1 if it surely moves, and a half if it
+has moved and stands. `doubt` is the standard deviation of its speed across the ray to it [m/s]."""
 FIRST_COURSE = MOST_MOVERS * len(NUMBERS)
 MOVER_LOW = np.array(
     [
@@ -53,85 +54,101 @@ MOVER_LOW = np.array(
         for name in MOVER_NAMES
     ]
 )
-LEAST_AGE, KNOWN_SCANS = 2, 10
-"""A track is observed that so many scans have matched; one that has as many as the second is well
-known."""
+LEAST_AGE = 2
+"""A track is observed once this many scans have matched it."""
+KNOWN_SCANS = 10
+"""A track that this many scans have matched is well known."""
 LEAST_CLOSING = 0.1
-"""A robot and somebody else come nearer by at least so much, as far as one can know [m/s]."""
-COURSE_SPEED, COURSE_DEVIATIONS = 0.2, 1.5
-"""Who moves, or is faster than the first and than so many standard deviations of its speed, may be
-met on a course [m/s]."""
+"""A robot and an object approach each other by at least this in the worst case [m/s]."""
+COURSE_SPEED = 0.2
+"""An object that doesn't surely move is met on courses if it is faster than this [m/s], and than
+COURSE_DEVIATIONS standard deviations of its speed."""
+COURSE_DEVIATIONS = 1.5
+SCANS, STATE, DOUBT, MEETING = range(RADIUS + 1, RADIUS + 5)
+"""Columns of a listed track, after the first columns of tracks, in the base frame: age [scans],
+number for `moves`, standard deviation of its speed [m/s], and when the robot could meet it at the
+earliest [s]."""
 
 
 @subroutine
-def list_tracks(record: Any, pose: tuple[float, float, float], rows: Floats) -> int:
-    """List all tracks that are observed in the base frame.
-
-    `rows`, (MOST_TRACKS, 9), gets x, y [m], velocity x, y [m/s], radius [m], age [scans], what
-    `moves` tells, the standard deviation of its speed [m/s], and when the robot could meet it at
-    the earliest [s].
-
-    Returns:
-        How many there are.
-    """
-    (cos, sin), count = cos_sin(pose[2]), 0
+def list_tracks(record: Any, pose: Pose) -> Floats:
+    """List all tracks that are observed, in the base frame."""
+    rows = np.empty((MOST_TRACKS, MEETING + 1))
+    cos, sin = cos_sin(pose[2])
+    count = 0
     for k in range(MOST_TRACKS):
         track = record.tracks[k]
         if track[AGE] < LEAST_AGE:
             continue
-        row, dx, dy = rows[count], track[X] - pose[0], track[Y] - pose[1]
-        row[0], row[1] = dx * cos + dy * sin, dy * cos - dx * sin
-        row[2] = track[VX] * cos + track[VY] * sin
-        row[3] = track[VY] * cos - track[VX] * sin
-        row[4], row[5], row[6] = track[RADIUS], track[AGE], 0.5 * (track[MOVES] + track[HAS_MOVED])
-        row[7] = math.sqrt(track[SPEED_VAR])
-        far = math.sqrt(dx * dx + dy * dy)
-        closing = record.top_speed - (row[0] * row[2] + row[1] * row[3]) / max(far, 1e-9)
-        row[8] = max(far - track[RADIUS] - record.radius, 0.0) / max(closing, LEAST_CLOSING)
+
+        row = rows[count]
+        dx = track[X] - pose[0]
+        dy = track[Y] - pose[1]
+        row[X] = dx * cos + dy * sin
+        row[Y] = dy * cos - dx * sin
+        row[VX] = track[VX] * cos + track[VY] * sin
+        row[VY] = track[VY] * cos - track[VX] * sin
+        row[RADIUS] = track[RADIUS]
+        row[SCANS] = track[AGE]
+        row[STATE] = 0.5 * (track[MOVES] + track[HAS_MOVED])
+        row[DOUBT] = math.sqrt(track[SPEED_VAR])
+
+        distance = length_of(dx, dy)
+        closing = record.top_speed - (row[X] * row[VX] + row[Y] * row[VY]) / max(distance, 1e-9)
+        gap = max(distance - track[RADIUS] - record.radius, 0.0)
+        row[MEETING] = gap / max(closing, LEAST_CLOSING)
         count += 1
-    return count
+    return rows[:count]
 
 
 @subroutine
-def fill_movers(record: Any, pose: tuple[float, float, float], out: Floats) -> None:
-    """Fill in what the movers add to the observation, (len(MOVER_NAMES),).
+def fill_movers(record: Any, pose: Pose, out: Floats) -> None:
+    """Fill in the numbers that the movers add to the observation.
 
-    `record` is the map's, which has been updated; `pose` is the robot's by odometry.
+    Args:
+        record: `RECORD` of the robot, with its newest scan.
+        pose: The robot's pose by odometry.
+        out: (len(MOVER_NAMES),): Gets the numbers.
     """
+    listed = list_tracks(record, pose)
     out[:] = 0.0
-    rows, met, quick = np.empty((MOST_TRACKS, 9)), np.empty((MOST_TRACKS, 5)), 0
-    listed = rows[: list_tracks(record, pose, rows)]
-    scale, width = 1.0 / (MOST_SPEED * record.top_speed), len(NUMBERS)
+
+    # Courses meet those that surely move or are fast.
+    met = np.empty((MOST_TRACKS, RADIUS + 1))
+    count = 0
     for k in range(len(listed)):
-        speed = math.sqrt(listed[k, 2] * listed[k, 2] + listed[k, 3] * listed[k, 3])
-        least = max(COURSE_SPEED, COURSE_DEVIATIONS * listed[k, 7])
-        if listed[k, 6] == 1.0 or speed > least:
-            met[quick] = listed[k, :5]
-            quick += 1
-    measure_courses(record.courses, record.radius, met[:quick], out[FIRST_COURSE:])
+        row = listed[k]
+        speed = length_of(row[VX], row[VY])
+        if row[STATE] == 1.0 or speed > max(COURSE_SPEED, COURSE_DEVIATIONS * row[DOUBT]):
+            met[count] = row[: RADIUS + 1]
+            count += 1
+    measure_courses(record.courses, record.radius, met[:count], out=out[FIRST_COURSE:])
     for n in range(FIRST_COURSE + len(COURSES), len(MOVER_NAMES)):
         out[n] = log_share(out[n], MOST_GAP)
+
+    # The tracks that the robot could meet first.
+    scale = 1.0 / (MOST_SPEED * record.top_speed)
     for n in range(min(MOST_MOVERS, len(listed))):
-        row = listed[listed[:, 8].argmin()]
-        far = math.sqrt(row[0] * row[0] + row[1] * row[1])
-        share = log_share(far / record.radius, FARTHEST_CLEARANCE) / max(far, 1e-9)
-        place = n * width
-        out[place] = min(row[5] / KNOWN_SCANS, 1.0)
-        out[place + 1], out[place + 2] = row[0] * share, row[1] * share
-        out[place + 3], out[place + 4] = clip_to_one(row[2] * scale), clip_to_one(row[3] * scale)
-        out[place + 5] = clip_to_one(row[4] / (MOST_RADIUS * record.radius))
-        out[place + 6], out[place + 7] = row[6], clip_to_one(row[7])
-        row[8] = math.inf
-
-
-@subroutine
-def clip_to_one(value: float) -> float:
-    """Clip a value to -1 to 1."""
-    return min(max(value, -1.0), 1.0)
+        row = listed[listed[:, MEETING].argmin()]
+        distance = length_of(row[X], row[Y])
+        share = log_share(distance / record.radius, FARTHEST_CLEARANCE) / max(distance, 1e-9)
+        numbers = (
+            min(row[SCANS] / KNOWN_SCANS, 1.0),
+            row[X] * share,
+            row[Y] * share,
+            clip(row[VX] * scale, 1.0),
+            clip(row[VY] * scale, 1.0),
+            clip(row[RADIUS] / (MOST_RADIUS * record.radius), 1.0),
+            row[STATE],
+            clip(row[DOUBT], 1.0),
+        )
+        for k in range(len(NUMBERS)):
+            out[n * len(NUMBERS) + k] = numbers[k]
+        row[MEETING] = math.inf
 
 
 @loop
-def fill_alone(records: Any, pose: tuple[float, float, float], out: Floats) -> None:
+def fill_alone(records: Any, pose: Pose, out: Floats) -> None:
     """`fill_movers` for the robot of a single environment."""
     fill_movers(records[0], pose, out)
 
@@ -140,36 +157,38 @@ class MoversSensor(Sensor):
     """Adds the places and velocities of the nearest movers, see `MOVER_NAMES`.
 
     It needs a map and a LiDAR among the robot's sensors.
+
+    Args:
+        link: Link of the robot.
+        config: Robot configuration.
     """
 
-    name, size, low, high = MOVERS, len(MOVER_NAMES), MOVER_LOW, 1.0
+    name = MOVERS
+    size = len(MOVER_NAMES)
+    low = MOVER_LOW
+    high = 1.0
     uses_truth = False
     _map: MapSensor
-    """Of the robot, see `watch`."""
+    """Map of the robot, see `watch`."""
 
     def __init__(self, link: Link | None, config: RobotConfig) -> None:
         self.config = config
-        self._odometry = Odometry.of(config)
 
-    def watch(self, seen: MapSensor | None) -> None:
-        """Take over the map whose tracks are told.
+    def watch(self, map_sensor: MapSensor | None) -> None:
+        """Take over the map whose tracks are observed.
 
         Args:
-            seen: of the robot; None where it has none.
+            map_sensor: Map of the robot. None if the robot has no map.
 
         Raises:
-            ConfigError: for None.
+            ConfigError: The robot has no map.
         """
-        if seen is None:
+        if map_sensor is None:
             raise ConfigError("sensor 'movers': the robot has no 'map', which it needs")
-        self._map = seen
-
-    def follow(self, odometry: Odometry) -> None:
-        """Take over the robot's odometry."""
-        self._odometry = odometry
+        self._map = map_sensor
 
     def read(self, truth: GroundTruth | None, now: float) -> Floats:
         """Return the numbers that `MOVER_NAMES` names."""
         out = np.zeros(self.size)
-        fill_alone(self._map.records, self._odometry.pose, out)
+        fill_alone(self._map.records, self._map.pose, out)
         return out

@@ -1,8 +1,8 @@
-"""A map that remembers, as a sensor: what is free around the robot, and the way to the goal.
+"""The map, a sensor that remembers what is free around the robot and knows the way to the goal.
 
 It keeps what the LiDAR has seen in a grid of cells (`seen`), by the robot's odometry, and the way
-to the goal over it (`way`). What it adds to the observation is in units of the robot, so that one
-policy can drive robots of any size and speed. One robot and a batch call the same function.
+to the goal over it (`way`). Its numbers in the observation are in units of the robot, so that one
+policy can drive robots of any size and speed. A single robot and a batch call the same function.
 """
 
 from __future__ import annotations
@@ -26,20 +26,24 @@ from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.map.arcs import ARCS, BANDS, LONGEST_ARC, measure_arcs, tabulate_arcs
 from acsar_gym.sensors.map.courses import COURSE_STEPS, COURSES, tabulate_courses
 from acsar_gym.sensors.map.seen import (
-    CELL_SHIFT,
     CELL_SIDE,
     CELLS,
     COUNT_FREE,
+    HALF,
     LAST_CELL,
     OCCUPIED,
-    STAMP_REACH,
-    STAMP_WIDTH,
+    STAMP_SHAPE,
     Floats,
     Grid,
+    Measured,
+    Place,
+    Pose,
     add_scan,
     cell_at,
+    length_of,
     make_stamp,
     move_window,
+    place_scan,
 )
 from acsar_gym.sensors.map.tracks import (
     AGE,
@@ -48,7 +52,6 @@ from acsar_gym.sensors.map.tracks import (
     MOVES,
     RADIUS,
     TRACK_NUMBERS,
-    clear_tracks,
     update_tracks,
 )
 from acsar_gym.sensors.map.way import (
@@ -60,6 +63,7 @@ from acsar_gym.sensors.map.way import (
     piece_cost,
     plan_way,
     point_ahead,
+    weigh_way,
 )
 from acsar_gym.sensors.sensor import MAP, Sensor
 from acsar_gym.trigonometry import angle_of, cos_sin
@@ -67,56 +71,59 @@ from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene
 from acsar_gym.worlds.world import to_odometry
 
+# What surrounds the robot.
 SECTORS = 48
-"""Directions around the robot, in each of which the nearest obstacle counts."""
+"""Directions around the robot. The nearest obstacle counts in each."""
 BEARING_SHIFT = 1e-5
-"""Added to a ray's bearing, because rays often point to where two sectors meet [rad]."""
+"""Added to a ray's bearing, because rays often point to where two sectors meet, where rounding
+would decide [rad]."""
 REACH_STEPS = 720
 """Directions in which the footprint's reach is tabulated."""
 NEAR_SHARE = 0.25
-"""Clearances are observed on a logarithmic scale, above this one, in radii of the footprint."""
+"""Lengths are observed on a logarithmic scale, which is about linear below this, in radii."""
 FARTHEST_CLEARANCE = 16.0
-"""Clearances beyond count as this one, in radii."""
-UNSEEN_CELLS, UNSEEN_CLEARANCE = 6, 0.5
-"""Where the LiDAR doesn't look, the nearest cells count: if most of them have never been seen, the
-clearance is this one, in radii."""
+"""Larger clearances count as this, in radii: the half width of the map."""
+UNSEEN_CELLS = 6
+"""Nearest cells in a direction in which the LiDAR doesn't look."""
+UNSEEN_CLEARANCE = 0.5
+"""Clearance in that direction if most of UNSEEN_CELLS have never been seen, in radii. Without it
+robots that see half a turn drove backwards into obstacles, in 18 % of the episodes of `drawn:2023`
+(agents/README.md)."""
+FILLED = 2.0 * FARTHEST_CLEARANCE
+"""Added to the clearance of a direction that no ray has measured until all directions are filled
+in. A negative clearance between two rays is therefore taken for a measured clearance, and observed
+as free. Packaged policies were trained with that."""
+
+# The way.
 FARTHEST_WAY = 64.0
-"""So does a longer way to the goal, in radii."""
+"""A longer way to the goal counts as this, in radii."""
 LOOKAHEADS = (2.0, 4.0, 8.0)
-"""Points of the way are observed that lie so far ahead along it, in radii."""
-OLDEST_WAY, NEWEST_WAY = 20, 3
-"""A way is planned anew after so many steps, at most, and at least."""
-DEARER = 1.1
-"""It is planned anew where a piece of it has become dearer by this factor, or by DEARER_CELLS."""
-DEARER_CELLS = 4.0
+"""Distances along the way of the points that are observed, in radii."""
+OLDEST_WAY = 20
+"""A way is replaced after this many steps at the latest."""
+NEWEST_WAY = 3
+"""A way is kept for this many steps, even if a piece of it has become dearer."""
 SWITCH = 1.05
-"""The robot keeps to its way unless it costs more than another one by this factor, so that it
-doesn't waver between two that are as good."""
+"""The robot keeps to its way unless it costs more than a new way by this factor, so that the robot
+doesn't waver between two that are equally good."""
+STALL_STEPS = 50
+"""A robot is stalled if its way hasn't become shorter by STALL_GAIN for this many steps. Without
+this number policies stood still in front of gaps that were wide enough (agents/README.md)."""
+STALL_GAIN = 0.25
+"""Least shortening of the way that counts, in radii."""
+GAIN_LIMIT = 2.0
+"""Largest observed gain."""
 SLIDE_ACCELERATION = 0.7
 """With more acceleration sideways tyres slide, and odometry drifts [m/s^2]. After 2 s of a circle
 at 1 m/s^2 the heading of a simulated Jackal's odometry is off by up to 0.1 rad, at 2 m/s^2 by 0.5,
 at 4 m/s^2 by more."""
-STALL_STEPS, STALL_GAIN = 50, 0.25
-"""A robot whose way hasn't become shorter by STALL_GAIN radii for so many steps is stalled."""
-GAIN_LIMIT = 2.0
-BODY = (
-    "width",
-    "top_speed",
-    "top_turn_rate",
-    "stopping",
-    "turn_stopping",
-    "lag",
-    "sight",
-    "grip",
-)
-"""What is told about the robot itself."""
-GAINED = 0
-"""Place of the number that says by how much the way has become shorter in the last step, in parts
-of what the robot's top speed would give."""
+
+BODY = ("width", "top_speed", "top_turn_rate", "stopping", "turn_stopping", "lag", "sight", "grip")
+"""Numbers that describe the robot itself."""
 MAP_NAMES = (
     "gained",
     "way_left",
-    *(f"way_{part}_{n}" for n in range(len(LOOKAHEADS)) for part in ("cos", "sin")),
+    *(f"way_{axis}_{n}" for n in range(len(LOOKAHEADS)) for axis in ("cos", "sin")),
     *(f"way_cost_{n}" for n in range(len(LOOKAHEADS))),
     "stalled",
     *BODY,
@@ -124,324 +131,341 @@ MAP_NAMES = (
     *(f"arc_{n}" for n in range(ARCS)),
     *(f"wide_arc_{n}" for n in range(ARCS)),
 )
-"""The numbers that the map adds to the observation."""
+"""Names of the numbers that the map adds to the observation."""
+GAINED = 0
+"""Index of the number that tells by how much the way has become shorter in the last step, as a
+share of the distance at top speed."""
+WAY_LEFT = 1
+FIRST_POINT = 2
+FIRST_COST = MAP_NAMES.index("way_cost_0")
 STALLED = MAP_NAMES.index("stalled")
-"""Place of the number that says for how long the way hasn't become shorter."""
+"""Index of the number that tells for how long the way hasn't become shorter."""
 FIRST_SECTOR = MAP_NAMES.index("clearance_0")
 FIRST_ARC = MAP_NAMES.index("arc_0")
-MAP_LOW = np.array(
-    [
-        -GAIN_LIMIT if n == "gained" else -1.0 if n.startswith(("way_cos", "way_sin")) else 0.0
-        for n in MAP_NAMES
-    ]
-)
-MAP_HIGH = np.array([GAIN_LIMIT if n == "gained" else 1.0 for n in MAP_NAMES])
+MAP_LOW = np.zeros(len(MAP_NAMES))
+MAP_LOW[GAINED] = -GAIN_LIMIT
+MAP_LOW[FIRST_POINT:STALLED] = -1.0
+MAP_HIGH = np.ones(len(MAP_NAMES))
+MAP_HIGH[GAINED] = GAIN_LIMIT
 
 RECORD = np.dtype(
     [
-        ("side", np.float64),  # of a cell [m]
-        ("radius", np.float64),  # of the footprint's disc [m]
-        ("pace", np.float64),  # what the top speed drives in a step [m]
-        ("body", np.float64, (len(BODY),)),
-        ("reach", np.float64, (REACH_STEPS,)),  # of the footprint, from the base's middle [m]
-        ("spans", np.float64, (ARCS, 2)),  # of the footprint beside arcs [m]
-        ("fronts", np.float64, (ARCS, BANDS, 4)),  # of the footprint along arcs [m]
-        ("courses", np.float64, (len(COURSES), COURSE_STEPS, 2)),  # places on them [m]
-        ("stamp", np.uint8, (2 * STAMP_REACH + 1, STAMP_WIDTH)),
-        ("counts", np.uint8, (CELLS, CELLS)),
-        ("costs", np.uint8, (CELLS, CELLS)),
-        ("points", np.float64, (MOST_POINTS, 4)),
-        ("draft", np.float64, (MOST_POINTS, 4)),  # of another way
-        ("middle_i", np.float64),  # cell of the robot
-        ("middle_j", np.float64),
-        ("corners", np.float64),  # of the way
-        ("corner", np.float64),  # that the robot drives to
-        ("left", np.float64),  # length of the way [m]
-        ("age", np.float64),  # of the way [steps]
-        ("turn", np.float64),  # scans so far
-        ("least", np.float64),  # least length of this way so far [m]
-        ("waited", np.float64),  # steps since it was reached
-        ("top_speed", np.float64),  # of the robot [m/s]
-        ("tracks", np.float64, (MOST_TRACKS, TRACK_NUMBERS)),  # see `tracks`
-        ("traces", np.int32, (MOST_TRACKS, MOST_TRACES)),  # cells: row * CELLS + column
-        ("now", np.float64),  # time that the tracks refer to [s]
-        ("scanned", np.float64),  # when the newest revolution ended [s]
+        # the robot
+        ("side", "f8"),  # of a cell [m]
+        ("radius", "f8"),  # of the disc around the footprint [m]
+        ("pace", "f8"),  # distance in a step at top speed [m]
+        ("top_speed", "f8"),  # [m/s]
+        ("body", "f8", len(BODY)),
+        ("reach", "f8", REACH_STEPS),  # from the base's middle to the footprint's edge [m]
+        ("spans", "f8", (ARCS, 2)),  # of the footprint beside arcs [m]
+        ("fronts", "f8", (ARCS, BANDS, 4)),  # of the footprint along arcs [m]
+        ("courses", "f8", (len(COURSES), COURSE_STEPS, 2)),  # places on courses [m]
+        ("stamp", "u1", STAMP_SHAPE),
+        # the grid
+        ("counts", "u1", (CELLS, CELLS)),
+        ("costs", "u1", (CELLS, CELLS)),
+        ("first_i", "i8"),  # first cell of the window
+        ("first_j", "i8"),
+        ("turn", "i8"),  # number of scans
+        # the way
+        ("points", "f8", (MOST_POINTS, 4)),  # corners, see `way`
+        ("draft", "f8", (MOST_POINTS, 4)),  # corners of a possible new way
+        ("corners", "i8"),  # number of corners
+        ("corner", "i8"),  # corner that the robot drives to
+        ("age", "i8"),  # [steps]
+        ("way_left", "f8"),  # length from the robot to the goal [m]
+        ("shortest", "f8"),  # shortest length of this way until now [m]
+        ("waited", "i8"),  # steps since then
+        # moving objects
+        ("tracks", "f8", (MOST_TRACKS, TRACK_NUMBERS)),
+        ("traces", "i4", (MOST_TRACKS, MOST_TRACES)),  # cells: row * CELLS + column
+        ("now", "f8"),  # time to which the tracks refer [s]
+        ("scanned", "f8"),  # end of the newest revolution [s]
     ]
 )
-"""Map of a robot: its own numbers, cells, the way, and what moves."""
+"""Map of a robot: its numbers, cells, way and tracks."""
 
 
 def make_record(config: RobotConfig, period: float) -> NDArray[Any]:
-    """Make the empty map of a robot, an array of one `RECORD`."""
-    made = np.zeros(1, RECORD)
+    """Make the empty map of a robot, an array of one `RECORD`.
+
+    Args:
+        config: Robot configuration.
+        period: Duration of an env step [s].
+    """
     outline = config.outline
-    radius, inner = outline_radius(outline), border_distance(outline, 0.0, 0.0)
-    made["side"], made["radius"] = CELL_SIDE * radius, radius
-    made["pace"], made["top_speed"] = config.max_linear * period, config.max_linear
-    made["body"], made["reach"] = describe_body(config), _reach(outline)
-    made["spans"], made["fronts"] = tabulate_arcs(outline)
-    made["courses"] = tabulate_courses(radius, config.max_linear, config.max_angular)
-    made["stamp"] = make_stamp(inner, radius)
-    return made
+    radius = outline_radius(outline)
+    record = np.zeros(1, RECORD)
+    record["side"] = CELL_SIDE * radius
+    record["radius"] = radius
+    record["pace"] = config.max_linear * period
+    record["top_speed"] = config.max_linear
+    record["body"] = describe_body(config)
+    record["reach"] = _reach(outline)
+    record["spans"], record["fronts"] = tabulate_arcs(outline)
+    record["courses"] = tabulate_courses(radius, config.max_linear, config.max_angular)
+    record["stamp"] = make_stamp(border_distance(outline, 0.0, 0.0), radius)
+    return record
 
 
 @lru_cache(maxsize=1024)
 def _reach(outline: Outline) -> Floats:
-    """(REACH_STEPS,): from the base's middle to the edge, in directions from -pi on [m]."""
+    """(REACH_STEPS,): From the base's middle to the edge, in directions from -pi on [m]."""
     angles = (np.arange(REACH_STEPS) + 0.5) * FULL_TURN / REACH_STEPS - math.pi
     return outline_reach(outline, (0.0, 0.0), angles)
 
 
 def describe_body(config: RobotConfig) -> Floats:
-    """Compute what is told about a robot, (len(BODY),), each about 0 to 1.
+    """Compute the numbers that describe a robot, (len(BODY),), each about 0 to 1.
 
-    From its configuration alone: not what an episode has drawn.
+    They follow from its configuration and don't reveal what an episode has drawn.
     """
     radius = outline_radius(config.outline)
-    inner = border_distance(config.outline, 0.0, 0.0)
-    speed, turn = config.max_linear, config.max_angular
+    speed = config.max_linear
+    turn = config.max_angular
+
     slowing = config.motor.of_wheel(0).acceleration * config.wheel_radius
-    most, most_turn = config.linear_limits.max_acceleration, config.angular_limits.max_acceleration
     slowing_turn = 2.0 * slowing / config.effective_separation
-    slow = min(slowing, slowing if most is None else most)
-    slow_turn = min(slowing_turn, slowing_turn if most_turn is None else most_turn)
+    slow = min(slowing, config.linear_limits.max_acceleration or math.inf)
+    slow_turn = min(slowing_turn, config.angular_limits.max_acceleration or math.inf)
     lag = 1.0 / config.feedback_rate + config.firmware.processing_time + config.encoder.window
-    scale = 4.0
-    return np.clip(
-        [
-            inner / radius,
-            speed / radius / 10.0,
-            turn / scale,
-            speed * speed / (2.0 * slow) / radius / scale,
-            turn * turn / (2.0 * slow_turn) / math.pi,
-            (lag + 1.0 / config.lidar.rate) * speed / radius,
-            config.lidar.max_range / radius / 32.0,
-            SLIDE_ACCELERATION / (speed * turn),
-        ],
-        0.0,
-        1.0,
-    )
+
+    body = [
+        border_distance(config.outline, 0.0, 0.0) / radius,
+        speed / radius / 10.0,
+        turn / 4.0,
+        speed * speed / (2.0 * slow) / radius / 4.0,
+        turn * turn / (2.0 * slow_turn) / math.pi,
+        (lag + 1.0 / config.lidar.rate) * speed / radius,
+        config.lidar.max_range / radius / 32.0,
+        SLIDE_ACCELERATION / (speed * turn),
+    ]
+    return np.clip(body, 0.0, 1.0)
 
 
 @subroutine
 def clear_map(record: Any) -> None:
-    """Forget everything, at the begin of an episode."""
+    """Forget everything, at the start of an episode."""
     record.counts[:] = 0
     record.costs[:] = 0
-    record.middle_i = record.middle_j = 0.0
-    record.corners = record.corner = record.left = record.turn = 0.0
-    record.least = record.waited = 0.0
+    record.tracks[:] = 0.0
+    record.corners = record.corner = record.turn = record.waited = 0
+    record.way_left = record.shortest = record.now = 0.0
     record.age = OLDEST_WAY
-    clear_tracks(record)
+    record.scanned = -math.inf
 
 
 @subroutine
-def update_map(  # noqa: PLR0913, PLR0915, PLR0917 - compiled, so no keywords
+def update_map(  # noqa: PLR0913, PLR0917 - as the batch has them
     record: Any,
     now: float,
-    pose: tuple[float, float, float],
-    goal: tuple[float, float],
+    pose: Pose,
+    goal: Place,
     ranges: Floats,
     rays: Rays,
-    measured: tuple[Floats, Floats, float],
+    measured: Measured,
     scratch: Ints,
     out: Floats,
 ) -> None:
-    """Add what the robot sees now, follow the way or plan another one, and say what is around.
+    """Add a scan to the map, follow the way or plan a new way, and describe the surroundings.
 
     Args:
         record: `RECORD` of the robot.
-        now: time [s].
-        pose: by odometry, x [m], y [m], theta [rad].
-        goal: in the odometry frame [m].
-        ranges: (rays,): the scan [m].
-        rays: of the LiDAR.
-        measured: bearings [rad] and times [s] of the revolution that the scan is made of, and when
-            it ended [s].
-        scratch: (SCRATCH,): for the search.
-        out: (len(MAP_NAMES),): gets what the map adds to the observation.
+        now: Time of the pose and the scan [s].
+        pose: The robot's pose by odometry.
+        goal: The goal.
+        ranges: The scan, (rays,) [m].
+        rays: Rays of the LiDAR.
+        measured: The revolution that the scan was made of.
+        scratch: (SCRATCH,): Memory of the search.
+        out: (len(MAP_NAMES),): Gets the numbers that the map adds to the observation.
     """
-    side, radius, points = record.side, record.radius, record.points
-    grid = Grid(record.counts, record.costs)
-    x, y = pose[0], pose[1]
-    middle = cell_at(x, side), cell_at(y, side)
-    move_window(grid, int(record.middle_i), int(record.middle_j), middle[0], middle[1])
-    record.middle_i, record.middle_j = float(middle[0]), float(middle[1])
-    moving = np.empty(len(ranges), np.uint8)
-    update_tracks(record, now, pose, middle, ranges, rays, measured, moving)
-    add_scan(grid, record.stamp, side, pose, middle, ranges, rays, int(record.turn), moving)
-    record.turn += 1.0
+    radius = record.radius
+    grid = Grid(
+        counts=record.counts,
+        costs=record.costs,
+        stamp=record.stamp,
+        side=record.side,
+        first_i=cell_at(pose[0], record.side) - HALF,
+        first_j=cell_at(pose[1], record.side) - HALF,
+    )
+    move_window(grid, record.first_i, record.first_j)
+    record.first_i = grid.first_i
+    record.first_j = grid.first_j
 
-    count, corner, before = int(record.corners), int(record.corner), record.left
-    gained = 0.0
-    record.age += 1.0
-    stale = count == 0 or record.age >= OLDEST_WAY
-    if count > 0:
-        corner = next_corner(points, count, corner, x, y)
-        gained = before - length_left(points, corner, x, y)
-        if record.age >= NEWEST_WAY and not stale:
-            _, stale = weigh_way(grid, side, middle, points, count, corner, (x, y), False)
-    if stale:
-        draft = record.draft
-        found = plan_way(grid, side, middle, (x, y), goal, draft, scratch)
-        cost, _ = weigh_way(grid, side, middle, points, count, corner, (x, y), True)
-        if count == 0 or cost > SWITCH * sum_costs(draft, found):
-            points[:], count, corner = draft, found, 1
-            record.least = length_left(points, corner, x, y)
-        record.corners, record.age = float(count), 0.0
-    record.corner, record.left = float(corner), length_left(points, corner, x, y)
-    record.waited += 1.0
-    if record.left < record.least - STALL_GAIN * radius:
-        record.least, record.waited = record.left, 0.0
+    # Moving objects first, because the grid leaves them out.
+    scan = place_scan(pose, ranges, rays, measured=measured, now=now)
+    update_tracks(record, grid, scan)
+    add_scan(grid, scan, record.turn)
+    record.turn += 1
 
-    out[GAINED] = min(max(gained / record.pace, -GAIN_LIMIT), GAIN_LIMIT)
-    out[1] = log_share(record.left / radius, FARTHEST_WAY)
-    cos, sin = cos_sin(pose[2])
-    from_x, from_y, place = x, y, 2
-    for n in range(len(LOOKAHEADS)):
-        to_x, to_y = point_ahead(points, count, corner, x, y, LOOKAHEADS[n] * radius)
-        dx, dy = to_x - x, to_y - y
-        far = max(math.sqrt(dx * dx + dy * dy), 1e-9)
-        out[place] = min(max((dx * cos + dy * sin) / far, -1.0), 1.0)
-        out[place + 1] = min(max((dy * cos - dx * sin) / far, -1.0), 1.0)
-        _, dearest = piece_cost(grid.costs, side, middle, (from_x, from_y), (to_x, to_y))
-        out[2 + 2 * len(LOOKAHEADS) + n] = min(dearest / 64.0, 1.0)
-        from_x, from_y = to_x, to_y
-        place += 2
+    gained = follow_way(record, grid, (pose[0], pose[1]), goal=goal, scratch=scratch)
+    out[GAINED] = clip(gained / record.pace, GAIN_LIMIT)
+    out[WAY_LEFT] = log_share(record.way_left / radius, FARTHEST_WAY)
     out[STALLED] = min(record.waited / STALL_STEPS, 1.0)
-    place = STALLED + 1
-    for n in range(len(BODY)):
-        out[place + n] = record.body[n]
-    spots = np.empty((len(ranges) + SECTORS, 2))
-    seen = fill_sectors(record, pose, ranges, rays, out[FIRST_SECTOR:FIRST_ARC], spots)
-    measure_arcs(record.spans, record.fronts, radius, spots[:seen], out[FIRST_ARC:])
+    describe_way(record, grid, pose, out=out)
+    out[STALLED + 1 : FIRST_SECTOR] = record.body
+
+    spots = fill_sectors(record, pose, ranges, rays=rays, out=out[FIRST_SECTOR:FIRST_ARC])
+    measure_arcs(record.spans, record.fronts, radius, spots=spots, out=out[FIRST_ARC:])
     for n in range(FIRST_ARC, len(MAP_NAMES)):
         out[n] = log_share(out[n], LONGEST_ARC)
 
 
-@jit
-def log_share(value: float, most: float) -> float:
-    """Length or clearance, in radii, on a logarithmic scale from 0 to 1."""
-    share: float = math.log(1.0 + min(max(value, 0.0), most) / NEAR_SHARE) / math.log(
-        1.0 + most / NEAR_SHARE
-    )
-    return share
-
-
-@jit
-def length_of_share(share: float, most: float) -> float:
-    """Length in radii whose `log_share` this is."""
-    length: float = NEAR_SHARE * ((1.0 + most / NEAR_SHARE) ** share - 1.0)
-    return length
-
-
 @subroutine
-def weigh_way(
-    grid: Grid,
-    side: float,
-    middle: tuple[int, int],
-    points: Floats,
-    count: int,
-    corner: int,
-    place: tuple[float, float],
-    write: bool,
-) -> tuple[float, bool]:
-    """Measure what the pieces of the way cost now, from the robot on.
+def follow_way(record: Any, grid: Grid, place: Place, goal: Place, scratch: Ints) -> float:
+    """Follow the way, or replace it if it is old or a piece of it has become dearer.
 
     Returns:
-        Their sum [cells], and whether one has become dearer than it was when it was written, as
-        where the robot has left the way. `write` writes what they cost now.
+        By how much the way has become shorter since the last step [m].
     """
-    total, dearer = 0.0, False
-    for k in range(corner, count):
-        begin = place if k == corner else (points[k - 1, 0], points[k - 1, 1])
-        cost, _ = piece_cost(grid.costs, side, middle, begin, (points[k, 0], points[k, 1]))
-        total += cost
-        dearer = dearer or cost > DEARER * points[k, 3] + DEARER_CELLS
-        if write:
-            points[k, 3] = cost
-    return total, dearer
+    points = record.points
+    way = points[: record.corners]
+    corner = int(record.corner)
+    gained = 0.0
+    record.age += 1
+    replace = record.age >= OLDEST_WAY
+    if len(way) > 0:
+        corner = next_corner(way, corner, place)
+        gained = record.way_left - length_left(way, corner, place)
+        if record.age >= NEWEST_WAY and not replace:
+            _, replace = weigh_way(grid, place, way[corner:], write=False)
 
+    if replace:
+        draft = record.draft
+        corners, draft_cost = plan_way(grid, place, goal, points=draft, scratch=scratch)
+        cost, _ = weigh_way(grid, place, way[corner:], write=True)
+        if len(way) == 0 or cost > SWITCH * draft_cost:
+            points[:] = draft
+            record.corners = corners
+            corner = 1
+            record.shortest = length_left(points, corner, place)
+        record.age = 0
 
-@jit
-def sum_costs(points: Floats, count: int) -> float:
-    """What the pieces of a way cost together [cells]."""
-    total = 0.0
-    for k in range(1, count):
-        total += points[k, 3]
-    return total
+    record.corner = corner
+    record.way_left = length_left(points, corner, place)
+    record.waited += 1
+    if record.way_left < record.shortest - STALL_GAIN * record.radius:
+        record.shortest = record.way_left
+        record.waited = 0
+    return gained
 
 
 @subroutine
-def fill_sectors(
-    record: Any,
-    pose: tuple[float, float, float],
-    ranges: Floats,
-    rays: Rays,
-    out: Floats,
-    spots: Floats,
-) -> int:
+def describe_way(record: Any, grid: Grid, pose: Pose, out: Floats) -> None:
+    """Fill in where the points ahead on the way are, and the largest costs before them."""
+    ahead = record.points[record.corner : record.corners]
+    cos, sin = cos_sin(pose[2])
+    start = pose[0], pose[1]
+    for n in range(len(LOOKAHEADS)):
+        end = point_ahead(ahead, (pose[0], pose[1]), LOOKAHEADS[n] * record.radius)
+        dx = end[0] - pose[0]
+        dy = end[1] - pose[1]
+        distance = max(length_of(dx, dy), 1e-9)
+        out[FIRST_POINT + 2 * n] = clip((dx * cos + dy * sin) / distance, 1.0)
+        out[FIRST_POINT + 2 * n + 1] = clip((dy * cos - dx * sin) / distance, 1.0)
+
+        _, highest = piece_cost(grid, start, end)
+        out[FIRST_COST + n] = min(highest / 64.0, 1.0)
+        start = end
+
+
+@jit
+def clip(value: float, limit: float) -> float:
+    """Clip a value to -limit to limit."""
+    return min(max(value, -limit), limit)
+
+
+@jit
+def log_share(value: float, limit: float) -> float:
+    """Return a length or clearance, in radii, on a logarithmic scale from 0 to 1."""
+    clipped = min(max(value, 0.0), limit)
+    return math.log(1.0 + clipped / NEAR_SHARE) / math.log(1.0 + limit / NEAR_SHARE)
+
+
+@jit
+def length_of_share(share: float, limit: float) -> float:
+    """Return the length in radii whose `log_share` this is."""
+    return NEAR_SHARE * ((1.0 + limit / NEAR_SHARE) ** share - 1.0)  # type: ignore[no-any-return]
+
+
+@subroutine
+def fill_sectors(  # noqa: C901 - three passes over directions
+    record: Any, pose: Pose, ranges: Floats, rays: Rays, out: Floats
+) -> Floats:
     """Fill in the clearance of the footprint in each direction, see `log_share`.
 
-    Where the LiDAR doesn't look, what was seen before counts.
+    Where the LiDAR doesn't look, the map's memory counts.
 
     Returns:
-        How many spots there are.
+        (n, 2): Obstacles near the robot, in the base frame [m].
     """
-    reach, radius = record.reach, record.radius
-    nothing, seen = 2.0 * FARTHEST_CLEARANCE, 0
-    for sector in range(SECTORS):
-        out[sector] = nothing
+    radius = record.radius
+    reach = record.reach
+    spots = np.empty((len(ranges) + SECTORS, 2))
+    count = 0
+    out[:] = FILLED
     for ray in range(len(ranges)):
-        c, s = cos_sin(rays.start + ray * rays.step)
-        x, y = rays.mount_x + ranges[ray] * c, rays.mount_y + ranges[ray] * s
+        distance = ranges[ray]
+        cos, sin = cos_sin(rays.start + ray * rays.step)
+        x = rays.mount_x + distance * cos
+        y = rays.mount_y + distance * sin
         share = (angle_of(x, y) + math.pi + BEARING_SHIFT) / FULL_TURN
-        sector = int(share * SECTORS) % SECTORS
         edge = reach[int(share * REACH_STEPS) % REACH_STEPS]
-        clearance = (math.sqrt(x * x + y * y) - edge) / radius
-        if ranges[ray] >= rays.farthest - 1e-3:
+        clearance = (length_of(x, y) - edge) / radius
+        if distance >= rays.farthest - 1e-3:
             clearance = FARTHEST_CLEARANCE
         elif clearance < LONGEST_ARC + 1.0:
-            spots[seen, 0], spots[seen, 1] = x, y
-            seen += 1
+            spots[count, 0] = x
+            spots[count, 1] = y
+            count += 1
+        sector = int(share * SECTORS) % SECTORS
         out[sector] = min(out[sector], clearance, FARTHEST_CLEARANCE)
+
     for sector in range(SECTORS):
-        if out[sector] < nothing:
+        if out[sector] < FILLED:
             continue
-        # between two rays, or behind the LiDAR
-        left, right = out[(sector + 1) % SECTORS], out[(sector - 1) % SECTORS]
-        if left < nothing and right < nothing:
-            out[sector] = min(left, right) + nothing
-            continue
-        bearing = (sector + 0.5) * FULL_TURN / SECTORS - math.pi
-        edge = reach[int((sector + 0.5) / SECTORS * REACH_STEPS)]
-        clearance = remembered_clearance(record, pose, bearing, edge) / radius
-        out[sector] = nothing + (clearance if clearance >= 0.0 else UNSEEN_CLEARANCE)
-        if 0.0 <= clearance < FARTHEST_CLEARANCE:
-            far, (c, s) = edge + clearance * radius, cos_sin(bearing)
-            spots[seen, 0], spots[seen, 1] = far * c, far * s
-            seen += 1
+        previous = out[(sector - 1) % SECTORS]
+        following = out[(sector + 1) % SECTORS]
+        if max(previous, following) < FILLED:  # between two rays
+            clearance = min(previous, following)
+        else:  # behind the LiDAR
+            bearing = (sector + 0.5) * FULL_TURN / SECTORS - math.pi
+            edge = reach[int((sector + 0.5) / SECTORS * REACH_STEPS)]
+            clearance = remembered_clearance(record, pose, bearing, edge=edge) / radius
+            if clearance < 0.0:
+                clearance = UNSEEN_CLEARANCE
+            elif clearance < FARTHEST_CLEARANCE:
+                cos, sin = cos_sin(bearing)
+                distance = edge + clearance * radius
+                spots[count, 0] = distance * cos
+                spots[count, 1] = distance * sin
+                count += 1
+        out[sector] = FILLED + clearance
+
     for sector in range(SECTORS):
-        clearance = out[sector] - nothing if out[sector] >= nothing else out[sector]
-        out[sector] = log_share(clearance, FARTHEST_CLEARANCE)
-    return seen
+        if out[sector] >= FILLED:
+            out[sector] -= FILLED
+        out[sector] = log_share(out[sector], FARTHEST_CLEARANCE)
+    return spots[:count]
 
 
 @subroutine
-def remembered_clearance(
-    record: Any, pose: tuple[float, float, float], bearing: float, edge: float
-) -> float:
+def remembered_clearance(record: Any, pose: Pose, bearing: float, edge: float) -> float:
     """Look for the nearest occupied cell in a direction in which the LiDAR doesn't look.
 
     Returns:
-        Distance from the edge [m]; FARTHEST_CLEARANCE radii where there is none within 8, and -1
-        where most of UNSEEN_CELLS have never been seen.
+        Distance from the edge [m], FARTHEST_CLEARANCE radii if there is no such cell within 8
+        radii, and -1 if most of UNSEEN_CELLS have never been seen.
     """
-    (c, s), unseen = cos_sin(pose[2] + bearing), 0
+    cos, sin = cos_sin(pose[2] + bearing)
     side: float = record.side
+    unseen = 0
+
     for step in range(int(8.0 / CELL_SIDE)):
-        far = edge + step * side
-        i, j = cell_at(pose[0] + far * c, side), cell_at(pose[1] + far * s, side)
+        distance = edge + step * side
+        i = cell_at(pose[0] + distance * cos, side)
+        j = cell_at(pose[1] + distance * sin, side)
         count = int(record.counts[i & LAST_CELL, j & LAST_CELL])
         if count >= OCCUPIED:
             return step * side
@@ -449,24 +473,13 @@ def remembered_clearance(
             unseen += 1
         if 2 * unseen > UNSEEN_CELLS:
             return -1.0
-    farthest: float = FARTHEST_CLEARANCE * record.radius
-    return farthest
+    return FARTHEST_CLEARANCE * record.radius  # type: ignore[no-any-return]
 
 
 @loop
-def update_alone(  # noqa: PLR0913, PLR0917 - as `update_map`
-    records: Any,
-    now: float,
-    pose: tuple[float, float, float],
-    goal: tuple[float, float],
-    ranges: Floats,
-    rays: Rays,
-    measured: tuple[Floats, Floats, float],
-    scratch: Ints,
-    out: Floats,
-) -> None:
-    """`update_map` for the robot of a single environment."""
-    update_map(records[0], now, pose, goal, ranges, rays, measured, scratch, out)
+def update_alone(records: Any, *inputs: Any) -> None:
+    """`update_map` for the robot of a single environment. `inputs` are its other arguments."""
+    update_map(records[0], *inputs)
 
 
 class MapSensor(Sensor):
@@ -475,19 +488,23 @@ class MapSensor(Sensor):
     It needs a LiDAR among the robot's sensors, and a goal in the scene.
 
     Args:
-        link: the wire to the robot.
-        config: of the robot.
-        period: of an env step [s].
+        link: Link of the robot.
+        config: Robot configuration.
+        period: Duration of an env step [s].
     """
 
-    name, size, low, high = MAP, len(MAP_NAMES), MAP_LOW, MAP_HIGH
+    name = MAP
+    size = len(MAP_NAMES)
+    low = MAP_LOW
+    high = MAP_HIGH
     uses_truth = False
     _lidar: LidarSensor
-    """Of the robot, see `watch`."""
+    """LiDAR of the robot, see `watch`."""
 
     def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
         self.config = config
-        self._records = make_record(config, period)
+        self.records = make_record(config, period)
+        """(1,): The `RECORD` of the robot."""
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
         self._odometry = Odometry.of(config)
@@ -495,17 +512,17 @@ class MapSensor(Sensor):
 
     @property
     def _record(self) -> Any:
-        """The memory, as Python reads it: a view made anew, because copies share no memory."""
-        return self._records.view(np.recarray)[0]
+        """The memory, for Python. The view isn't kept, because copies would not share memory."""
+        return self.records.view(np.recarray)[0]
 
     def watch(self, lidar: LidarSensor | None) -> None:
         """Take over the LiDAR whose scans are remembered.
 
         Args:
-            lidar: of the robot; None where it has none.
+            lidar: LiDAR of the robot. None if the robot has no LiDAR.
 
         Raises:
-            ConfigError: for None.
+            ConfigError: The robot has no LiDAR.
         """
         if lidar is None:
             raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
@@ -519,11 +536,11 @@ class MapSensor(Sensor):
         """Forget everything.
 
         Args:
-            scene: has the goal.
-            rng: isn't used.
+            scene: Scene with the goal.
+            rng: Unused.
 
         Raises:
-            ConfigError: the scene has no goal.
+            ConfigError: The scene has no goal.
         """
         if scene.goal is None:
             raise ConfigError("sensor 'map': the scene has no goal, to which it shows the way")
@@ -532,9 +549,10 @@ class MapSensor(Sensor):
 
     def read(self, truth: GroundTruth | None, now: float) -> Floats:
         """Return the numbers that `MAP_NAMES` names."""
-        out, (bearings, _, times, stamp) = np.zeros(self.size), self._lidar.revolution
+        out = np.zeros(self.size)
+        bearings, _, times, stamp = self._lidar.revolution
         update_alone(
-            self._records,
+            self.records,
             now,
             self._odometry.pose,
             self.goal,
@@ -547,24 +565,19 @@ class MapSensor(Sensor):
         return out
 
     @property
-    def records(self) -> NDArray[Any]:
-        """(1,): the `RECORD` of the robot."""
-        return self._records
-
-    @property
     def time(self) -> float:
-        """Time of the newest scan's reading, which `movers` refers to, on the link's clock [s]."""
+        """Time of the newest scan on the link's clock, to which `movers` refers [s]."""
         return float(self._record.now)
 
     @property
     def movers(self) -> Floats:
-        """(n, 5): what moves, in the odometry frame: x, y [m], velocity x, y [m/s], radius [m]."""
+        """(n, 5): Moving objects in the odometry frame: x, y [m], velocity [m/s], radius [m]."""
         tracks = self._record.tracks
         moves = (tracks[:, AGE] > 0.0) & (tracks[:, MOVES] > 0.0)
         return np.array(tracks[moves, : RADIUS + 1])
 
     @property
-    def pose(self) -> tuple[float, float, float]:
+    def pose(self) -> Pose:
         """The robot's pose by odometry: x [m], y [m], theta [rad]."""
         return self._odometry.pose
 
@@ -574,71 +587,46 @@ class MapSensor(Sensor):
         return float(self._record.side)
 
     @property
-    def way(self) -> Floats:
-        """(corners, 2): the way to the goal, from the robot's place when it was planned [m]."""
-        return np.array(self._record.points[: int(self._record.corners), :2])
-
-    @property
     def way_ahead(self) -> Floats:
-        """(corners, 4): the corners that are ahead, the goal last, in the odometry frame.
+        """(corners, 4): The corners ahead in the odometry frame, the last of which is the goal.
 
-        x [m], y [m], length of the way that is left from there [m], and cost of the piece that ends
+        x [m], y [m], length of the way from there to the goal [m], and cost of the piece that ends
         there [cells].
         """
         record = self._record
-        return np.array(record.points[int(record.corner) : int(record.corners)])
+        return np.array(record.points[record.corner : record.corners])
 
-    def point_ahead(self, length: float) -> tuple[float, float]:
-        """Find the point that is so far along the way from the robot.
+    def point_ahead(self, length: float) -> Place:
+        """Find the point at a distance from the robot along the way.
 
         Args:
-            length: along the way [m].
+            length: Distance along the way [m].
 
         Returns:
-            The point in the odometry frame, the goal at most [m].
+            The point in the odometry frame, at most the goal [m].
         """
-        way, (x, y, _) = self.way_ahead, self.pose
-        return point_ahead(way, len(way), 0, x, y, length)
+        return point_ahead(self.way_ahead, self.pose[:2], length)
 
     def cells_met(self, reach: float) -> NDArray[np.int64]:
         """Find the cells around the robot in which scans have met something.
 
         Args:
-            reach: half side of a square around the robot [m]; the map ends 16 radii away.
+            reach: Half side of a square around the robot [m]. The map ends 16 radii away.
 
         Returns:
-            (cells, 2): the cells, counted from the odometry frame's origin.
+            (cells, 2): The cells, counted from the odometry frame's origin.
         """
-        record, count = self._record, min(math.ceil(reach / self.cell_side), CELLS // 2 - 1)
-        window = np.arange(-count, count + 1)
-        i, j = window + int(record.middle_i), window + int(record.middle_j)
+        record = self._record
+        count = min(math.ceil(reach / self.cell_side), HALF - 1)
+        window = np.arange(-count, count + 1) + HALF
+        i = window + record.first_i
+        j = window + record.first_j
         met = record.counts[np.ix_(i & LAST_CELL, j & LAST_CELL)] > COUNT_FREE
-        rows, columns = np.nonzero(met)
-        return np.column_stack([i[rows], j[columns]])
-
-    def cells_of(self, places: Floats) -> NDArray[np.int64]:
-        """Find the cells that places lie in.
-
-        Args:
-            places: (n, 2), in the odometry frame [m].
-
-        Returns:
-            (n, 2): see `cells_met`.
-        """
-        return np.floor(places / self.cell_side + CELL_SHIFT).astype(np.int64)
-
-    def centres_of(self, cells: NDArray[np.int64]) -> Floats:
-        """Find the centres of cells.
-
-        Args:
-            cells: (n, 2), see `cells_met`.
-
-        Returns:
-            (n, 2), in the odometry frame [m].
-        """
-        return (cells.astype(np.float64) + 0.5 - CELL_SHIFT) * self.cell_side
+        first = i[0], j[0]
+        cells: NDArray[np.int64] = np.argwhere(met) + first
+        return cells
 
 
 def find_map(sensors: Sequence[Sensor]) -> MapSensor | None:
-    """The map among a robot's sensors; None without one."""
+    """Return the map among a robot's sensors, or None."""
     return next((sensor for sensor in sensors if isinstance(sensor, MapSensor)), None)

@@ -1,8 +1,8 @@
 """The way to the goal over what has been seen: A* on the cells, then straight pieces.
 
-What hasn't been seen is free, as planners of mobile robots take it (Stentz, "Optimal and efficient
-path planning for partially-known environments", ICRA 1994): the way changes where the robot sees
-that it doesn't lead on.
+Cells that have never been seen count as free, as in planners of mobile robots (Stentz, "Optimal and
+efficient path planning for partially-known environments", ICRA 1994): the way changes once the
+robot sees that it is blocked.
 """
 
 from __future__ import annotations
@@ -16,232 +16,293 @@ from acsar_gym.jit import jit, subroutine
 from acsar_gym.sensors.map.seen import (
     CELLS,
     COST_UNIT,
+    HALF,
     LAST_CELL,
-    Bytes,
     Floats,
     Grid,
+    Place,
     cell_at,
     cell_centre,
+    length_of,
 )
 
 Ints = NDArray[np.int32]
 MOST_POINTS = 64
 """Corners of a way that are kept, from the robot on."""
+X, Y, REMAINING, COST = range(4)
+"""Columns of a corner: place [m], length of the way from it to the goal [m], and cost of the piece
+that ends at it [cells]."""
+SIZE = CELLS * CELLS
+MOST_ENTRIES = 3 * SIZE
+"""Entries of the queue in a search."""
 BUCKETS = 1024
-"""More than a step on the grid can cost."""
-MOST_ENTRIES = 3 * CELLS * CELLS
-"""Of the queue, in one search."""
-SCRATCH = 3 * CELLS * CELLS + BUCKETS + 3 * MOST_ENTRIES
+"""Buckets of the queue: more than the 920 by which a step on the grid can raise an estimate."""
+SCRATCH = 3 * SIZE + 3 * MOST_ENTRIES + BUCKETS
 """Numbers that a search writes to."""
 UNREACHED = 2**30
-STRAIGHT, DIAGONAL = 10, 14
-"""Lengths of steps on the grid; a cell's costs multiply them."""
+STRAIGHT = 10
+DIAGONAL = 14
+"""Lengths of steps on the grid, to be multiplied by a cell's costs."""
 LENGTH_SLACK = 1e-6
-"""Pieces are often a whole number of cells long; so much more is rounding [cells]."""
+"""Pieces are often a whole number of cells long: a rest below this is a rounding error [cells]."""
 SAMPLE_SHIFT = 0.37
-"""Places on a straight piece are looked up so far before its steps' ends, in steps: a diagonal from
-one cell's centre to another's has some that are exactly on a corner, where rounding decides."""
+"""A straight piece is sampled this share of a step before the end of each step. A diagonal between
+two centres of cells would else have samples exactly on a corner, where rounding decides."""
 LONGEST_PIECE = 40
-"""Of a way [cells]."""
+"""Length of a straight piece, which bounds the time that planning takes [cells]."""
+STRAIGHT_SLACK = 1.0
+"""A straight piece may cost this much more than the cells that it replaces [cells]."""
+DEARER = 1.1
+"""A piece has become dearer if it costs more than this factor times its old cost, and DEARER_CELLS
+on top. Both keep the robot from planning again because of a few raised cells."""
+DEARER_CELLS = 4.0
 
 
 @jit
 def octile(di: int, dj: int) -> int:
-    """Least cost of the steps from a cell to another one, so many rows and columns away."""
-    a, b = abs(di), abs(dj)
-    return STRAIGHT * max(a, b) + (DIAGONAL - STRAIGHT) * min(a, b)
+    """Return the least cost of the steps to a cell this many rows and columns away."""
+    rows = abs(di)
+    columns = abs(dj)
+    return STRAIGHT * max(rows, columns) + (DIAGONAL - STRAIGHT) * min(rows, columns)
 
 
 @subroutine
-def search_way(costs: Bytes, middle: tuple[int, int], goal: tuple[int, int], scratch: Ints) -> int:
-    """Find the cheapest way over the cells; A* with a bucket queue, as Dial (1969) has it.
+def search_way(  # noqa: PLR0915 - a search and its queue
+    grid: Grid, goal: tuple[int, int], scratch: Ints
+) -> int:
+    """Find the cheapest way over the cells, by A* with a bucket queue (Dial, 1969).
 
     Args:
-        costs: (CELLS, CELLS): of the cells.
-        middle: of the window: the cell that the robot is in.
-        goal: cell of the goal; where it lies outside the window, a way ends at the window's edge.
-        scratch: (SCRATCH,): begins with the cells of the way then, from its end to the start, as
-            i * CELLS + j within the window.
+        grid: Cells of the robot.
+        goal: Cell of the goal. If it lies outside the window, the way ends at the window's edge.
+        scratch: (SCRATCH,): Its first numbers are then the cells of the way, from the goal to the
+            robot, as i * CELLS + j within the window.
 
     Returns:
-        Number of cells; 0 where none was found.
+        Number of cells, 0 if there is no way.
     """
-    half, size = CELLS // 2, CELLS * CELLS
-    first_i, first_j = middle[0] - half, middle[1] - half
-    gi, gj = goal[0] - first_i, goal[1] - first_j
-    way, best, came = scratch[:size], scratch[size : 2 * size], scratch[2 * size : 3 * size]
-    heads, more = scratch[3 * size : 3 * size + BUCKETS], 3 * size + BUCKETS
-    nodes = scratch[more : more + MOST_ENTRIES]
-    costs_so_far = scratch[more + MOST_ENTRIES : more + 2 * MOST_ENTRIES]
-    following = scratch[more + 2 * MOST_ENTRIES :]
-    best[:], came[:], heads[:] = UNREACHED, -1, -1
-    node = half * CELLS + half
-    best[node] = 0
-    f = octile(gi - half, gj - half)
-    nodes[0], costs_so_far[0], following[0] = node, 0, -1
-    heads[f % BUCKETS] = 0
-    entries, waiting = 1, 1
+    cheapest = scratch[SIZE : 2 * SIZE]
+    parents = scratch[2 * SIZE : 3 * SIZE]
+    nodes = scratch[3 * SIZE : 6 * SIZE]
+    totals = scratch[6 * SIZE : 9 * SIZE]
+    following = scratch[9 * SIZE : 12 * SIZE]
+    heads = scratch[12 * SIZE :]
+    cheapest[:] = UNREACHED
+    parents[:] = -1
+    costs = grid.costs
+    heads[:] = -1
+
+    # The queue starts with the robot's cell.
+    goal_i = goal[0] - grid.first_i
+    goal_j = goal[1] - grid.first_j
+    node = HALF * CELLS + HALF
+    cheapest[node] = 0
+    nodes[0] = node
+    totals[0] = 0
+    following[0] = -1
+    estimate = octile(goal_i - HALF, goal_j - HALF)
+    heads[estimate % BUCKETS] = 0
+    entries = 1
+    waiting = 1
+
     while waiting > 0:
-        while heads[f % BUCKETS] < 0:
-            f += 1
-        entry = heads[f % BUCKETS]
-        heads[f % BUCKETS] = following[entry]
+        while heads[estimate % BUCKETS] < 0:
+            estimate += 1
+        bucket = estimate % BUCKETS
+        entry = heads[bucket]
+        heads[bucket] = following[entry]
         waiting -= 1
-        node, so_far = nodes[entry], costs_so_far[entry]
-        if so_far > best[node]:
+        node = nodes[entry]
+        total = totals[entry]
+        if total > cheapest[node]:  # a cheaper way to this cell was found later
             continue
-        i, j = node // CELLS, node % CELLS
-        at_edge = i == 0 or j == 0 or i == CELLS - 1 or j == CELLS - 1
-        if (i == gi and j == gj) or at_edge:
-            found = 0
+
+        i, j = divmod(node, CELLS)
+        if min(i, j) == 0 or max(i, j) == LAST_CELL or (i == goal_i and j == goal_j):
+            count = 0
             while node >= 0:
-                way[found] = node
-                found += 1
-                node = came[node]
-            return found
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                if di == 0 and dj == 0:
+                scratch[count] = node
+                count += 1
+                node = parents[node]
+            return count
+
+        for p in range(i - 1, i + 2):
+            for q in range(j - 1, j + 2):
+                if p == i and q == j:
                     continue
-                p, q = i + di, j + dj
-                cost = int(costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
-                step = DIAGONAL if di != 0 and dj != 0 else STRAIGHT
-                total = so_far + ((step * (4 + cost)) >> 2)  # 1 + COST_UNIT * cost a metre
-                other = p * CELLS + q
-                if total < best[other] and entries < MOST_ENTRIES:
-                    best[other], came[other] = total, node
-                    place = (total + octile(gi - p, gj - q)) % BUCKETS
-                    nodes[entries], costs_so_far[entries] = other, total
-                    following[entries] = heads[place]
-                    heads[place] = entries
+                cost = int(costs[(p + grid.first_i) & LAST_CELL, (q + grid.first_j) & LAST_CELL])
+                step = DIAGONAL if p != i and q != j else STRAIGHT
+                next_total = total + ((step * (4 + cost)) >> 2)  # 1 + COST_UNIT * cost a metre
+                neighbour = p * CELLS + q
+                if next_total < cheapest[neighbour] and entries < MOST_ENTRIES:
+                    cheapest[neighbour] = next_total
+                    parents[neighbour] = node
+                    bucket = (next_total + octile(goal_i - p, goal_j - q)) % BUCKETS
+                    nodes[entries] = neighbour
+                    totals[entries] = next_total
+                    following[entries] = heads[bucket]
+                    heads[bucket] = entries
                     entries += 1
                     waiting += 1
     return 0
 
 
 @subroutine
-def piece_cost(
-    costs: Bytes,
-    side: float,
-    middle: tuple[int, int],
-    begin: tuple[float, float],
-    end: tuple[float, float],
-) -> tuple[float, float]:
-    """Cost of a straight piece of a way, in cells, and the largest cost on it."""
-    (ax, ay), (bx, by), half = begin, end, CELLS // 2
-    length = math.sqrt((bx - ax) * (bx - ax) + (by - ay) * (by - ay)) / side
+def piece_cost(grid: Grid, start: Place, end: Place) -> tuple[float, float]:
+    """Return the cost of a straight piece of a way, in cells, and the largest cost on it."""
+    dx = end[0] - start[0]
+    dy = end[1] - start[1]
+    length = length_of(dx, dy) / grid.side
     count = int(min(max(math.ceil(length - LENGTH_SLACK), 1.0), CELLS))
-    total, most = 0.0, 0.0
+
+    costs = grid.costs
+    total = 0.0
+    highest = 0.0
     for step in range(1, count + 1):
         share = (step - SAMPLE_SHIFT) / count
-        i, j = cell_at(ax + share * (bx - ax), side), cell_at(ay + share * (by - ay), side)
-        p, q = i - middle[0] + half, j - middle[1] + half
-        if 0 <= p < CELLS and 0 <= q < CELLS:
+        i = cell_at(start[0] + share * dx, grid.side)
+        j = cell_at(start[1] + share * dy, grid.side)
+        if 0 <= i - grid.first_i < CELLS and 0 <= j - grid.first_j < CELLS:
             cost = float(costs[i & LAST_CELL, j & LAST_CELL])
             total += cost
-            most = max(most, cost)
-    return length * (1.0 + COST_UNIT * total / count), most
+            highest = max(highest, cost)
+    return length * (1.0 + COST_UNIT * total / count), highest
+
+
+@jit
+def set_corner(points: Floats, n: int, place: Place, cost: float) -> None:
+    """Set a corner of a way, except for what remains from it on."""
+    points[n, X] = place[0]
+    points[n, Y] = place[1]
+    points[n, COST] = cost
 
 
 @subroutine
 def plan_way(
-    grid: Grid,
-    side: float,
-    middle: tuple[int, int],
-    place: tuple[float, float],
-    goal: tuple[float, float],
-    points: Floats,
-    scratch: Ints,
-) -> int:
+    grid: Grid, place: Place, goal: Place, points: Floats, scratch: Ints
+) -> tuple[int, float]:
     """Plan the way from the robot to the goal, in straight pieces.
 
     Args:
-        grid: of the robot.
-        side: of a cell [m].
-        middle: of the window: the cell that the robot is in.
-        place: of the robot [m].
-        goal: in the odometry frame [m].
-        points: (MOST_POINTS, 4): gets the way's corners: x [m], y [m], length of the way that is
-            left from there [m], and cost of the piece that ends there [cells].
-        scratch: (SCRATCH,): written to.
+        grid: Cells of the robot.
+        place: Place of the robot.
+        goal: The goal.
+        points: (MOST_POINTS, 4): Gets the way's corners. The first is the robot's place, and the
+            last is the goal.
+        scratch: (SCRATCH,): Memory of the search.
 
     Returns:
-        Number of corners, the robot's place included, the goal or the last one that was kept.
+        Number of corners, and cost of the way [cells].
     """
-    half = CELLS // 2
-    goal_cell = cell_at(goal[0], side), cell_at(goal[1], side)
-    found, way = search_way(grid.costs, middle, goal_cell, scratch), scratch
-    first_i, first_j = middle[0] - half, middle[1] - half
+    goal_cell = cell_at(goal[0], grid.side), cell_at(goal[1], grid.side)
+    goal_centre = cell_centre(goal_cell[0], grid.side), cell_centre(goal_cell[1], grid.side)
+    at = search_way(grid, goal_cell, scratch) - 1
+    set_corner(points, 0, place, cost=0.0)
     count = 1
-    points[0, 0], points[0, 1], points[0, 3] = place[0], place[1], 0.0
-    at = found - 1  # in `way`, whose end is its begin
+    corner = place
+    total = 0.0
+
     while at > 0 and count < MOST_POINTS - 1:
-        corner = points[count - 1, 0], points[count - 1, 1]
-        # as far as a straight piece is no dearer than the cells between
-        stepwise, best, best_cost = 0.0, at - 1, -1.0
-        i, j = way[at] // CELLS, way[at] % CELLS
+        # The next corner is the farthest cell to which a straight piece is no dearer.
+        start = corner
+        i, j = divmod(scratch[at], CELLS)
+        stepwise = 0.0
+        best_cost = -1.0
         for k in range(at - 1, max(at - 1 - LONGEST_PIECE, -1), -1):
-            p, q = way[k] // CELLS, way[k] % CELLS
-            cost = float(grid.costs[(p + first_i) & LAST_CELL, (q + first_j) & LAST_CELL])
-            diagonal = p != i and q != j
-            stepwise += (1.4142135623730951 if diagonal else 1.0) * (1.0 + COST_UNIT * cost)
-            i, j = p, q
-            centre = cell_centre(p + first_i, side), cell_centre(q + first_j, side)
-            straight, _ = piece_cost(grid.costs, side, middle, corner, centre)
-            if best_cost < 0.0 or straight <= stepwise + 1.0:
-                best, best_cost = k, straight
-            elif straight > 1.5 * stepwise + 4.0:
+            p, q = divmod(scratch[k], CELLS)
+            cost = grid.costs[(p + grid.first_i) & LAST_CELL, (q + grid.first_j) & LAST_CELL]
+            length = 1.4142135623730951 if p != i and q != j else 1.0
+            stepwise += length * (1.0 + COST_UNIT * float(cost))
+            i = p
+            j = q
+            centre = (
+                cell_centre(p + grid.first_i, grid.side),
+                cell_centre(q + grid.first_j, grid.side),
+            )
+            straight, _ = piece_cost(grid, start, centre)
+            if best_cost < 0.0 or straight <= stepwise + STRAIGHT_SLACK:
+                at = k
+                best_cost = straight
+                corner = centre
+            elif straight > 1.5 * stepwise + 4.0:  # it won't become cheap again
                 break
-        i, j = way[best] // CELLS, way[best] % CELLS
-        x, y = cell_centre(i + first_i, side), cell_centre(j + first_j, side)
-        if best == 0 and i + first_i == goal_cell[0] and j + first_j == goal_cell[1]:
-            x, y = goal
-        points[count, 0], points[count, 1], points[count, 3] = x, y, best_cost
+
+        if corner == goal_centre:
+            corner = goal
+        set_corner(points, count, corner, cost=best_cost)
         count += 1
-        at = best
-    last = count - 1
-    if points[last, 0] != goal[0] or points[last, 1] != goal[1]:  # what is left is unknown
-        corner = points[last, 0], points[last, 1]
-        cost, _ = piece_cost(grid.costs, side, middle, corner, goal)
-        points[count, 0], points[count, 1], points[count, 3] = goal[0], goal[1], cost
+        total += best_cost
+
+    if corner != goal:  # nothing is known about the last piece
+        cost, _ = piece_cost(grid, corner, goal)
+        set_corner(points, count, goal, cost=cost)
         count += 1
-    points[count - 1, 2] = 0.0
+        total += cost
+
+    points[count - 1, REMAINING] = 0.0
     for k in range(count - 2, -1, -1):
-        dx, dy = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1]
-        points[k, 2] = points[k + 1, 2] + math.sqrt(dx * dx + dy * dy)
-    return count
+        points[k, REMAINING] = length_left(points, k + 1, (points[k, X], points[k, Y]))
+    return count, total
+
+
+@subroutine
+def weigh_way(grid: Grid, place: Place, ahead: Floats, write: bool) -> tuple[float, bool]:
+    """Measure the present costs of a way from the robot on.
+
+    Args:
+        grid: Cells of the robot.
+        place: Place of the robot.
+        ahead: Corners ahead of it.
+        write: Whether to write the costs to the corners.
+
+    Returns:
+        Cost of the way [cells], and whether a piece has become dearer since its cost was written,
+        for example because the robot has left the way.
+    """
+    total = 0.0
+    is_dearer = False
+    start = place
+    for k in range(len(ahead)):
+        end = ahead[k, X], ahead[k, Y]
+        cost, _ = piece_cost(grid, start, end)
+        total += cost
+        is_dearer = is_dearer or cost > DEARER * ahead[k, COST] + DEARER_CELLS
+        if write:
+            ahead[k, COST] = cost
+        start = end
+    return total, is_dearer
 
 
 @jit
-def length_left(points: Floats, corner: int, x: float, y: float) -> float:
-    """Length of the way from a place, straight to the corner ahead and on along the way [m]."""
-    dx, dy = points[corner, 0] - x, points[corner, 1] - y
-    left: float = math.sqrt(dx * dx + dy * dy) + points[corner, 2]
-    return left
+def length_left(points: Floats, corner: int, place: Place) -> float:
+    """Return the length of the way from a place, straight to a corner and on along the way [m]."""
+    straight = length_of(points[corner, X] - place[0], points[corner, Y] - place[1])
+    return straight + points[corner, REMAINING]  # type: ignore[no-any-return]
 
 
 @jit
-def next_corner(points: Floats, count: int, corner: int, x: float, y: float) -> int:
-    """The corner that a robot drives to: the next one, once the robot is beyond this one."""
-    while corner < count - 1:
-        dx = points[corner + 1, 0] - points[corner, 0]
-        dy = points[corner + 1, 1] - points[corner, 1]
-        if (x - points[corner, 0]) * dx + (y - points[corner, 1]) * dy <= 0.0:
+def next_corner(way: Floats, corner: int, place: Place) -> int:
+    """Return the corner to drive to: the following corner once the robot has passed this corner."""
+    while corner < len(way) - 1:
+        dx = way[corner + 1, X] - way[corner, X]
+        dy = way[corner + 1, Y] - way[corner, Y]
+        if (place[0] - way[corner, X]) * dx + (place[1] - way[corner, Y]) * dy <= 0.0:
             break
         corner += 1
     return corner
 
 
 @subroutine
-def point_ahead(
-    points: Floats, count: int, corner: int, x: float, y: float, length: float
-) -> tuple[float, float]:
-    """The point of the way that is so far along it from a place, the goal at most [m]."""
-    for k in range(corner, count):
-        dx, dy = points[k, 0] - x, points[k, 1] - y
-        piece = math.sqrt(dx * dx + dy * dy)
+def point_ahead(ahead: Floats, place: Place, length: float) -> Place:
+    """Return the point at a distance along the way from a place, at most the goal [m]."""
+    x, y = place
+    for k in range(len(ahead)):
+        dx = ahead[k, X] - x
+        dy = ahead[k, Y] - y
+        piece = length_of(dx, dy)
         if piece >= length and piece > 1e-9:
             return x + dx * length / piece, y + dy * length / piece
         length -= piece
-        x, y = points[k, 0], points[k, 1]
+        x = ahead[k, X]
+        y = ahead[k, Y]
     return x, y

@@ -341,5 +341,5 @@ def in_goal(x: float, y: float, around: Surroundings) -> bool:
 def way_left(state: MotionState, nose: float, around: Surroundings) -> float:
     """Length of the way that is left from `nose` ahead of a pose; so the heading matters [m]."""
     x, y = state[0] + nose * math.cos(state[2]), state[1] + nose * math.sin(state[2])
-    corner = next_corner(around.way, len(around.way), 0, x, y)
-    return length_left(around.way, corner, x, y)
+    corner = next_corner(around.way, 0, (x, y))
+    return length_left(around.way, corner, (x, y))

@@ -7,11 +7,12 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.errors import PolicyError
 from acsar_gym.jit import loop
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.sensors.map.seen import CELLS, LAST_CELL
+from acsar_gym.sensors.map.seen import CELL_SHIFT, CELLS, LAST_CELL, cell_centre
 from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
@@ -73,6 +74,11 @@ def to_base(pose: Pose, places: Floats) -> Floats:
     """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
     dx, dy, cos, sin = *(places - pose[:2]).T, math.cos(pose[2]), math.sin(pose[2])
     return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
+
+
+def cells_of(places: Floats, side: float) -> NDArray[np.int64]:
+    """(n, 2): the cells in which places of the odometry frame lie, as `MapSensor.cells_met`."""
+    return np.floor(places / side + CELL_SHIFT).astype(np.int64)
 
 
 def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
@@ -154,13 +160,14 @@ class MappedPolicy(BaselinePolicy):
         ranges = np.zeros(0) if seen.ranges is None else seen.ranges
         along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
         scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
-        i, j = (self.map.cells_of(scan) & LAST_CELL).T
+        side = self.map.cell_side
+        i, j = (cells_of(scan, side) & LAST_CELL).T
         self._places[i, j] = scan
         cells = self.map.cells_met(reach)
         i, j = (cells & LAST_CELL).T
         places = self._places[i, j]
-        elsewhere = (self.map.cells_of(places) != cells).any(axis=1)
-        places[elsewhere] = self.map.centres_of(cells[elsewhere])
+        elsewhere = (cells_of(places, side) != cells).any(axis=1)
+        places[elsewhere] = cell_centre(cells[elsewhere], side)
         near = np.abs(scan - pose[:2]).max(axis=1) <= reach
         points = np.concatenate([scan[near], places])
         apart = np.hypot(*(points[:, None] - tracks[:, :2]).T).T

@@ -18,6 +18,7 @@ from acsar_gym.sensors.map.seen import (
     COUNT_FREE,
     COUNT_MOST,
     COUNT_OCCUPIED,
+    HALF,
     MISS,
     OCCUPIED,
     SHARED_RAYS,
@@ -27,142 +28,112 @@ from acsar_gym.sensors.map.seen import (
     cell_centre,
     make_stamp,
     move_window,
+    place_scan,
     raise_costs,
 )
 
-SIDE, FARTHEST = 0.05, 4.0
-"""Of a cell, and of the LiDAR: it sees beyond the window [m]."""
+SIDE = 0.05
+FARTHEST = 4.0
+"""Side of a cell, and range of the LiDAR, which sees beyond the window [m]."""
 STAMP = make_stamp(0.12, 0.2)
-HALF = CELLS // 2
-CELL = st.integers(-500, 500)
+CELL = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
+Cell = tuple[int, int]
 
 
-def empty() -> Grid:
-    return Grid(*(np.zeros((CELLS, CELLS), np.uint8) for _ in range(2)))
+def make_grid(middle: Cell = (0, 0)) -> Grid:
+    """An empty grid around a cell."""
+    counts, costs = np.zeros((2, CELLS, CELLS), np.uint8)
+    return Grid(counts, costs, STAMP, SIDE, first_i=middle[0] - HALF, first_j=middle[1] - HALF)
 
 
-def in_window(cell: tuple[int, int], middle: tuple[int, int]) -> bool:
-    return all(-HALF <= a - b < HALF for a, b in zip(cell, middle, strict=True))
-
-
-def place(cell: tuple[int, int]) -> tuple[int, int]:
+def element(cell: Cell) -> Cell:
     return cell[0] % CELLS, cell[1] % CELLS
 
 
-@given(
-    begin=st.tuples(CELL, CELL),
-    moves=st.lists(st.tuples(st.integers(-140, 140), st.integers(-140, 140)), max_size=4),
-    small=st.lists(st.tuples(st.integers(-2, 2), st.integers(-2, 2)), max_size=4),
-)
+@given(start=CELL, move=st.tuples(st.integers(-140, 140), st.integers(-140, 140)))
 @settings(max_examples=40, deadline=None)
 def test_a_window_that_moves_forgets_what_leaves_it_and_nothing_else(
-    begin: tuple[int, int], moves: list[tuple[int, int]], small: list[tuple[int, int]]
+    start: Cell, move: Cell
 ) -> None:
-    grid, middle, rng = empty(), begin, np.random.default_rng(0)
-    kept: dict[tuple[int, int], int] = {}
-    for move in [(0, 0), *moves, *small]:
-        to = middle[0] + move[0], middle[1] + move[1]
-        move_window(grid, *middle, *to)
-        middle, kept = to, {cell: value for cell, value in kept.items() if in_window(cell, to)}
-        wanted = np.zeros((CELLS, CELLS), np.uint8)
-        for cell, value in kept.items():
-            wanted[place(cell)] = value
-        for cells in grid:
-            np.testing.assert_array_equal(cells, wanted)
-        for offset in rng.integers(-HALF, HALF, (30, 2)).tolist():
-            cell = middle[0] + offset[0], middle[1] + offset[1]
-            kept[cell] = int(rng.integers(1, 200))
-            for cells in grid:
-                cells[place(cell)] = kept[cell]
+    cells = np.random.default_rng(0).integers(1, 200, (2, CELLS, CELLS)).astype(np.uint8)
+    grid = make_grid((start[0] + move[0], start[1] + move[1]))
+    grid.counts[:], grid.costs[:] = cells
+    move_window(grid, start[0] - HALF, start[1] - HALF)
+    i = grid.first_i + (np.arange(CELLS) - grid.first_i) % CELLS
+    j = grid.first_j + (np.arange(CELLS) - grid.first_j) % CELLS
+    stays_i = (i >= start[0] - HALF) & (i < start[0] + HALF)
+    stays_j = (j >= start[1] - HALF) & (j < start[1] + HALF)
+    expected = np.where(stays_i[:, None] & stays_j, cells, 0)
+    np.testing.assert_array_equal([grid.counts, grid.costs], expected)
 
 
-def see(grid: Grid, pose: Any, middle: Any, ranges: Any, rays: Rays, turn: int) -> None:
+def see(grid: Grid, pose: Any, ranges: Any, rays: Rays, turn: int) -> None:
     """Add a scan in which nothing moves."""
-    nothing = np.zeros(len(ranges), np.uint8)
-    add_scan(grid, STAMP, SIDE, pose, middle, ranges, rays, turn, nothing)
+    measured = np.zeros(0), np.zeros(1), 0.0
+    add_scan(grid, place_scan(pose, np.asarray(ranges), rays, measured=measured, now=0.0), turn)
 
 
-def ahead(distance: float, turn: int, grid: Grid, *, x: float = 0.0) -> tuple[int, int]:
-    """Add a scan of one ray ahead, and return the cell in which it ends."""
-    rays = Rays(0.0, 0.1, 0.05, FARTHEST, 0.0, 0.0, 0.01)
-    middle = cell_at(x, SIDE), cell_at(0.0, SIDE)
-    see(grid, (x, 0.0, 0.0), middle, np.array([distance]), rays, turn)
-    return cell_at(x + distance, SIDE), cell_at(0.0, SIDE)
+def see_ahead(grid: Grid, distance: float, turn: int) -> Cell:
+    """Add a scan of a single ray ahead, and return the cell in which it ends."""
+    x = cell_centre(grid.first_i + HALF, SIDE)
+    rays = Rays(0.0, 0.1, 0.05, farthest=FARTHEST, mount_x=0.0, mount_y=0.0, period=0.01)
+    see(grid, (x, 0.0, 0.0), [distance], rays=rays, turn=turn)
+    return element((cell_at(x + distance, SIDE), cell_at(0.0, SIDE)))
 
 
-@pytest.mark.parametrize("x", [0.0, -7.3, 12.01])
+@pytest.mark.parametrize("middle", [0, -146, 240])
 @pytest.mark.parametrize(
     ("scans", "count", "occupied"), [(1, 4, False), (2, 7, True), (3, 10, True), (9, 10, True)]
 )
 def test_a_cell_is_occupied_where_measurements_end(
-    x: float, scans: int, count: int, occupied: bool
+    middle: int, scans: int, count: int, occupied: bool
 ) -> None:
-    grid = empty()
+    grid = make_grid((middle, 0))
     for _ in range(scans):
-        cell = ahead(1.0, 1, grid, x=x)
-    assert grid.counts[place(cell)] == count + OCCUPIED * occupied
+        cell = see_ahead(grid, 1.0, turn=1)
+    assert grid.counts[cell] == count + OCCUPIED * occupied
     assert np.count_nonzero(grid.counts) == 1
-    assert grid.costs[place(cell)] == (COST_LETHAL / COST_UNIT if occupied else 0)
+    assert grid.costs[cell] == (COST_LETHAL / COST_UNIT if occupied else 0)
     assert (count >= COUNT_OCCUPIED) == occupied
     assert count <= COUNT_MOST
 
 
 @pytest.mark.parametrize("hits", [2, 9])
 def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits: int) -> None:
-    grid = empty()
+    grid = make_grid()
     for _ in range(hits):
-        cell = ahead(1.0, 1, grid)
-    count = int(grid.counts[place(cell)]) - OCCUPIED
-    for left in (*range(count - MISS, COUNT_FREE, -MISS), COUNT_FREE):
-        for other in range(1, SHARED_RAYS):  # another ray's turn
-            ahead(FARTHEST, other, grid)
-        ahead(FARTHEST, 0, grid)
-        assert grid.counts[place(cell)] == left + OCCUPIED * (left > COUNT_FREE)
+        cell = see_ahead(grid, 1.0, turn=1)
+    count = int(grid.counts[cell]) - OCCUPIED
+    while count > COUNT_FREE:
+        for turn in range(SHARED_RAYS):  # the ray clears cells in a single turn of these
+            see_ahead(grid, FARTHEST, turn)
+        count = max(count - MISS, COUNT_FREE)
+        assert grid.counts[cell] == count + OCCUPIED * (count > COUNT_FREE)
     assert not grid.costs.any()
-    ahead(FARTHEST, 0, grid)
     assert grid.counts.max() == COUNT_FREE
 
 
-def test_cells_count_where_the_lidar_is_and_how_the_robot_stands() -> None:
-    grid, pose, mount = empty(), (1.3, -2.1, 2.0), (0.3, -0.2)
-    rays = Rays(-0.5, 0.4, 0.05, FARTHEST, *mount, 0.01)
-    ranges = np.array([0.9, 1.4, 1.1])
-    middle = cell_at(pose[0], SIDE), cell_at(pose[1], SIDE)
-    see(grid, pose, middle, ranges, rays, 1)
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    wanted = set()
-    for ray, distance in enumerate(ranges):
-        angle = -0.5 + 0.4 * ray
-        x, y = mount[0] + distance * math.cos(angle), mount[1] + distance * math.sin(angle)
-        x, y = pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y
-        wanted.add(place((cell_at(x, SIDE), cell_at(y, SIDE))))
-    assert {tuple(cell) for cell in np.argwhere(grid.counts).tolist()} == wanted
-
-
-@given(
-    middle=st.tuples(CELL, CELL),
-    seeds=st.lists(st.integers(0, 5), min_size=1, max_size=12),
-    shift=st.floats(0.0, 0.049),
-)
+@given(middle=CELL, seeds=st.lists(st.integers(0, 5), min_size=1, max_size=12))
 @settings(max_examples=15, deadline=None)
 def test_costs_raised_and_lowered_are_those_made_from_scratch(
-    middle: tuple[int, int], seeds: list[int], shift: float
+    middle: Cell, seeds: list[int]
 ) -> None:
-    """Random scans, a few of them again and again, by a robot that turns on the spot."""
-    grid = empty()
-    x, y = (cell_centre(cell, SIDE) + 0.4 * shift for cell in middle)
-    rays = Rays(-math.pi, math.tau / 24, 0.05, FARTHEST, 0.02, 0.01, 0.01)
-    for turn, seed in enumerate(seed for seed in seeds for _ in range(4)):
+    """Random scans, each of them four times, by a robot that turns on the spot."""
+    grid = make_grid(middle)
+    x, y = (cell_centre(cell, SIDE) for cell in middle)
+    rays = Rays(
+        -math.pi, math.tau / 24, 0.05, farthest=FARTHEST, mount_x=0.02, mount_y=0.01, period=0.01
+    )
+    for turn, seed in enumerate(np.repeat(seeds, 4).tolist()):
         rng = np.random.default_rng(seed)
         ranges = np.where(rng.random(24) < 0.3, FARTHEST, rng.uniform(0.1, 3.6, 24))
-        pose = (x, y, 0.1 * seed)
-        see(grid, pose, middle, ranges, rays, turn)
-    fresh = empty()
-    for i in range(middle[0] - HALF, middle[0] + HALF):
-        for j in range(middle[1] - HALF, middle[1] + HALF):
-            if grid.counts[place((i, j))] >= OCCUPIED:
-                raise_costs(fresh, STAMP, i, j, middle)
-    np.testing.assert_array_equal(grid.costs, fresh.costs)
+        see(grid, (x, y, 0.1 * seed), ranges, rays=rays, turn=turn)
+
+    fresh = make_grid(middle)
     occupied = grid.counts >= OCCUPIED
+    for p, q in np.argwhere(occupied).tolist():
+        i = fresh.first_i + (p - fresh.first_i) % CELLS
+        raise_costs(fresh, i, fresh.first_j + (q - fresh.first_j) % CELLS)
+    np.testing.assert_array_equal(grid.costs, fresh.costs)
     assert (grid.counts[occupied] > OCCUPIED + COUNT_FREE).all()
     assert (grid.counts[~occupied] < COUNT_OCCUPIED).all()
